@@ -7,6 +7,6 @@ setup(
     **generate_distutils_setup(
         packages=find_packages("src"),
         package_dir={"": "src"},
-        package_data={"cassandra_ros": ["py.typed", "query/cql.lark"]},
+        package_data={"cassandra_ros": ["py.typed", "query/tree/cql.lark"]},
     )
 )

@@ -267,7 +267,7 @@ class Node:
 
 
 def _topics() -> list[str]:
-    from cassandra_ros.bag.reader import BagReader
+    from cassandra_ros.bag.bag_reader import BagReader
 
     with BagReader(BAG) as bag:
         return sorted({connection.topic for connection in bag.connections.values()})
@@ -280,7 +280,7 @@ def _equal(text: str) -> str:
 
 
 def _messages() -> int:
-    from cassandra_ros.bag.reader import BagReader
+    from cassandra_ros.bag.bag_reader import BagReader
 
     with BagReader(BAG) as bag:
         return bag.message_count

@@ -26,7 +26,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.mapping.build import makeMap
+from cassandra_ros.mapping.map_builder import makeMap
 from cassandra_ros.mapping.pose_offers import Measurements
 from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
 

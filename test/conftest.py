@@ -21,6 +21,7 @@ import pytest
 from campaign import EVERYTHING, FAULTS, LENGTH
 from hypothesis import settings
 from keyspaces import Keyspaces, new_name
+from proxy import Proxy
 
 ROOT = Path(__file__).resolve().parent.parent
 WORKSPACE = ROOT / ".ws"
@@ -393,3 +394,18 @@ def make_certificate(tmp_path):
 
 def _openssl(*words):
     subprocess.run(["openssl", *map(str, words)], check=True, capture_output=True, timeout=60)
+
+
+@pytest.fixture
+def proxy(cassandra):
+    with Proxy(cassandra.host, cassandra.port) as running:
+        yield running
+
+
+@pytest.fixture
+def far(proxy, keyspace):
+    """A RosCassandra behind the proxy, on the keyspace of the test."""
+    from cassandra_ros import RosCassandra
+
+    with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+        yield store

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import uuid
 
-from cassandra_ros.store.side_tables import LATER_TABLES
+from cassandra_ros.tables.side_tables import LATER_TABLES
 
 MOST_TABLES = 50
 """What a keyspace may hold of earlier tests: each change of its schema goes through all of it."""

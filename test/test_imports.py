@@ -12,44 +12,46 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
 # Known to all; they know only each other.
-GROUND = {"errors", "keys", "metadata", "arguments", "shown", "installation"}
+GROUND = {"errors", "keys", "metadata", "arguments", "printable", "installation"}
 
-# Layer -> the layers below it that it may use.
+# Room -> the rooms below it that it may use.
+CASSANDRA = {"connection", "tables", "blocks", "store"}
+STORED = {*CASSANDRA, "formats", "query", "messages"}
+TOPICS = {*STORED, "topics", "places", "transforms", "arrays"}
 BELOW = {
     "errors": set(),
     "keys": {"errors"},
     "metadata": {"errors", "keys"},
     "arguments": {"errors", "keys", "metadata"},
-    "shown": set(),
+    "printable": set(),
     "installation": {"errors"},
     "messages": set(),
     "formats": {"messages"},
-    "store": set(),
+    "connection": set(),
+    "tables": {"connection"},
+    "blocks": {"tables", "connection"},
+    "store": {"blocks", "tables", "connection"},
     "query": {"messages"},
     "arrays": {"query", "messages"},
     "transforms": {"query", "messages"},
-    "places": {"transforms", "query", "arrays", "store", "messages"},
-    "topics": {"places", "query", "arrays", "transforms", "formats", "store", "messages"},
-    "recording": {
-        *("topics", "places", "transforms", "arrays", "query", "formats", "store", "messages"),
-    },
-    "playing": {"topics", "store", "messages"},
-    "history": {"recording", "topics", "store", "messages"},
-    "bag": {"topics", "formats", "store", "messages"},
+    "places": {"transforms", "query", "arrays", "tables", "messages"},
+    "topics": TOPICS - {"topics"},
+    "overview": TOPICS,
+    "upkeep": {*TOPICS, "overview"},
+    "client": {*TOPICS, "overview", "upkeep"},
+    "recording": {*TOPICS, "client"},
+    "playing": {*TOPICS, "overview", "client"},
+    "history": {"recording", "client", *TOPICS},
+    "bag": {*TOPICS, "overview", "client"},
     "local_server": set(),
-    "nodes": {
-        *("recording", "playing", "history", "topics", "query", "formats", "store", "messages"),
-    },
-    "mapping": {"places", "topics", "transforms", "query", "arrays", "store", "messages"},
-    "drawing": {"mapping", "places", "topics", "query", "arrays", "store", "messages"},
-    "viewing": {
-        *("drawing", "mapping", "places", "bag", "topics", "transforms", "query", "arrays"),
-        *("recording", "store", "messages"),
-    },
+    "nodes": {"recording", "playing", "history", "client", "overview", *TOPICS},
+    "mapping": {*TOPICS, "overview", "client"},
+    "drawing": {"mapping", "overview", "client", *TOPICS},
+    "viewing": {"drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", *TOPICS},
     "cli": {
-        *("viewing", "drawing", "mapping", "places"),
-        *("nodes", "recording", "playing", "bag", "topics", "query", "arrays", "formats"),
-        *("messages", "store", "local_server"),
+        *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),
+        *("client", "upkeep", "overview"),
+        *TOPICS,
     },
 }
 
@@ -60,7 +62,7 @@ DOORS = {
     "rospy": {"nodes"},
     "rostopic": {"nodes"},
     "rosgraph": {"messages/graph.py"},
-    "cassandra": {"store"},
+    "cassandra": {"connection", "tables", "store"},
     "genpy": {"messages", "formats"},
     "genmsg": {"messages", "formats"},
     "roslib": {"messages", "formats"},
@@ -68,7 +70,7 @@ DOORS = {
     "roslz4": {"bag"},
     "lz4": {"bag"},
     "mcap": {"bag"},
-    "isal": {"store/checksum.py"},
+    "isal": {"tables/checksum.py"},
     "tf2_py": {"transforms"},
     "geometry_msgs": {"transforms"},
     "lark": {"query"},

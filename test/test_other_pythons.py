@@ -38,7 +38,7 @@ NOT_INHERITED = ("ROS_HOSTNAME", "CASSANDRA_ROS_CAMPAIGN")
 SOME = (
     *("messages/test_definition.py", "messages/test_stamps.py", "formats/test_text.py"),
     *("query/test_parse.py", "query/test_cursor.py", "store/test_scan.py"),
-    *("topics/test_api.py", "bag/test_order.py"),
+    *("client/test_api.py", "bag/test_order.py"),
 )
 
 IMPORT_ALL = """

@@ -14,7 +14,7 @@ from urllib.parse import quote, urlencode
 
 from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.serving import listening
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 
 @dataclass

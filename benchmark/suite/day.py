@@ -21,8 +21,8 @@ from sensor_msgs.msg import CompressedImage, Imu, LaserScan
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.messages.connection import Connection
-from cassandra_ros.store.directory import bucket_for, span_for
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.tables.directory import bucket_for, span_for
 from suite.messages import START_NS, serialized
 
 DAY_NS = 86_400 * 10**9

@@ -19,7 +19,7 @@ from genpy.dynamic import generate_dynamic
 from sensor_msgs.msg import Image, Imu, JointState, LaserScan, PointCloud2, PointField
 from tf2_msgs.msg import TFMessage
 
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 
 START_NS = 1_600_000_000 * 10**9
 PAPER_TYPE = "cassandra_ros_benchmark/Paper"

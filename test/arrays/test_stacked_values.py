@@ -15,8 +15,8 @@ from messages.test_stacked import manyWires
 from cassandra_ros.arrays import table_values
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.query.names import Findings, all_fields
-from cassandra_ros.query.parse import parse_select
+from cassandra_ros.query.tree.field_names import Findings, all_fields
+from cassandra_ros.query.tree.parse import parse_select
 
 
 def gathered(definition, names, wires):

@@ -22,14 +22,14 @@ from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
 
 from cassandra_ros.bag import allowance, chunk
 from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.job_process import Part
 from cassandra_ros.bag.mcap_format import MAGIC, RECORD
 from cassandra_ros.bag.message_file import MAX_STRETCH
 from cassandra_ros.bag.opening import open_file
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagTooLarge
-from cassandra_ros.store.directory import Lengths
+from cassandra_ros.tables.directory import Lengths
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.bag import chunk
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.reader import BagReader
+from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import SECOND_NS
 

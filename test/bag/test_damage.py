@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.message_file import read_in_order
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 
 MANY = settings(

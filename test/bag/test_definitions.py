@@ -11,13 +11,13 @@ from bag.truth import read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import Int32, String
 from tf2_msgs.msg import TFMessage
 
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize, to_yaml
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.recording.recording import Recording
 

@@ -10,10 +10,10 @@ import pytest
 from bag.truth import string_connection, string_wire
 
 from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.identity import EARLIER_SAMPLE as SAMPLE
 from cassandra_ros.bag.identity import earlier_writer_id, read_content
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.writer import BagWriter
 
 
 def write(path, messages, connections=None, **options):

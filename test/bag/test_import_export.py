@@ -19,13 +19,13 @@ from std_msgs.msg import String
 
 from cassandra_ros import metadata
 from cassandra_ros.bag import exporter
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.identity import earlier_writer_id, read_content
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.message_file import match_topics
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.verify import verify_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import (
     BagError,
     BagUnindexed,
@@ -38,7 +38,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.store.registry import Run
+from cassandra_ros.tables.registry import Run
 
 
 def stored_rows(rosCas):

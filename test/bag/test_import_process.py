@@ -17,9 +17,9 @@ from campaign import sparing
 from proxy import BATCH, Proxy
 from topics.test_run_states import age
 
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.verify import verify_bag
-from cassandra_ros.bag.writer import BagWriter
 
 ROOT = Path(__file__).resolve().parents[2]
 START = 1_700_000_000 * 10**9
@@ -119,7 +119,7 @@ def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp
 def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
     import tracemalloc
 
-    from cassandra_ros.bag.reader import BagReader
+    from cassandra_ros.bag.bag_reader import BagReader
 
     path = tmp_path / "a.bag"
     with BagWriter(path, chunk_bytes=1) as writer:

@@ -13,12 +13,12 @@ from bag.truth import string_connection, string_wire
 from campaign import sparing
 
 from cassandra_ros.bag import importer
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.jobs import spans_of_jobs
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.verify import verify_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, InvalidOption, WriteFailed
 
 HOUR_NS = 3600 * 10**9

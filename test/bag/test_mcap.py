@@ -25,7 +25,7 @@ from cassandra_ros.bag.mcap_format import RECORD, find_messages, walk
 from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.bag.opening import make_file, open_file
 from cassandra_ros.errors import BagError, BagUnindexed
-from cassandra_ros.messages.connection import Connection, live_connection
+from cassandra_ros.messages.connection_header import Connection, live_connection
 
 BAGS = ("turtlesim_tf", "primitive_arrays", "empty_message_definition", "ros_numpy_types")
 

@@ -13,9 +13,9 @@ from campaign import sparing
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Message
 
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.mcap_reader import McapReader
-from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.errors import BagError
 
 VARIANTS = {variant.name: variant for variant in variants()}

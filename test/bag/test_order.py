@@ -10,11 +10,11 @@ import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from campaign import FEW_FORMATS, sparing
 
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.verify import verify_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import MAX_NS
 

@@ -14,11 +14,11 @@ from bag.truth import string_connection, string_wire
 from campaign import sparing
 
 from cassandra_ros.bag import job_process
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.verify import verify_bag
-from cassandra_ros.bag.writer import BagWriter
-from cassandra_ros.store import replacement
-from cassandra_ros.store.blocks.limits import Limits
+from cassandra_ros.tables import replacement
+from cassandra_ros.tables.block_limits import Limits
 
 START = 1_700_000_000 * 10**9
 
@@ -122,7 +122,7 @@ def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
     rosCas, cql, tmp_path, monkeypatch, jobs
 ):
     monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
-    monkeypatch.setattr("cassandra_ros.store.schema.CACHE_SEC", 0.03)
+    monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
     # What is late makes blocks begin elsewhere than in the order of time.
     path = jumbled_bag(tmp_path / "a.bag", 2000)
     with rosCas.messageWriter(format="binary") as writer:  # others keep theirs

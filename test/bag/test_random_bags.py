@@ -17,13 +17,13 @@ from bag.truth import read_with_rosbag, string_connection, string_wire
 from campaign import FEW_FORMATS, examples, sparing
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed
 
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.verify import verify_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.connection import Connection, live_connection
+from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.definition import parse_definition
 
 SEC = 10**9

@@ -10,9 +10,9 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from cassandra_ros.bag import read_ahead
+from cassandra_ros.bag import bag_read_ahead as read_ahead
+from cassandra_ros.bag.bag_read_ahead import ReadAhead
 from cassandra_ros.bag.message_file import Stretch
-from cassandra_ros.bag.read_ahead import ReadAhead
 from cassandra_ros.errors import BagError
 
 

@@ -10,9 +10,9 @@ import rosbag
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import String
 
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.message_file import read_in_order
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
 
 READABLE = (

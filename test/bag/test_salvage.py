@@ -8,8 +8,8 @@ import pytest
 from bag.truth import string_connection, string_wire
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
 
 SEC = 10**9
 TIMES = [[5, 3, 9, 4], [8, 1, 2], [7, 6]]

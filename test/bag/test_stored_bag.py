@@ -21,9 +21,9 @@ from std_msgs.msg import Header, String
 
 import cassandra_ros
 from cassandra_ros.bag import bag_order
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.summary import Summary, TopicSummary
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import (
     BagError,
     BagNotFound,
@@ -32,7 +32,7 @@ from cassandra_ros.errors import (
     RunNotFound,
     TypeMismatch,
 )
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import Stamp
 
 SEC = 10**9

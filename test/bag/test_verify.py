@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import Header
 
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import Comparison, Entry, VerifyReport, verify_bag, verify_content
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.message_file import read_in_order
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.verify import Comparison, Entry, VerifyReport, verify_bag, verify_content
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of

@@ -11,11 +11,11 @@ from bag.test_reader import READABLE
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from campaign import sparing
 
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 
 
 def copy(source, target, compression="none", chunk_bytes=768 * 1024):

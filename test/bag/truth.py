@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import rosbag
 
-from cassandra_ros.messages.connection import Connection, live_connection
+from cassandra_ros.messages.connection_header import Connection, live_connection
 
 
 class Read(NamedTuple):

@@ -11,10 +11,10 @@ from std_msgs.msg import Float64, Int64, String, UInt8MultiArray
 from topics.test_run_states import T0, add, age, begin
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.store.directory import BucketRow, BucketTotals
 from cassandra_ros.store.orphans import old_us, orphans, remove_orphans
-from cassandra_ros.store.row_table import CHUNK_BYTES
-from cassandra_ros.topics.checking import _agrees
+from cassandra_ros.tables.directory import BucketRow, BucketTotals
+from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.upkeep.store_check import _agrees
 
 
 @pytest.fixture
@@ -168,7 +168,7 @@ def test_what_is_removed_meanwhile_is_no_damage(rosCas, connect):
 
 
 def test_what_a_conversion_leaves_noted_is_no_damage(store, call, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.store.replacement.SETTLE_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.tables.replacement.SETTLE_SEC", 0.05)
     for target in ("packed", "yaml", "packed"):
         store.convertTopic("/n", target)
         assert damages(call) == set()

@@ -12,7 +12,7 @@ import pytest
 from bag.truth import string_connection, string_wire
 from conftest import ROOT
 
-from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
 
 # Bash and zsh call the function of a command with what was typed in these variables.

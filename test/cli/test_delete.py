@@ -14,7 +14,7 @@ from topics.test_run_states import T0, add, begin
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.tables.registry import Loss, LossKind, Run
 
 
 @pytest.fixture

@@ -12,15 +12,15 @@ from std_msgs.msg import String
 
 from cassandra_ros.arguments import MAX_NAME_BYTES
 from cassandra_ros.cli.recorder_report import closing_table
-from cassandra_ros.cli.text import format_table
+from cassandra_ros.cli.terminal_text import format_table
 from cassandra_ros.errors import InvalidName, InvalidOption
-from cassandra_ros.recording.counts import TopicReport
+from cassandra_ros.printable import MOST_CHARACTERS, shown, shown_lines
 from cassandra_ros.recording.losses import LossTotal
-from cassandra_ros.recording.options import RecorderOptions
-from cassandra_ros.recording.series import Series
-from cassandra_ros.recording.settings import read_label
-from cassandra_ros.shown import MOST_CHARACTERS, shown, shown_lines
-from cassandra_ros.store.registry import LossKind, Run
+from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.run_series import Series
+from cassandra_ros.recording.topic_counts import TopicReport
+from cassandra_ros.recording.topic_settings import read_label
+from cassandra_ros.tables.registry import LossKind, Run
 
 EVIL = "\x1b]0;owned\x07\nfake line\r\x9b31m\u202e"
 """A terminal's title, a line of its own, a colour by C1, text from right to left."""

@@ -14,8 +14,8 @@ from keyspaces import new_name
 
 from cassandra_ros import Cassandra
 from cassandra_ros.bag import allowance
-from cassandra_ros.bag.reader import BagReader
-from cassandra_ros.bag.writer import BagWriter
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
 
 

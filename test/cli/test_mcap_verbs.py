@@ -15,7 +15,7 @@ from mcap_ros1.decoder import DecoderFactory
 
 from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.opening import open_file
-from cassandra_ros.store.sent_times import SentTimes
+from cassandra_ros.tables.sent_times import SentTimes
 
 TOPICS = ("/rosout", "/tf_static", "/turtle1/cmd_vel")
 

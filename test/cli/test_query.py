@@ -23,7 +23,7 @@ from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Duration, Float32, Int64, String, Time, UInt8MultiArray, UInt64
 
 from cassandra_ros.messages.classes import message_class
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 
 ROOT = Path(__file__).resolve().parents[2]

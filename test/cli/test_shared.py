@@ -14,7 +14,7 @@ from conftest import ROOT
 
 from cassandra_ros.cli import player, query_server, recorder
 from cassandra_ros.cli.options import add_store_options, store_place, strip_remappings
-from cassandra_ros.cli.text import (
+from cassandra_ros.cli.terminal_text import (
     MessageBar,
     format_bytes,
     format_duration,
@@ -24,8 +24,8 @@ from cassandra_ros.cli.text import (
     shown,
 )
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
+from cassandra_ros.connection.outage import Outage
 from cassandra_ros.errors import StoreUnavailable
-from cassandra_ros.store.outage import Outage
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ import pytest
 from PIL import Image
 
 from cassandra_ros.arrays.envelope import Envelope, Grid
-from cassandra_ros.drawing.plot import curves_of, draw_plot, draw_xy, lines_of
+from cassandra_ros.drawing.time_plot import curves_of, draw_plot, draw_xy, lines_of
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.query.syntax import KeyOperand
-from cassandra_ros.topics.drawn import Column, Undrawn
-from cassandra_ros.topics.series import Series
+from cassandra_ros.overview.plot_columns import Column, Undrawn
+from cassandra_ros.overview.plot_series import Series
+from cassandra_ros.query.tree.syntax import KeyOperand
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

@@ -12,7 +12,7 @@ from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTy
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import installed_definition
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 
 SEEDS = st.integers(0, 2**32)

@@ -16,7 +16,7 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
 T0 = 1_500_000_000 * 10**9

@@ -20,8 +20,8 @@ from cassandra_ros.history.join import History
 from cassandra_ros.history.live_queue import LiveQueue
 from cassandra_ros.history.past import Past
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.tables.registry import Loss, LossKind, Run
 
 TOPIC = "/joined"
 MS = 1_000_000

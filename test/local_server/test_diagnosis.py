@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from cassandra_ros.local_server.cluster_settings import new_settings
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.preflight import explain_failure
-from cassandra_ros.local_server.settings import new_settings
 
 STARTING = "INFO JVM Arguments: [-XX:+ExitOnOutOfMemoryError, -Xmx512M]\n"
 # Two servers that start at once can choose the same port for the traffic between nodes.

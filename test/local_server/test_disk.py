@@ -9,9 +9,9 @@ import shutil
 import pytest
 
 from cassandra_ros.cli.local_cassandra import main
+from cassandra_ros.local_server.cluster_settings import change_settings, new_settings, save_settings
 from cassandra_ros.local_server.disk import disk_trouble, full_disk, local_directory
 from cassandra_ros.local_server.nodes import Node
-from cassandra_ros.local_server.settings import change_settings, new_settings, save_settings
 
 
 @pytest.fixture

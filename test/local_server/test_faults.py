@@ -19,8 +19,8 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.verify import verify_bag
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.local_server import LocalCluster, free_port
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from cassandra_ros.local_server.cluster_settings import change_settings, new_settings
 from cassandra_ros.local_server.nodes import Node
-from cassandra_ros.local_server.settings import change_settings, new_settings
 
 
 def node(number=1, directory="/data/node1", **options):

@@ -19,8 +19,8 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.cli import cassandra_bag, local_cassandra
 from cassandra_ros.errors import (
     AccessDenied,
@@ -32,10 +32,10 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.cql import CqlRefused, CqlSession
-from cassandra_ros.local_server.security import Security, write_private
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.local_server.server_security import Security, write_private
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.roles import ROLES, role_name
+from cassandra_ros.tables.role_grants import ROLES, role_name
 
 KEYSPACE = "fleet"
 

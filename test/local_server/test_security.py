@@ -11,8 +11,8 @@ import sys
 import pytest
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import security
-from cassandra_ros.local_server.settings import Settings
+from cassandra_ros.local_server import server_security as security
+from cassandra_ros.local_server.cluster_settings import Settings
 
 
 def test_its_files_are_utf_8_whatever_the_locale(tmp_path):

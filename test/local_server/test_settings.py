@@ -12,7 +12,7 @@ import pytest
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster
-from cassandra_ros.local_server.settings import (
+from cassandra_ros.local_server.cluster_settings import (
     change_settings,
     load_settings,
     new_settings,
@@ -89,7 +89,8 @@ def test_what_is_saved_is_loaded(tmp_path):
 SAVE = """
 import resource, sys
 from pathlib import Path
-from cassandra_ros.local_server.settings import change_settings, load_settings, save_settings
+from cassandra_ros.local_server.cluster_settings import (
+    change_settings, load_settings, save_settings)
 
 directory = Path(sys.argv[1])
 wanted = change_settings(load_settings(directory), heap="4G")

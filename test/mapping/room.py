@@ -14,7 +14,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 
 SEC = 10**9
 T0 = 1_700_000_000 * SEC

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition
-from cassandra_ros.messages.connection import (
+from cassandra_ros.messages.connection_header import (
     Connection,
     api_connection,
     cut_definition,

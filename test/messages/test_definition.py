@@ -22,7 +22,7 @@ from cassandra_ros.messages.definition import (
 )
 from cassandra_ros.messages.installed import installed_class
 from cassandra_ros.messages.spec import parse_spec
-from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 
 def genmsgMd5(msg_type, text):

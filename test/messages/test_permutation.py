@@ -18,7 +18,7 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire.permuter import MAX_KEPT, MIN_ROWS, permuter
-from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 SEEDS = st.integers(0, 2**32)
 

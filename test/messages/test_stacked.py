@@ -17,9 +17,9 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class, serialize
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire import stacked
-from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.cql_values import compile_decoder
 from cassandra_ros.messages.wire.stacked import by_size, stacker
-from cassandra_ros.messages.wire.values import compile_decoder
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.messages.wire.zones import ZoneMap, zone_map
 
 SEEDS = st.integers(0, 2**32)

@@ -10,7 +10,7 @@ from campaign import sparing
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.wire.plan import wire_plan
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 # Counted with the rosbag module; every one of them is exactly held in its columns.
 MESSAGES = {

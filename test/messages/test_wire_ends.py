@@ -10,8 +10,8 @@ import pytest
 from messages.random_wire import WireMaker
 
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.cql_values import pack_equal, pack_list, split_equal, split_list
 from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compile_object_check, compile_skip
-from cassandra_ros.messages.wire.values import pack_equal, pack_list, split_equal, split_list
 
 FIELDS = [
     "uint8[] x",

@@ -16,7 +16,7 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.wire.plan import WirePlan, wire_plan
+from cassandra_ros.messages.wire.wire_plan import WirePlan, wire_plan
 
 
 def attribute(message, path):

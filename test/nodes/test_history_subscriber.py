@@ -20,7 +20,7 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String, UInt32
 
 from cassandra_ros import CassandraRosError, HistorySubscriber
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.nodes.history_subscriber import _beginning
 
 LISTENER = Path(__file__).with_name("history_listener.py")

@@ -26,7 +26,7 @@ from std_msgs.msg import String, UInt32
 from cassandra_ros import RosCassandra
 from cassandra_ros.cli import player, recorder
 from cassandra_ros.local_server import free_port
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 
 LAUNCH = Path(__file__).resolve().parents[2] / "launch"
 # What a launch file says in another way: output, and programs that end at once.

@@ -17,7 +17,7 @@ from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import Int32, String
 
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 
 SEC = 10**9

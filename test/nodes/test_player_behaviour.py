@@ -30,7 +30,7 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, UInt8MultiArray
 
 from cassandra_ros.nodes.publishing import MessageKind, Publication
-from cassandra_ros.store.registry import Loss, LossKind
+from cassandra_ros.tables.registry import Loss, LossKind
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC

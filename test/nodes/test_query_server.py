@@ -23,8 +23,8 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import KeyspaceNotFound
 from cassandra_ros.local_server import free_port
-from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.store.registry import Run
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.tables.registry import Run
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC + 123_456_789

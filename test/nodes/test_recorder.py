@@ -23,9 +23,9 @@ from std_msgs.msg import Int32, String
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import message_class
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.store.registry import LossKind
+from cassandra_ros.tables.registry import LossKind
 
 
 def text(n):

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, String
 
 from cassandra_ros.cli.recorder import make_parser, read_options, words_of
-from cassandra_ros.store.registry import LossKind
+from cassandra_ros.tables.registry import LossKind
 
 
 def text(n):

@@ -23,7 +23,7 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
 
 from cassandra_ros.local_server import free_port
-from cassandra_ros.store.registry import LossKind
+from cassandra_ros.tables.registry import LossKind
 
 LISTENER = Path(__file__).with_name("history_listener.py")
 

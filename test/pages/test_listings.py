@@ -43,7 +43,7 @@ def test_listings_are_what_python_says(husky, page, cassandra, monkeypatch, ros_
 def test_a_statement_of_the_page_is_one_of_the_language():
     """What stands in its table of values is what the grammar knows."""
     text = (ROOT / "doc/query.md").read_text(encoding="utf-8")
-    grammar = (ROOT / "src/cassandra_ros/query/cql.lark").read_text(encoding="utf-8")
+    grammar = (ROOT / "src/cassandra_ros/query/tree/cql.lark").read_text(encoding="utf-8")
     functions = re.search(r"^FUNCTION.*?/\(\?:([a-z|]+)\)", grammar, re.M)[1].split("|")
     for name in functions:
         assert re.search(rf"\b{name}\b", text, re.I), name

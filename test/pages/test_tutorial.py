@@ -11,7 +11,7 @@ from conftest import ROOT, SHARED
 from pages.walk import Walk, check, commands, pieces
 
 from cassandra_ros.local_server import LocalCluster, free_port
-from cassandra_ros.local_server.settings import new_settings, save_settings
+from cassandra_ros.local_server.cluster_settings import new_settings, save_settings
 
 TUTORIAL = (ROOT / "doc/tutorial.md").read_text(encoding="utf-8")
 README = (ROOT / "README.md").read_text(encoding="utf-8")

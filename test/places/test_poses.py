@@ -19,10 +19,10 @@ from cassandra_ros import Stamp
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException, TypeMismatch
 from cassandra_ros.places import poses as poses_module
-from cassandra_ros.places.frames import Chain
+from cassandra_ros.places.frame_poses import Chain
+from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.poses import poses_in_frame, poses_of_topic
 from cassandra_ros.places.rigid import Rigid, between
-from cassandra_ros.places.samples import Samples
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
 TURTLES = ROOT / "examples/data/turtlesim_tf.bag"

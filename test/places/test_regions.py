@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.places.cells import (
+from cassandra_ros.places.ground_cells import (
     LONGEST_NS,
     MOST_CELLS,
     SIZES_M,

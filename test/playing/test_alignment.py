@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from playing.robots import SEC, T0, Robot, played, texts
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.playing.alignment import source_names, valid_name
 from cassandra_ros.playing.extent import Extent
+from cassandra_ros.playing.robot_alignment import source_names, valid_name
 from cassandra_ros.playing.selection import PlaySelection
 from cassandra_ros.playing.stream import Stream
 

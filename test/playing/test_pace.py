@@ -9,8 +9,8 @@ import math
 import pytest
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.pace import Pace
+from cassandra_ros.playing.play_options import PlayerOptions
 
 SEC = 10**9
 

@@ -14,8 +14,8 @@ from std_msgs.msg import Int32, String
 from cassandra_ros.errors import InvalidOption, MessageNotFound, StoreUnavailable
 from cassandra_ros.playing import playback as playback_module
 from cassandra_ros.playing import read_ahead
-from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.pace import Pace
+from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.playback import Playback
 from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.playing.selection import PlaySelection

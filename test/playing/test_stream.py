@@ -19,9 +19,13 @@ from cassandra_ros.errors import (
     MessageNotFound,
     TopicNotFound,
 )
+from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.playing.selection import Names, PlaySelection
 from cassandra_ros.playing.stream import Stream
-from cassandra_ros.topics.latched import latched_before
+
+
+def before(store, *args, **options):
+    return latched_before(store.catalog, *args, **options)
 
 
 @pytest.fixture(scope="module")
@@ -158,11 +162,16 @@ def test_what_was_latched_before_the_start(filled):
     stream = Stream(filled, PlaySelection(start=86_402))
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["z1"]
     # The topic alone was sent once, long before.
-    assert texts(latched_before(filled, T0 + 9 * SEC, ["/static"], run="run 1")) == ["s2", "s3"]
+    assert texts(before(filled, T0 + 9 * SEC, ["/static"], run="run 1")) == [
+        "s2",
+        "s3",
+    ]
 
 
 def test_the_last_one_that_satisfies_a_condition_is_latched(filled):
-    rows = latched_before(filled, T0 + 5 * SEC, where={"/static": "data <> 's3'"}, nodeID="r1")
+    rows = latched_before(
+        filled.catalog, T0 + 5 * SEC, where={"/static": "data <> 's3'"}, nodeID="r1"
+    )
     assert texts(rows) == ["s1", "s2"]
 
 
@@ -172,9 +181,9 @@ def test_topics_that_nobody_latches_are_not_read(filled, monkeypatch):
     monkeypatch.setattr(
         type(filled.parts.rows), "read", lambda self, *a, **k: asked.append(a) or read(*a, **k)
     )
-    assert latched_before(filled, T0 + 5 * SEC, ["/tick", "/tock"]) == []
+    assert before(filled, T0 + 5 * SEC, ["/tick", "/tock"]) == []
     assert asked == []
-    assert texts(latched_before(filled, T0 + 5 * SEC, nodeID="r1")) == ["s2", "s3"]
+    assert texts(before(filled, T0 + 5 * SEC, nodeID="r1")) == ["s2", "s3"]
     assert len(asked) == 1
 
 
@@ -191,7 +200,7 @@ def test_looking_back_ends_with_the_last_publisher(rosCas, monkeypatch):
             yield row
 
     monkeypatch.setattr(type(rosCas.parts.rows), "read", counted)
-    assert texts(latched_before(rosCas, T0 + 2 * SEC)) == ["l198", "l199"]
+    assert texts(before(rosCas, T0 + 2 * SEC)) == ["l198", "l199"]
     assert len(seen) == 2
     assert not any(row.columns for row in seen)  # keys alone; the messages were fetched later
 
@@ -203,9 +212,12 @@ def test_a_run_that_was_killed_before_the_window_gives_nothing(rosCas, monkeypat
         with Robot(rosCas, 2, bucket_ns=600 * SEC) as robot:
             robot.send("/map", 30, "new", latched=True)
             robot.send("/tick", 40, "t")
-        assert texts(latched_before(rosCas, T0 + 35 * SEC)) == ["old", "new"]  # it may go on
-        monkeypatch.setattr("cassandra_ros.topics.latched.STALE_SEC", -60)
-        assert texts(latched_before(rosCas, T0 + 35 * SEC)) == ["new"]
+        assert texts(before(rosCas, T0 + 35 * SEC)) == [
+            "old",
+            "new",
+        ]  # it may go on
+        monkeypatch.setattr("cassandra_ros.overview.latched_messages.STALE_SEC", -60)
+        assert texts(before(rosCas, T0 + 35 * SEC)) == ["new"]
 
 
 @pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
@@ -221,10 +233,10 @@ def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
                 robot.send("/map", t, text, latched=True)
         robot.send("/tick", 3, "t3")
     if kind == "std_msgs/String":
-        assert texts(latched_before(rosCas, T0 + 3 * SEC))[-1:] == ["m2"]
+        assert texts(before(rosCas, T0 + 3 * SEC))[-1:] == ["m2"]
         return
     from cassandra_ros.messages.classes import serialize
-    from cassandra_ros.messages.connection import api_connection, live_connection
+    from cassandra_ros.messages.connection_header import api_connection, live_connection
     from cassandra_ros.messages.definition import definition_of
 
     fields = api_connection("/map", definition_of(Header), "/x").fields
@@ -237,5 +249,5 @@ def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
             writer.write(handle, T0 + t * SEC, n, serialize(message))
         other = writer.connect(string_connection("/tick"))
         writer.write(other, T0 + 3 * SEC, 9, string_wire("t"))
-    rows = latched_before(rosCas, T0 + 3 * SEC)
+    rows = before(rosCas, T0 + 3 * SEC)
     assert [row.message().frame_id for row in rows] == ["m2"]

@@ -25,10 +25,10 @@ import tf2_msgs.msg
 from messages.random_wire import SEPARATOR, WireMaker
 from query.brute_force import RUN_NAMES, Message, Types
 
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.store.registry import Run
+from cassandra_ros.tables.registry import Run
 
 SECOND = 10**9
 T0 = 1_400_000_040 * SECOND

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.aggregates import Aggregation
-from cassandra_ros.query.parse import parse_select
+from cassandra_ros.query.rows.aggregates import Aggregation
+from cassandra_ros.query.tree.parse import parse_select
 
 NAMES = ("count", "min", "max", "sum", "avg")
 ODD = st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.0])

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.classes import installed_definition
-from cassandra_ros.query.complete import Known, complete
-from cassandra_ros.query.parse import parse_select
+from cassandra_ros.query.tree.parse import parse_select
+from cassandra_ros.query.tree.statement_completion import Known, complete
 
 TOPICS = {
     "/fix": "sensor_msgs/NavSatFix",

@@ -29,11 +29,11 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.gathered import gather
-from cassandra_ros.query.parse import parse_select
-from cassandra_ros.query.projection import Projections
+from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.rows.projection import Projections
+from cassandra_ros.query.rows.result_groups import gather
 from cassandra_ros.query.run import Condition
-from cassandra_ros.query.settle import settle
+from cassandra_ros.query.tree.parse import parse_select
 
 SECOND = 10**9
 T0 = 1_400_000_000 * SECOND

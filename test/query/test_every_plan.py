@@ -20,7 +20,7 @@ from query.brute_force import KEY, Leaf, Message, Path, Statement, Types, Value,
 from query.kinds import KINDS, T0, Stored, serialized
 from query.random_statements import ORDERED, Asker, numbersBeside
 
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 
 FORMATS = ("ros", "binary", "json", "packed")
 PLANS = ("client", "filter", "index")

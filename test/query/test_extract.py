@@ -12,10 +12,10 @@ from campaign import sparing
 from query.rows import attribute, row_of, table_of
 
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.query.extract import Extractor
-from cassandra_ros.query.names import Findings, all_fields
-from cassandra_ros.query.parse import parse_select
-from cassandra_ros.query.projection import Projection
+from cassandra_ros.query.rows.extract import Extractor
+from cassandra_ros.query.rows.projection import Projection
+from cassandra_ros.query.tree.field_names import Findings, all_fields
+from cassandra_ros.query.tree.parse import parse_select
 
 BAGS = (
     "backpack_multiecho_bz2",

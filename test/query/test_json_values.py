@@ -12,7 +12,7 @@ import pytest
 
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidExpression
-from cassandra_ros.query.json_values import from_json, to_json
+from cassandra_ros.query.tree.json_values import from_json, to_json
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from std_msgs.msg import Header
 
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import writer
 

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.query.pushdown import PLANS
+from cassandra_ros.query.plan.pushdown import PLANS
 from cassandra_ros.store import reader
 
 SIZES = (1, 7, 5000)

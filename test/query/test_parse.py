@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.changes import CreateIndex, Delete, DropIndex, Truncate
-from cassandra_ros.query.parse import parse_condition, parse_select, parse_statement
-from cassandra_ros.query.syntax import (
+from cassandra_ros.query.tree.change_statements import CreateIndex, Delete, DropIndex, Truncate
+from cassandra_ros.query.tree.parse import parse_condition, parse_select, parse_statement
+from cassandra_ros.query.tree.syntax import (
     All,
     Compare,
     DurationNs,

@@ -12,7 +12,7 @@ from topics.by_index import await_built
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9

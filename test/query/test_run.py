@@ -19,7 +19,7 @@ from std_msgs.msg import Float32, String
 
 from cassandra_ros import RosCassandra, Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.run import Condition
 
 TOPICS = ("/diagnostics", "/encoder", "/fix", "/joy", "/tf")
@@ -374,7 +374,7 @@ def test_several_rows_make_one(husky):
 
 
 def test_memory_is_bounded(husky, monkeypatch):
-    monkeypatch.setattr("cassandra_ros.query.gathered.MEMORY_BYTES", 2**16)
+    monkeypatch.setattr("cassandra_ros.query.rows.result_groups.MEMORY_BYTES", 2**16)
     for statement, remedy in (
         ("select KEY, pose.covariance from encoder order by pose.pose.position.x", "add a LIMIT"),
         ("select count(*) from tf group by KEY", "time(1h)"),

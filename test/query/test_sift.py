@@ -25,15 +25,15 @@ from query.random_statements import ORDERED, Asker, numbersBeside
 from query.test_every_plan import EDGES, TYPES
 from query.test_terms import decode, rank
 
+from cassandra_ros.blocks.codec import pack_block, unpack_block
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire import stacked
 from cassandra_ros.messages.wire.zones import zone_map
-from cassandra_ros.query.parse import parse_select
-from cassandra_ros.query.projection import Projections
-from cassandra_ros.query.pushdown import Pushdown
-from cassandra_ros.query.settle import settle
-from cassandra_ros.query.sift import compile_sift
-from cassandra_ros.store.blocks.codec import pack_block, unpack_block
+from cassandra_ros.query.plan.block_filter import compile_sift
+from cassandra_ros.query.plan.pushdown import Pushdown
+from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.rows.projection import Projections
+from cassandra_ros.query.tree.parse import parse_select
 
 SIGNS = {"=": operator.eq, "<=": operator.le, ">=": operator.ge}
 KINDS_HERE = ("every", "tf", "diagnostics", "scan", "joints", "log", "mixed", "uint64", "string")

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.query.pushdown import NEVER, Held, span_of, ways_of
+from cassandra_ros.query.plan.pushdown import NEVER, Held, span_of, ways_of
 
 OPERATORS = {
     "=": operator.eq,

@@ -12,8 +12,8 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.query.pushdown import PLANS
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.query.plan.pushdown import PLANS
 from cassandra_ros.query.run import Condition
 
 SECOND = 10**9

@@ -7,8 +7,8 @@ from __future__ import annotations
 import pytest
 
 from cassandra_ros.messages.classes import installed_definition
-from cassandra_ros.query.parse import parse_select
-from cassandra_ros.query.units import _UNITS, unit_of
+from cassandra_ros.query.tree.parse import parse_select
+from cassandra_ros.query.tree.units import _UNITS, unit_of
 
 
 @pytest.mark.parametrize(

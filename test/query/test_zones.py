@@ -8,7 +8,7 @@ import pytest
 from std_msgs.msg import ColorRGBA, String
 
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording.recording import Recording
 
 HEADER = {

@@ -12,7 +12,7 @@ from std_msgs.msg import Header, String
 
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.recording.settings import Settings, TopicSettings
+from cassandra_ros.recording.topic_settings import Settings, TopicSettings
 
 T0 = 1_500_000_000 * 10**9
 STEP = 2_000_000

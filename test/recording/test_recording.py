@@ -21,9 +21,10 @@ from std_msgs.msg import Header, String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import ClockNotSet, ConnectionFailed, StoreUnavailable
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording import recording as recording_module
-from cassandra_ros.recording.buffer import (
+from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.message_buffer import (
     ITEM_BYTES,
     Buffer,
     Feed,
@@ -31,11 +32,10 @@ from cassandra_ros.recording.buffer import (
     Source,
     starts_with_header,
 )
-from cassandra_ros.recording.counts import Counts
-from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.store.registry import LossKind
-from cassandra_ros.store.run_context import NodeGraph, RunContext
+from cassandra_ros.recording.topic_counts import Counts
+from cassandra_ros.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.tables.registry import LossKind
 
 T0 = 1_400_000_000 * 10**9
 

@@ -17,12 +17,12 @@ from std_msgs.msg import String
 from cassandra_ros import RosCassandra
 from cassandra_ros.cli.recorder import local_space
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.recording import series as series_module
-from cassandra_ros.recording.options import RecorderOptions
-from cassandra_ros.recording.series import Series
+from cassandra_ros.recording import run_series as series_module
+from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.run_series import Series
 from cassandra_ros.recording.snapshot import ITEM_BYTES, Bound, Ring, Snapshots
 from cassandra_ros.recording.space import SpaceGuard
-from cassandra_ros.store.registry import LossKind
+from cassandra_ros.tables.registry import LossKind
 
 SEC = 10**9
 T0 = 1_400_000_000 * SEC

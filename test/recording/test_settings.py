@@ -14,12 +14,12 @@ from std_msgs.msg import Int32, String
 
 from cassandra_ros.cli.recorder import make_parser
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.recording.dry_run import plan_topics
 from cassandra_ros.recording.filters import Filters
-from cassandra_ros.recording.options import RecorderOptions
-from cassandra_ros.recording.plan import plan_topics
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.recording.settings import Settings, TopicSettings, read_settings
+from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.snapshot import Bound, read_bound
+from cassandra_ros.recording.topic_settings import Settings, TopicSettings, read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9

@@ -22,7 +22,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import RosCassandra
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection, live_connection
+from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
 
 FOLDER = Path(__file__).with_name("rows_v1")

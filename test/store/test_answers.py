@@ -9,8 +9,8 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.store.protocol import LargeBuffers
-from cassandra_ros.store.raw_page import WIDE, RawPage
+from cassandra_ros.connection.protocol import LargeBuffers
+from cassandra_ros.connection.raw_page import WIDE, RawPage
 
 
 class Connection(LargeBuffers):

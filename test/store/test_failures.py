@@ -17,14 +17,15 @@ from nodes.children import await_true
 from proxy import BATCH, EXECUTE, READ_TIMED_OUT, TIMED_OUT, asks_on
 from std_msgs.msg import Header, String, UInt8MultiArray
 
+from cassandra_ros.connection import flight
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import counting, fetch, flight, reader
+from cassandra_ros.store import backfill, fetch, reader
+from cassandra_ros.store import row_counts as counting
 from cassandra_ros.store import writer as writing
-from cassandra_ros.store.index import backfill
-from cassandra_ros.store.registry import Run
-from cassandra_ros.store.row_table import bind
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.tables.row_table import bind
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

@@ -17,14 +17,14 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.arguments import MAX_TTL_SEC, check_ttl
 from cassandra_ros.errors import InvalidOption, SchemaConflict, StoreUnavailable, TopicNotFound
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata, from_comment
-from cassandra_ros.store import schema as schema_module
-from cassandra_ros.store.directory import BucketTotals
-from cassandra_ros.store.index import table_files
-from cassandra_ros.store.index.backfill import Backfill, Update
-from cassandra_ros.store.side_tables import SchemaLock
+from cassandra_ros.store.backfill import Backfill, Update
+from cassandra_ros.tables import schema as schema_module
+from cassandra_ros.tables import table_files
+from cassandra_ros.tables.directory import BucketTotals
+from cassandra_ros.tables.side_tables import SchemaLock
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -625,7 +625,7 @@ def test_what_is_a_ttl(ttl):
 
 
 def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
-    from cassandra_ros.store import directory as listing
+    from cassandra_ros.tables import directory as listing
 
     writer = rosCas.messageWriter(ttl=500)
     handle = writer.connect(api_connection("/t", definition_of(String), "/w"), bucket_ns=600 * SEC)

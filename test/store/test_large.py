@@ -19,16 +19,16 @@ from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.connection.flight import MAX_BYTES, Flight
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.local_server import LocalCluster, free_port
-from cassandra_ros.local_server.settings import OWN_HEAP_MB
+from cassandra_ros.local_server.cluster_settings import OWN_HEAP_MB
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.flight import MAX_BYTES, Flight
 from cassandra_ros.store.open_bucket import HELD_BYTES
-from cassandra_ros.store.row_table import CHUNK_BYTES
-from cassandra_ros.store.side_tables import SchemaLock
+from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.tables.side_tables import SchemaLock
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
@@ -168,9 +168,9 @@ HALF_WRITTEN = """
 import os, signal, sys
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.flight import Flight
+from cassandra_ros.connection.flight import Flight
 from cassandra_ros.store.writer import RowWriter
 from std_msgs.msg import UInt8MultiArray
 
@@ -276,7 +276,7 @@ def test_what_was_changed_is_corrupt_and_the_others_are_not(rosCas, cql):
 HUGE = """
 import hashlib, resource, sys
 from cassandra_ros import RosCassandra
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from std_msgs.msg import UInt8MultiArray
 

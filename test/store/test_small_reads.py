@@ -16,9 +16,10 @@ from std_msgs.msg import String, UInt32
 
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import reader, walk
+from cassandra_ros.store import bucket_walk as walk
+from cassandra_ros.store import reader
 
 SEC = 10**9
 SLOT = 4096 * SEC

@@ -11,7 +11,7 @@ from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros.errors import MessageNotFound
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9

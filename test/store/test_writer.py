@@ -17,10 +17,10 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.errors import CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.directory import BucketTotals
-from cassandra_ros.store.row_table import CHUNK_BYTES
+from cassandra_ros.tables.directory import BucketTotals
+from cassandra_ros.tables.row_table import CHUNK_BYTES
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -107,7 +107,7 @@ def test_a_writer_that_died_leaves_true_counts(rosCas, cql):
 
 
 def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
-    from cassandra_ros.store import counting
+    from cassandra_ros.store import row_counts as counting
 
     writer = rosCas.messageWriter(writer_id=99)
     handle = writer.connect(connection("/a", String))

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 
-from cassandra_ros.topics.selection import Stretch, Whose
+from cassandra_ros.topics.key_selection import Stretch, Whose
 
 FIRST, LAST = -(2**63), 2**63 - 1
 

@@ -13,9 +13,9 @@ from std_msgs.msg import Header
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.topics.finding import Finder
+from cassandra_ros.topics.row_finder import Finder
 from cassandra_ros.topics.stored_row import StoredRow
 
 T0 = 1_600_000_000 * SECOND_NS

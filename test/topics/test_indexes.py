@@ -22,11 +22,11 @@ from topics.writing_process import T0, VALUES
 from cassandra_ros.errors import InvalidName, InvalidOption, StoreUnavailable, TopicNotFound
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import writer as writer_module
-from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.succession import Listing
+from cassandra_ros.tables.directory import Directory
+from cassandra_ros.tables.succession import Listing
 from cassandra_ros.topics import indexes
 
 SEC = 10**9
@@ -437,7 +437,7 @@ def test_the_index_of_the_key(rosCas, monkeypatch):
 
 
 def rosCas_totals(row):
-    from cassandra_ros.store.directory import BucketTotals
+    from cassandra_ros.tables.directory import BucketTotals
 
     return BucketTotals(row.rows, row.bytes, row.largest, row.t_min, row.t_max, row.odd)
 

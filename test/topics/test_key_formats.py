@@ -38,10 +38,10 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.keys import MAX_NS, RowName
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.topics.finding import Finder
+from cassandra_ros.topics.row_finder import Finder
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -513,9 +513,9 @@ class TestQueries:
 def test_export_keeps_the_times_of_reception(cassandra, keyspace, tmp_path):
     import rosbag
 
+    from cassandra_ros.bag.comparison import verify_bag
     from cassandra_ros.bag.exporter import export_bag
     from cassandra_ros.bag.importer import import_bag
-    from cassandra_ros.bag.verify import verify_bag
 
     now = [T0]
     with RosCassandra(
@@ -570,7 +570,7 @@ class TestOtherClients:
 
     @pytest.mark.parametrize("made_anew", [False, True])
     def test_after_a_rename_nothing_goes_astray(self, rosCas, other, made_anew, monkeypatch):
-        monkeypatch.setattr("cassandra_ros.store.schema.CACHE_SEC", 0.0)
+        monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.0)
         topic = rosCas.addTopic("p")
         topic.addData(String(data="1"))
         other.renameTopic("p", "p2")
@@ -684,9 +684,9 @@ def test_the_longest_ttl(rosCas):
 def test_a_bag_of_equal_times_keeps_its_order(rosCas, tmp_path, key_format, key_part):
     import rosbag
 
+    from cassandra_ros.bag.comparison import verify_bag
     from cassandra_ros.bag.exporter import export_bag
     from cassandra_ros.bag.importer import import_bag
-    from cassandra_ros.bag.verify import verify_bag
 
     path = str(tmp_path / "in.bag")
     with rosbag.Bag(path, "w") as bag:

@@ -16,9 +16,9 @@ from topics.clients import ROOT
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.store.directory import STALE_SEC
-from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.tables.directory import STALE_SEC
+from cassandra_ros.tables.registry import Loss, LossKind, Run
 
 T0 = 1_500_000_000 * SECOND_NS
 RECORDER = """

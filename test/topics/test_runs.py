@@ -12,10 +12,10 @@ from geometry_msgs.msg import PointStamped
 from cassandra_ros.errors import InvalidName, InvalidOption, MessageNotFound, RunNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.query.pushdown import PLANS
-from cassandra_ros.store.registry import Loss, LossKind, Run
-from cassandra_ros.store.run_context import NodeGraph, RunContext, decode_context, encode_context
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.query.plan.pushdown import PLANS
+from cassandra_ros.tables.context_blob import NodeGraph, RunContext, decode_context, encode_context
+from cassandra_ros.tables.registry import Loss, LossKind, Run
 from cassandra_ros.topics import removal
 
 PARAMS = {

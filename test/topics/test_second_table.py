@@ -16,7 +16,7 @@ from std_msgs.msg import Int64, String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import MessageNotFound
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
 

@@ -8,12 +8,12 @@ import pytest
 from bag.truth import STRING_MD5, string_connection, string_wire
 from std_msgs.msg import String
 
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.cli import recorder as recorder_cli
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.recording.recording import Recording
 

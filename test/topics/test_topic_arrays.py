@@ -18,7 +18,7 @@ from cassandra_ros.arrays import table_values
 from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import message_class
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 
 T = 1_400_000_000_123_456_789

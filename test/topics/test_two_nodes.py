@@ -8,10 +8,10 @@ import genpy
 import pytest
 from std_msgs.msg import Header
 
+from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9

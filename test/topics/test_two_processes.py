@@ -12,7 +12,7 @@ from campaign import sparing
 from std_msgs.msg import String
 from topics.clients import children
 
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
 SEC = 10**9

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
 T0 = 1_500_000_000 * 10**9

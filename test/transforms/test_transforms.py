@@ -35,10 +35,10 @@ from cassandra_ros.errors import (
     TypeMismatch,
 )
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.store.registry import Run
-from cassandra_ros.transforms import samples
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.transforms import transform_samples as samples
 
 SEC = 10**9
 HOUR = 3600 * SEC

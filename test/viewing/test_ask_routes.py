@@ -12,8 +12,8 @@ from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Duration, Float64, Int64, String, UInt8MultiArray
 from viewers import running_viewer
 
+from cassandra_ros.overview.envelopes import EnvelopeReader
 from cassandra_ros.query.run import QueryResult
-from cassandra_ros.topics.envelopes import EnvelopeReader
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

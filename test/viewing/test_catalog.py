@@ -11,11 +11,11 @@ from viewers import running_viewer
 from cassandra_ros import Stamp
 from cassandra_ros.errors import AccessDenied
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.store import counting
-from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.registry import Loss, LossKind, Run
+from cassandra_ros.store import row_counts as counting
+from cassandra_ros.tables.directory import Directory
+from cassandra_ros.tables.registry import Loss, LossKind, Run
 from cassandra_ros.viewing import shared
 
 NS = 1368021980238582676

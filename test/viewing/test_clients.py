@@ -15,7 +15,7 @@ from viewers import running_viewer
 from viewing.test_handling import MIB, Endless, await_true, route
 
 from cassandra_ros.viewing.answers import Bytes
-from cassandra_ros.viewing.settings import Limits
+from cassandra_ros.viewing.viewer_settings import Limits
 
 BIG = bytes(16 * MIB)
 

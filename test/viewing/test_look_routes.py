@@ -20,11 +20,11 @@ from test_imports import ROOT
 from tf2_msgs.msg import TFMessage
 from viewers import running_viewer
 
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import Connection, live_connection
+from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.viewing.message_frames import CHUNK_BYTES
 

@@ -11,8 +11,8 @@ from mapping.room import SHIFT, T0, driven, joined
 from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.near_routes import ROUTES
-from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.shared import Shared
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 SEC = 10**9
 

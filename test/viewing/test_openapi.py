@@ -11,7 +11,7 @@ from viewers import running_viewer
 from cassandra_ros.viewing.application import make_application
 from cassandra_ros.viewing.openapi import describe
 from cassandra_ros.viewing.routes import ROUTES
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGES = {"/", "/studio/{name}", "/dygraphs/{name}", "/{name}"}
 

@@ -11,7 +11,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.viewing.application import make_application
 from cassandra_ros.viewing.route import Route
 from cassandra_ros.viewing.security import is_loopback
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 SECRET = "s3cret-/ü"  # noqa: S105
 LICHTBLICK = "https://lichtblick.example"

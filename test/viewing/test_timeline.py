@@ -10,10 +10,11 @@ from viewers import running_viewer
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import live_connection
-from cassandra_ros.store.directory import SLOT_BUCKETS, BucketTotals
-from cassandra_ros.store.registry import Loss, LossKind, Run
-from cassandra_ros.topics.timeline import detail, reader
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.overview.timeline import bucket_detail as detail
+from cassandra_ros.overview.timeline import directory_reader as reader
+from cassandra_ros.tables.directory import SLOT_BUCKETS, BucketTotals
+from cassandra_ros.tables.registry import Loss, LossKind, Run
 
 T0 = 1_500_000_000 * SECOND_NS
 BUCKET = 100 * SECOND_NS

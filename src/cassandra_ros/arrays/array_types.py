@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cassandra_ros.query.computed import INTEGER
-from cassandra_ros.query.names import Array
-from cassandra_ros.query.projection import Projection, Projections
+from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.protocols import Table
-from cassandra_ros.query.resolve import Output
-from cassandra_ros.query.settle import settle
-from cassandra_ros.query.syntax import Select
+from cassandra_ros.query.rows.name_resolution import Output
+from cassandra_ros.query.rows.projection import Projection, Projections
+from cassandra_ros.query.tree.expressions import INTEGER
+from cassandra_ros.query.tree.field_names import Array
+from cassandra_ros.query.tree.syntax import Select
 
 if TYPE_CHECKING:
     AnyType = np.dtype[Any]

@@ -11,19 +11,19 @@ import numpy as np
 
 from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.array_types import MIXED, AnyArray, ArrayType, unite_columns
+from cassandra_ros.arrays.column_values import empty_values, join_values, stack_cells
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
-from cassandra_ros.arrays.values import empty_values, join_values, stack_cells
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
-from cassandra_ros.query.bounds import bounds_of
-from cassandra_ros.query.computed import INTEGER
-from cassandra_ros.query.names import Findings
-from cassandra_ros.query.nearby import located
-from cassandra_ros.query.parse import parse_condition, parse_select
+from cassandra_ros.query.plan.key_bounds import bounds_of
+from cassandra_ros.query.plan.nearby import located
+from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.settle import settle
 from cassandra_ros.query.source import Source, Writers
-from cassandra_ros.query.syntax import Aggregate, KeyOperand, Select, Selected, Term
+from cassandra_ros.query.tree.expressions import INTEGER
+from cassandra_ros.query.tree.field_names import Findings
+from cassandra_ros.query.tree.parse import parse_condition, parse_select
+from cassandra_ros.query.tree.syntax import Aggregate, KeyOperand, Select, Selected, Term
 
 Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition with the values of its ``?``."""

@@ -13,13 +13,13 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Se
 import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType
-from cassandra_ros.arrays.values import Values, empty_values
+from cassandra_ros.arrays.column_values import Values, empty_values
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.stacked import Bytes, Places, Stack, by_size, stacker
-from cassandra_ros.query.names import FieldRef
 from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.tree.field_names import FieldRef
 
 _NUMBERS = ("int", "float", "bool", "time", "duration")
 

@@ -17,14 +17,7 @@ from typing import Callable, Mapping, NamedTuple, Optional, Sequence
 import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
-from cassandra_ros.arrays.stacked_values import (
-    MessageBlock,
-    StackedField,
-    grouped,
-    read_stacked,
-    together,
-)
-from cassandra_ros.arrays.values import (
+from cassandra_ros.arrays.column_values import (
     Convert,
     Values,
     cast_values,
@@ -36,14 +29,21 @@ from cassandra_ros.arrays.values import (
     none_missing,
     objects_of,
 )
+from cassandra_ros.arrays.stacked_values import (
+    MessageBlock,
+    StackedField,
+    grouped,
+    read_stacked,
+    together,
+)
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidQuery, MessageNotFound
 from cassandra_ros.messages.wire.layout import FieldColumn
-from cassandra_ros.messages.wire.plan import wire_plan
-from cassandra_ros.query.names import FieldRef, Findings
-from cassandra_ros.query.projection import Own, Projection
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.resolve import KEY_PLACE, NODE_PLACE
-from cassandra_ros.query.syntax import Select
+from cassandra_ros.query.rows.name_resolution import KEY_PLACE, NODE_PLACE
+from cassandra_ros.query.rows.projection import Own, Projection
+from cassandra_ros.query.tree.field_names import FieldRef, Findings
+from cassandra_ros.query.tree.syntax import Select
 
 _log = logging.getLogger(__name__)
 

@@ -13,15 +13,15 @@ from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.bag.message_file import Progress
 from cassandra_ros.bag.opening import make_file
 from cassandra_ros.bag.sent import SentFinder
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
+from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.topics.catalog import Conditions
-from cassandra_ros.topics.latched import latched_before
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
 _RUN_NUMBERS = 1 << 16
@@ -107,7 +107,8 @@ def export_bag(
     low, high = Stretch.between(start, end)
     before = []
     if latched and start is not None:
-        before = latched_before(ros_cas, low, names, to=high, nodeID=nodeID, run=run, where=where)
+        catalog = ros_cas.catalog
+        before = latched_before(catalog, low, names, to=high, nodeID=nodeID, run=run, where=where)
     report = ExportReport(os.fspath(path))
     first = list(islice(rows, 1))
     if not (before or first or empty):

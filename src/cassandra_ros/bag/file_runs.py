@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from typing import Sequence
 
-from cassandra_ros.store.registry import Run
+from cassandra_ros.tables.registry import Run
 
 _MOST_NAMED = 3
 """Maximum number of runs that an error names."""

@@ -11,7 +11,7 @@ from contextlib import ExitStack, suppress
 from typing import IO, TypeVar
 
 from cassandra_ros.errors import BagError
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 
 _BUFFER_BYTES = 1 << 16
 """More than the header, so that its writing cannot fail before there is something to clean up."""

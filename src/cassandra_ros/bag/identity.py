@@ -21,7 +21,7 @@ from cassandra_ros.bag.chunk import Places
 from cassandra_ros.bag.message_file import MessageFile, Progress, SentTimes
 from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.keys import MAX_WRITER
-from cassandra_ros.store.registry import Run
+from cassandra_ros.tables.registry import Run
 
 EARLIER_SAMPLE = 1000
 """Messages at each end of the bag that counted for an id of an earlier release."""

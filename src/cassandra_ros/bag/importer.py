@@ -12,29 +12,29 @@ from typing import AbstractSet, Iterable, Mapping, Sequence
 
 from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
+from cassandra_ros.bag.bag_read_ahead import ReadAhead
+from cassandra_ros.bag.comparison import holds_nothing_else
 from cassandra_ros.bag.file_runs import source_of
 from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.job_process import Part, bag_writer, connect, stretches
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
 from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections
 from cassandra_ros.bag.opening import open_file
-from cassandra_ros.bag.read_ahead import ReadAhead
 from cassandra_ros.bag.salvage import Salvaged
 from cassandra_ros.bag.sent import store_sent
-from cassandra_ros.bag.verify import holds_nothing_else
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.metadata import message_kind
-from cassandra_ros.store.directory import Lengths, bucket_for, span_for
-from cassandra_ros.store.registry import Run
-from cassandra_ros.store.row_table import CHUNK_BYTES
 from cassandra_ros.store.writer import WriteStats
+from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.removal import delete_stretch
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.selection import Whose
-from cassandra_ros.topics.totals import holds_any
+from cassandra_ros.topics.stored_totals import holds_any
 
 _log = logging.getLogger(__name__)
 

@@ -18,16 +18,16 @@ from types import FrameType
 from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
 from cassandra_ros.arguments import check_new_node
+from cassandra_ros.bag.bag_read_ahead import ReadAhead
 from cassandra_ros.bag.message_file import MessageFile, Stretch
 from cassandra_ros.bag.opening import open_file
-from cassandra_ros.bag.read_ahead import ReadAhead
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, CassandraRosError
-from cassandra_ros.messages.connection import Connection
-from cassandra_ros.store.blocks.limits import limits_for
-from cassandra_ros.store.directory import Lengths
-from cassandra_ros.store.registry import Run
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.tables.block_limits import limits_for
+from cassandra_ros.tables.directory import Lengths
+from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 TELL_SEC = 0.1
 """How often a process says how far it is."""

@@ -17,15 +17,15 @@ from mcap.well_known import MessageEncoding, Profile
 
 from cassandra_ros.bag import mcap_format as mcapformat
 from cassandra_ros.bag.allowance import Allowance
+from cassandra_ros.bag.bag_index import ChunkInfo
 from cassandra_ros.bag.chunk import Places
-from cassandra_ros.bag.index import ChunkInfo
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
 from cassandra_ros.bag.message_file import MessageFile, SentTimes
 from cassandra_ros.bag.rosbag2 import refusal
 from cassandra_ros.bag.salvage import Salvaged
 from cassandra_ros.errors import BagError, BagTooLarge, BagUnindexed
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 
 _LOOSE_BYTES = 1 << 20
 """Messages that lie outside of chunks are read so many bytes at once."""

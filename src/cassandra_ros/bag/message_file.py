@@ -13,12 +13,12 @@ from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTupl
 
 import numpy as np
 
+from cassandra_ros.bag.bag_index import ChunkInfo
 from cassandra_ros.bag.chunk import Longs, Places
-from cassandra_ros.bag.index import ChunkInfo
 from cassandra_ros.bag.salvage import Salvaged
 from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 
 LISTED = 10
 """Topics that an error names."""

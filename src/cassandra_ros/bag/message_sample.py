@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from typing import Iterable
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.runs import RunName
+from cassandra_ros.topics.run_finder import RunName
 
 
 @dataclass

@@ -8,13 +8,13 @@ import itertools
 import os
 
 from cassandra_ros.bag import mcap_format
+from cassandra_ros.bag.bag_reader import BagReader
+from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.bag.mcap_reader import McapReader
 from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.bag.message_file import MessageFile
-from cassandra_ros.bag.reader import BagReader
 from cassandra_ros.bag.rosbag2 import METADATA, SQLITE_MAGIC, refusal
-from cassandra_ros.bag.writer import BagWriter
 from cassandra_ros.errors import BagError
 
 MCAP_ENDING = ".mcap"

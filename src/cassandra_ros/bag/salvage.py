@@ -17,8 +17,8 @@ from typing import BinaryIO, NamedTuple
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.allowance import Allowance
+from cassandra_ros.bag.bag_index import IndexPlace, check_connection, read_start
 from cassandra_ros.bag.chunk import decompress_chunk, message_of, record_at, unpack_part
-from cassandra_ros.bag.index import IndexPlace, check_connection, read_start
 from cassandra_ros.errors import BagError, BagTooLarge
 
 

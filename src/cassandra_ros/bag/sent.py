@@ -10,10 +10,10 @@ from typing import Iterator
 import numpy as np
 
 from cassandra_ros.bag.message_file import MessageFile
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.keys import split_seq
-from cassandra_ros.store.registry import Run
-from cassandra_ros.store.sent_times import STRIPE, Sent, SentTimes
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.tables.sent_times import STRIPE, Sent, SentTimes
 from cassandra_ros.topics.stored_row import StoredRow
 
 _STRIPES_HELD = 64

@@ -31,21 +31,21 @@ from cassandra_ros.bag.file_runs import runs_meant, runs_of_file, source_of, tol
 from cassandra_ros.bag.message_sample import joined, read_samples
 from cassandra_ros.bag.rosbag_errors import bag_error
 from cassandra_ros.bag.summary import Summary, TopicSummary
+from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.connection.address import from_environment
 from cassandra_ros.errors import BagNotFound, InvalidOption, RunNotFound, TypeMismatch
 from cassandra_ros.keys import new_writer_id
 from cassandra_ros.messages.classes import installed_definition, serialize
-from cassandra_ros.messages.connection import Connection, live_connection
+from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
-from cassandra_ros.store.address import from_environment
-from cassandra_ros.store.registry import Run
+from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.adder import now_ns
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.key_selection import spellings
+from cassandra_ros.topics.message_objects import with_messages
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
-from cassandra_ros.topics.objects import with_messages
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.selection import spellings
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.totals import TopicInfo
+from cassandra_ros.topics.stored_totals import TopicInfo
 
 MOST_STAMPS = 100_000
 """Messages of a topic whose times tell its frequency, and publishers in one run; the first ones."""

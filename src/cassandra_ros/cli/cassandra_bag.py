@@ -14,7 +14,7 @@ import logging
 import sys
 from typing import Sequence
 
-from cassandra_ros.cli.completion import answer_shell
+from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import error_line, verbs_parser
 from cassandra_ros.cli.verbs import VERBS

@@ -13,11 +13,11 @@ import time
 from pathlib import Path
 from typing import Sequence
 
-from cassandra_ros.cli.completion import answer_shell
+from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.confirming import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import verbs_parser
-from cassandra_ros.cli.text import format_bytes
+from cassandra_ros.cli.terminal_text import format_bytes
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
 from cassandra_ros.local_server.disk import full_disk
 from cassandra_ros.local_server.jars import cassandra_version, jars_directory

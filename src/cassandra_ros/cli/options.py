@@ -17,24 +17,24 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Callable, Iterator, Sequence
 
-from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
-from cassandra_ros.shown import shown, shown_lines
-from cassandra_ros.store.address import (
+from cassandra_ros.connection.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
     DEFAULT_PORT,
     from_environment,
     port_number,
 )
-from cassandra_ros.store.login import CQLSHRC, CREDENTIALS, read_login
+from cassandra_ros.connection.login import CQLSHRC, CREDENTIALS, read_login
+from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
+from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.connection.outage import Outage
     from cassandra_ros.messages.stamps import Stamp
-    from cassandra_ros.store.outage import Outage
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 RETRY_SEC = 1.0
 """How often a store is asked that is waited for."""
@@ -225,7 +225,7 @@ def _open_into(store: Future[RosCassandra], options: argparse.Namespace) -> None
 
 def _connect(options: argparse.Namespace) -> RosCassandra:
     """Connect, for so long again as --wait says."""
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
+    from cassandra_ros.client.ros_cassandra import RosCassandra
 
     ends, told = time.monotonic() + options.wait, False
     while True:

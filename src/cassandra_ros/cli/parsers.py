@@ -11,7 +11,7 @@ import sys
 from typing import Callable, Mapping, NoReturn
 
 from cassandra_ros.installation import shipped_file
-from cassandra_ros.shown import shown_lines
+from cassandra_ros.printable import shown_lines
 
 _STATUSES = """\
 exit status:

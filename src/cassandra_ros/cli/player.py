@@ -20,7 +20,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.completion import answer_shell
+from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.keyboard import Keyboard
 from cassandra_ros.cli.options import (
     add_store_options,
@@ -40,13 +40,13 @@ from cassandra_ros.cli.readers import (
     seconds,
     whole_number,
 )
-from cassandra_ros.cli.text import counted
+from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.errors import InvalidName, InvalidOption
-from cassandra_ros.shown import shown, shown_lines
+from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.nodes.player import PlayerState
-    from cassandra_ros.playing.options import PlayerOptions
+    from cassandra_ros.playing.play_options import PlayerOptions
     from cassandra_ros.playing.selection import PlaySelection
 
 PROGRAM = "player"
@@ -193,7 +193,7 @@ def read_selection(options: argparse.Namespace) -> PlaySelection:
 
 def read_options(options: argparse.Namespace) -> PlayerOptions:
     """Return how it is to be played."""
-    from cassandra_ros.playing.options import PlayerOptions
+    from cassandra_ros.playing.play_options import PlayerOptions
 
     return PlayerOptions(
         rate=options.rate,

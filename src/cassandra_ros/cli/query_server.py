@@ -14,7 +14,7 @@ import argparse
 import sys
 from typing import Callable, Sequence
 
-from cassandra_ros.cli.completion import answer_shell
+from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
@@ -22,7 +22,7 @@ from cassandra_ros.cli.options import (
     strip_remappings,
 )
 from cassandra_ros.cli.parsers import program_parser
-from cassandra_ros.shown import shown_lines
+from cassandra_ros.printable import shown_lines
 
 PROGRAM = "query_server"
 

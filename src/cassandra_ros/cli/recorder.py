@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Callable, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import check_ros_name
-from cassandra_ros.cli.completion import answer_shell
+from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import (
     add_format_option,
     add_store_options,
@@ -38,9 +38,11 @@ from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.local_server.jars import default_directory
 from cassandra_ros.messages.graph import master_answers
-from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.recording import BLOCK_SEC
-from cassandra_ros.recording.settings import (
+from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.snapshot import read_bound
+from cassandra_ros.recording.store_future import NO_STORE, is_there
+from cassandra_ros.recording.topic_settings import (
     Rule,
     check_condition,
     check_pattern,
@@ -49,8 +51,6 @@ from cassandra_ros.recording.settings import (
     read_settings,
     read_ttl,
 )
-from cassandra_ros.recording.snapshot import read_bound
-from cassandra_ros.recording.store_future import NO_STORE, is_there
 
 PROGRAM = "recorder"
 _LOOPBACK = ("localhost", "127.", "::1")

@@ -7,16 +7,16 @@ from __future__ import annotations
 import shutil
 from typing import TYPE_CHECKING, Optional, Sequence, TextIO
 
-from cassandra_ros.cli.text import counted, format_bytes, format_table, format_time
-from cassandra_ros.shown import shown, shown_lines
+from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table, format_time
+from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
-    from cassandra_ros.recording.counts import TopicReport
+    from cassandra_ros.recording.dry_run import PlannedTopic
     from cassandra_ros.recording.losses import LossTotal
-    from cassandra_ros.recording.options import RecorderOptions
-    from cassandra_ros.recording.plan import PlannedTopic
+    from cassandra_ros.recording.recording_options import RecorderOptions
     from cassandra_ros.recording.status import Rates, Status
-    from cassandra_ros.store.registry import LossKind
+    from cassandra_ros.recording.topic_counts import TopicReport
+    from cassandra_ros.tables.registry import LossKind
 
 _CLEAR = "\r\033[K"
 

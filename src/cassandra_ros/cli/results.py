@@ -14,13 +14,13 @@ from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.cli.text import align
+from cassandra_ros.cli.terminal_text import align
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
-from cassandra_ros.query.answer_bound import AnswerBound, least_bytes
-from cassandra_ros.query.json_values import json_value, to_json
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
+from cassandra_ros.query.rows.answer_bound import AnswerBound, least_bytes
+from cassandra_ros.query.tree.json_values import json_value, to_json
 
 if TYPE_CHECKING:
     import pyarrow

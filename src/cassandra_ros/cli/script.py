@@ -18,7 +18,7 @@ from typing import NoReturn
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.installation import explain_missing, is_needed
-from cassandra_ros.shown import shown_lines
+from cassandra_ros.printable import shown_lines
 
 EXIT_INTERRUPTED = 128 + signal.SIGINT
 _SIGNALLED = (EXIT_INTERRUPTED, 128 + signal.SIGTERM)

@@ -11,7 +11,7 @@ from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.topics.patterns import matching
 
 if TYPE_CHECKING:
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
+    from cassandra_ros.client.ros_cassandra import RosCassandra
 
 _EXPRESSION = set("*+?[](){}|^$\\")
 """Signs that are in no topic of ROS."""

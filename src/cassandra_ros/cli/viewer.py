@@ -23,7 +23,7 @@ import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.cli.completion import answer_shell
+from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
@@ -34,19 +34,19 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.studio_offer import install, offer
+from cassandra_ros.connection.address import from_environment
 from cassandra_ros.errors import KeyspaceNotFound, MissingDependency
 from cassandra_ros.installation import optional_module
-from cassandra_ros.store.address import from_environment
-from cassandra_ros.viewing.settings import (
+from cassandra_ros.viewing.studio import studio_folder
+from cassandra_ros.viewing.viewer_settings import (
     DEFAULT_HOST,
     DEFAULT_PORT,
     DEFAULT_SPOOL_BYTES,
     ViewerSettings,
 )
-from cassandra_ros.viewing.studio import studio_folder
 
 if TYPE_CHECKING:
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
+    from cassandra_ros.client.ros_cassandra import RosCassandra
 
 PROGRAM = "viewer"
 _TOKEN_BYTES = 18

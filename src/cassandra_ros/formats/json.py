@@ -8,7 +8,7 @@ import json
 from base64 import b64decode, b64encode
 from math import isfinite
 
-from cassandra_ros.formats.text import ParsedFormat
+from cassandra_ros.formats.text_column import ParsedFormat
 from cassandra_ros.messages.tree.build import plain_bytes
 from cassandra_ros.messages.tree.read import MessageTree
 

@@ -9,8 +9,8 @@ from typing import Sequence
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.permuter import permuter
-from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.stacked import Places
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 INLINE_BYTES = 512 * 1024
 """Of larger messages only the scalar fields get columns: the row holds all bytes anyway."""

@@ -8,7 +8,7 @@ from typing import Sequence
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import EncodedMessage
-from cassandra_ros.formats.text import TextFormat
+from cassandra_ros.formats.text_column import TextFormat
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.tree.echo import echo_printer
 from cassandra_ros.messages.tree.read import MessageTree

@@ -11,7 +11,7 @@ from typing import Any, Sequence
 
 import yaml
 
-from cassandra_ros.formats.text import ParsedFormat
+from cassandra_ros.formats.text_column import ParsedFormat
 from cassandra_ros.messages.tree.read import MessageTree
 
 MAX_DEPTH = 300

@@ -31,9 +31,9 @@ from cassandra_ros.history.alignment import Live, Mark, digest_of, first_live
 from cassandra_ros.history.live_queue import LiveQueue, Publisher, Waiting
 from cassandra_ros.history.past import Past
 from cassandra_ros.keys import SECOND_NS, split_seq
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.recording.buffer import starts_with_header
+from cassandra_ros.recording.message_buffer import starts_with_header
 from cassandra_ros.topics.stored_row import Place, StoredRow
 
 _log = logging.getLogger(__name__)

@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from typing import Iterator, List, Optional, Union
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.store.registry import Loss
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.stored_row import StoredRow
 
 FRESH_SEC = 25.0

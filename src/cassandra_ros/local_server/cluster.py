@@ -14,6 +14,13 @@ from typing import Callable
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import preflight, processes
+from cassandra_ros.local_server.cluster_settings import (
+    SETTINGS_FILE,
+    change_settings,
+    load_settings,
+    new_settings,
+    save_settings,
+)
 from cassandra_ros.local_server.cql import schema_versions
 from cassandra_ros.local_server.jars import (
     default_directory,
@@ -25,14 +32,7 @@ from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
 from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
 from cassandra_ros.local_server.processes import locked
-from cassandra_ros.local_server.security import SUPERUSER, Security
-from cassandra_ros.local_server.settings import (
-    SETTINGS_FILE,
-    change_settings,
-    load_settings,
-    new_settings,
-    save_settings,
-)
+from cassandra_ros.local_server.server_security import SUPERUSER, Security
 
 START_TIMEOUT_SEC = 180.0
 STOP_TIMEOUT_SEC = 90.0

@@ -12,11 +12,11 @@ from pathlib import Path
 import psutil
 
 from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server.cluster_settings import Settings, load_settings
 from cassandra_ros.local_server.jars import default_directory
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.preflight import log_since, log_size
 from cassandra_ros.local_server.processes import command_line, find_server
-from cassandra_ros.local_server.settings import Settings, load_settings
 
 LOW_BYTES = 64 << 20
 """Less is as good as nothing: a segment of the commit log has 32 MiB."""

@@ -10,10 +10,10 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from cassandra_ros.local_server.cluster_settings import Settings
 from cassandra_ros.local_server.cql import answers_cql
 from cassandra_ros.local_server.jars import server_file
-from cassandra_ros.local_server.security import Security, write_private
-from cassandra_ros.local_server.settings import Settings
+from cassandra_ros.local_server.server_security import Security, write_private
 
 _RING = 1 << 64
 

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import ports, processes
+from cassandra_ros.local_server.cluster_settings import Settings
 from cassandra_ros.local_server.cql import answers_cql
 from cassandra_ros.local_server.nodes import Node
-from cassandra_ros.local_server.settings import Settings
 
 _NEEDED_BYTES = 768 << 20  # per node: the commit log alone may take 512 MiB
 

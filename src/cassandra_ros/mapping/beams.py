@@ -11,8 +11,8 @@ import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.places.pose_samples import Flags
 from cassandra_ros.places.rigid import Floats
-from cassandra_ros.places.samples import Flags
 
 CLOUD_RANGE = 30.0
 """Metres; what is further away in a cloud is too sparse for a map, where no range is given."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.places.pose_samples import Flags
 from cassandra_ros.places.rigid import Floats
-from cassandra_ros.places.samples import Flags
 
 MAX_CELLS = 50_000_000
 """200 MB."""

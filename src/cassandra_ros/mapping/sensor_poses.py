@@ -9,16 +9,16 @@ from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.mapping.pose_offers import Measurements, PoseOffer
-from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.pose_samples import Flags, Placed, Samples, Times
 from cassandra_ros.places.pose_topic import PoseTopic, tells_robot
 from cassandra_ros.places.poses import LONGEST_GAP_SEC, Poses
 from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.places.samples import Flags, Placed, Samples, Times
 from cassandra_ros.places.sources import key_behind
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 FRAMES = ("map", "odom", "odom_combined", "world")
 """In which of its frames a robot's map is, the first that there is; else in the topmost one."""

@@ -15,9 +15,9 @@ from typing import Callable, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.cql_values import CQL_CODES, pack_list, pack_numbers, split_list
 from cassandra_ros.messages.wire.layout import FieldColumn, Fixed, element_of
-from cassandra_ros.messages.wire.plan import wire_plan
-from cassandra_ros.messages.wire.values import CQL_CODES, pack_list, pack_numbers, split_list
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MAX_TEXT_BYTES = 1024
 """Longer texts are not indexed; Cassandra refuses rows with an indexed one over 8 KiB."""

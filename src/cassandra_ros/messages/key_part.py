@@ -15,8 +15,8 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearest_fields, normal_float
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES
-from cassandra_ros.messages.wire.plan import wire_plan
-from cassandra_ros.messages.wire.values import Primitive, encode_value, pack_list
+from cassandra_ros.messages.wire.cql_values import Primitive, encode_value, pack_list
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 _BEYOND = {"int": struct.error, "float": OverflowError}
 """What a number raises that is beyond the range of its column: no message has it."""

@@ -9,8 +9,8 @@ from typing import Mapping, NamedTuple, Sequence
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from cassandra_ros.recording.counts import TopicReport
 from cassandra_ros.recording.status import WAITING, Rates, Status
+from cassandra_ros.recording.topic_counts import TopicReport
 
 FULL = 0.5
 """A buffer that is fuller is warned of."""

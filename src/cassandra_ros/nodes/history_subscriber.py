@@ -12,6 +12,8 @@ from typing import Any, Callable, Mapping, Optional, Set, Tuple, Union
 import rospy
 
 from cassandra_ros.arguments import check_integer, check_node, check_ros_name, check_topic
+from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.connection.address import from_environment
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidKey, InvalidOption
 from cassandra_ros.history.join import Heard, History
 from cassandra_ros.history.live_queue import LiveQueue
@@ -22,8 +24,6 @@ from cassandra_ros.messages.stamps import Time, When, time_or_length, to_ns
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscription import connected_uris, subscribe
-from cassandra_ros.store.address import from_environment
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 

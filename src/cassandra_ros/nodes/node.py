@@ -20,7 +20,7 @@ import rospy
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.messages.graph import MasterTransport
 from cassandra_ros.nodes.subscription import subscribe
-from cassandra_ros.shown import shown_lines
+from cassandra_ros.printable import shown_lines
 
 _OURS = "cassandra_ros"
 _ROSPY = "rosout"

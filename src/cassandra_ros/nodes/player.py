@@ -13,19 +13,19 @@ from typing import Mapping, Optional
 
 import rospy
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.nodes.outlets import Outlets, PlayedTopic
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscription import subscribe
-from cassandra_ros.playing.options import PlayerOptions
+from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.playback import ENDED, Playback
 from cassandra_ros.playing.selection import PlaySelection
 from cassandra_ros.playing.stream import Played, Stream
 from cassandra_ros.playing.times import PlayTime, read_when
-from cassandra_ros.recording.buffer import starts_with_header
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.recording.message_buffer import starts_with_header
 
 _log = logging.getLogger(__name__)
 

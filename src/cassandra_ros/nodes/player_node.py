@@ -13,6 +13,7 @@ from typing import Callable, Optional, Sequence
 import rospy
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerResponse
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
@@ -24,7 +25,7 @@ from cassandra_ros.nodes.node import (
     own_name,
 )
 from cassandra_ros.nodes.player import Player, PlayerState
-from cassandra_ros.playing.options import PlayerOptions
+from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.selection import PlaySelection
 from cassandra_ros.srv import (
     PlayerStatus,
@@ -40,7 +41,6 @@ from cassandra_ros.srv import (
     StepRequest,
     StepResponse,
 )
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _log = logging.getLogger(__name__)
 

@@ -12,6 +12,7 @@ from typing import Callable, Iterator, Optional, Sequence, TypeVar
 
 import rospy
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
@@ -38,11 +39,11 @@ from cassandra_ros.nodes.node import (
     own_name,
 )
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.query.answer_bound import AnswerBound
-from cassandra_ros.query.json_values import from_json
-from cassandra_ros.query.parse import parse_statement
+from cassandra_ros.query.rows.answer_bound import AnswerBound
 from cassandra_ros.query.run import Condition
-from cassandra_ros.query.syntax import Select
+from cassandra_ros.query.tree.json_values import from_json
+from cassandra_ros.query.tree.parse import parse_statement
+from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.srv import (
     AddData,
     AddDataRequest,
@@ -70,9 +71,8 @@ from cassandra_ros.srv import (
     RemoveDataResponse,
 )
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.totals import TopicInfo
+from cassandra_ros.topics.stored_totals import TopicInfo
 
 Request = TypeVar("Request")
 Response = TypeVar("Response")

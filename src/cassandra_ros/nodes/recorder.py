@@ -21,14 +21,14 @@ from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.run_context import keep_context
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
-from cassandra_ros.recording.counts import TopicReport, merge_reports
-from cassandra_ros.recording.options import RecorderOptions
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.recording.series import Series
+from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.run_series import Series
 from cassandra_ros.recording.snapshot import Snapshots
 from cassandra_ros.recording.status import RECORDING, SNAPSHOT, STOPPED, WAITING, Status
 from cassandra_ros.recording.store_future import Store
-from cassandra_ros.store.registry import LossKind
+from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
+from cassandra_ros.tables.registry import LossKind
 
 _log = logging.getLogger(__name__)
 

@@ -22,10 +22,10 @@ from cassandra_ros.nodes.node import (
 )
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
 from cassandra_ros.nodes.recorder_services import serve
-from cassandra_ros.recording.counts import TopicReport
-from cassandra_ros.recording.options import RecorderOptions
+from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.status import Rates, Status
 from cassandra_ros.recording.store_future import Store, store_future
+from cassandra_ros.recording.topic_counts import TopicReport
 
 _log = logging.getLogger(__name__)
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import rospy
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.nodes.subscriptions import published_topics, subscribed_topics
-from cassandra_ros.recording.options import RecorderOptions
-from cassandra_ros.recording.plan import PlannedTopic, plan_topics
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.recording.dry_run import PlannedTopic, plan_topics
+from cassandra_ros.recording.recording_options import RecorderOptions
 
 
 def make_plan(ros_cas: RosCassandra, options: RecorderOptions) -> list[PlannedTopic]:

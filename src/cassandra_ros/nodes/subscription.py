@@ -38,7 +38,7 @@ from rospy.topics import _SubscriberImpl
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 
 BUFF_SIZE = 16 * 1024 * 1024
 """Most bytes that are read at once; with rospy's 64 KiB large messages lag."""

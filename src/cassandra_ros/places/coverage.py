@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.places.cells import JOIN_NS, LONGEST_NS, Cell, cells_of
+from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, Cell, cells_of
 from cassandra_ros.places.paths import LONGEST_GAP_NS, Span, clipped, merged, without
 from cassandra_ros.places.regions import Region
 from cassandra_ros.places.robots import MOST_FRAMES, Robot
 from cassandra_ros.places.stored import Extent, Stored
-from cassandra_ros.places.windows import overlaps
-from cassandra_ros.store.place_index import Placed, PlaceIndex, Square
+from cassandra_ros.places.track_windows import overlaps
+from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square
 
 _FIRST = LONGEST_NS + JOIN_NS
 """So long before a time a visit that reaches it may have begun."""

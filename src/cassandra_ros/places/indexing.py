@@ -15,16 +15,16 @@ from functools import partial
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.cells import OpenVisits
-from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.ground_cells import OpenVisits
 from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, merged
+from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MOST_FRAMES, fixed_frames, frames_above, seen_in
-from cassandra_ros.places.samples import Samples
 from cassandra_ros.places.sources import ArraySource, Find, find_stored
 from cassandra_ros.places.stored import Extent, Stored
-from cassandra_ros.store.place_index import Placed, PlaceIndex, Square, Visited
+from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square, Visited
 
 MOST_ABOVE = 16
 """In so many frames above a robot its places are noted."""

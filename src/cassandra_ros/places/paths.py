@@ -16,10 +16,10 @@ from typing import Iterable, Iterator, List, Optional, Sequence, Tuple
 import numpy as np
 
 from cassandra_ros.keys import MAX_NS, SECOND_NS
+from cassandra_ros.places.pose_samples import Times, Track
 from cassandra_ros.places.poses import LONGEST_GAP_SEC
 from cassandra_ros.places.regions import Lines, Region
 from cassandra_ros.places.rigid import Floats
-from cassandra_ros.places.samples import Times, Track
 
 LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
 LONGEST_WAY_M = 40_000.0

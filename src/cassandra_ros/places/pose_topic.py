@@ -12,12 +12,12 @@ from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.places.frames import filled
+from cassandra_ros.places.frame_poses import filled
+from cassandra_ros.places.pose_samples import Flags, Placed, Samples, Times
 from cassandra_ros.places.rigid import Floats, Rigid
-from cassandra_ros.places.samples import Flags, Placed, Samples, Times
 from cassandra_ros.places.sources import ArraySource, Find, arrays_between, key_behind, last_key
-from cassandra_ros.query.names import all_fields
 from cassandra_ros.query.source import Writers
+from cassandra_ros.query.tree.field_names import all_fields
 
 _MOVED, _TURNED = ("x", "y", "z"), ("x", "y", "z", "w")
 _SOLID = (

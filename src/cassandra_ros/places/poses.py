@@ -22,10 +22,10 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, Placed, Samples, Times, Track
 from cassandra_ros.places.pose_topic import PoseTopic
 from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.places.samples import NO_FRAME, Codes, Flags, Placed, Samples, Times, Track
 from cassandra_ros.places.sources import Find
 from cassandra_ros.query.source import Writers
 

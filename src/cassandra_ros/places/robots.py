@@ -28,10 +28,10 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.frames import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.pose_samples import NO_FRAME, Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, Recording
-from cassandra_ros.places.samples import NO_FRAME, Samples
 from cassandra_ros.places.sources import ArraySource, Find, find_stored, key_behind, last_key
 from cassandra_ros.places.stored import Stored
 from cassandra_ros.query.source import Writers

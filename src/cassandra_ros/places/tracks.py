@@ -16,8 +16,8 @@ import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, Path, merged
+from cassandra_ros.places.pose_samples import Times
 from cassandra_ros.places.robots import Robot
-from cassandra_ros.places.samples import Times
 from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.query.source import Writers
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import split_seq
-from cassandra_ros.store.counting import settle
-from cassandra_ros.store.directory import BucketRow
+from cassandra_ros.store.row_counts import settle
+from cassandra_ros.tables.directory import BucketRow
+from cassandra_ros.topics.key_selection import Nodes, Stretch, Whose
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import Nodes, Stretch, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 

@@ -9,13 +9,19 @@ from functools import cached_property
 from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.keys import MAX_NS
+from cassandra_ros.overview.latched_messages import (
+    LatchedFinder,
+    Publisher,
+    Source,
+    publisher_of,
+    tests_of,
+)
 from cassandra_ros.playing.extent import Extent
 from cassandra_ros.topics.catalog import Conditions
-from cassandra_ros.topics.finding import Filter, Where
-from cassandra_ros.topics.latched import LatchedFinder, Publisher, Source, publisher_of, tests_of
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.row_finder import Filter, Where
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -108,7 +114,7 @@ class Part:
 
     @cached_property
     def _finder(self) -> LatchedFinder:
-        tests = tests_of(self.ros_cas, self.where, self.node)
+        tests = tests_of(self.ros_cas.catalog, self.where, self.node)
         nodes = check_nodes(self.node)
         return LatchedFinder(self.ros_cas.parts, self._tables, nodes, self.writers, tests)
 

@@ -17,11 +17,11 @@ from cassandra_ros.errors import (
     StoreUnavailable,
 )
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.playing.options import PlayerOptions
 from cassandra_ros.playing.pace import Pace
+from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, ReadAhead, Skipped
 from cassandra_ros.playing.stream import Played
-from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.key_selection import Stretch
 
 _log = logging.getLogger(__name__)
 

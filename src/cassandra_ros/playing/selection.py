@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from typing import List, Mapping, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_ros_name, check_topics
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.playing.times import PlayTime
 from cassandra_ros.topics.catalog import Conditions
-from cassandra_ros.topics.finding import Where
 from cassandra_ros.topics.patterns import compiled, matching
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.topics.row_finder import Where
 
 _log = logging.getLogger(__name__)
 

@@ -9,26 +9,26 @@ from dataclasses import replace
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
-from cassandra_ros.playing.alignment import (
+from cassandra_ros.overview.latched_messages import Source, is_latched
+from cassandra_ros.playing.extent import Extent, extents
+from cassandra_ros.playing.part import Part, Sent, begun
+from cassandra_ros.playing.play_windows import PIECE_NS, Around
+from cassandra_ros.playing.robot_alignment import (
     aligned,
     check_alignment,
     source_names,
     split_parts,
     valid_name,
 )
-from cassandra_ros.playing.extent import Extent, extents
-from cassandra_ros.playing.part import Part, Sent, begun
 from cassandra_ros.playing.selection import Names, PlaySelection, chosen_topics
 from cassandra_ros.playing.times import check_length, read_when, resolve_times
-from cassandra_ros.playing.windows import PIECE_NS, Around
-from cassandra_ros.topics.latched import Source, is_latched, tables_of
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.hit_windows import Piece, joined, merge_windows
+from cassandra_ros.topics.key_selection import Stretch
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.windows import Piece, joined, merge_windows
 
 _Timed = Tuple[int, StoredRow]
 
@@ -103,7 +103,7 @@ class Stream:
     def _find_extents(self) -> List[Extent]:
         asked, ros_cas = self.selection, self._ros_cas
         self._writers = ros_cas.parts.runs.writers(asked.run)
-        tables, nodes = tables_of(ros_cas, self.topics), check_nodes(asked.nodeID)
+        tables, nodes = ros_cas.catalog.tables(self.topics), check_nodes(asked.nodeID)
         found = extents(ros_cas.parts, tables, nodes, self._writers)
         if found:
             return found

@@ -21,7 +21,7 @@ from cassandra_ros.messages.stamps import (
     time_or_length,
     to_ns,
 )
-from cassandra_ros.topics.selection import Stretch
+from cassandra_ros.topics.key_selection import Stretch
 
 PlayTime = Union[None, Time, Length]
 """A time, or a length from the first message: a text or number below 10**9 is seconds. None =

@@ -11,7 +11,7 @@ from typing import Iterator, Optional
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.run import QueryResult
 from cassandra_ros.query.source import Source
-from cassandra_ros.query.syntax import (
+from cassandra_ros.query.tree.syntax import (
     All,
     Compare,
     Either,

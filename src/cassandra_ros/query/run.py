@@ -13,18 +13,18 @@ from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
 from cassandra_ros.messages.stamps import Stamp, is_time, iso_time, to_ns
-from cassandra_ros.query.bounds import Bounds, bounds_of, meant_as_seconds
-from cassandra_ros.query.changes import Delete
-from cassandra_ros.query.gathered import gather
-from cassandra_ros.query.nearby import Span, located, spans_of
-from cassandra_ros.query.parse import parse_condition
-from cassandra_ros.query.projection import Projections, ResultRow
+from cassandra_ros.printable import MOST_ROWS, html_table
+from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of, meant_as_seconds
+from cassandra_ros.query.plan.nearby import Span, located, spans_of
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
+from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.pushdown import Pushdown, Watch, unwatched
-from cassandra_ros.query.settle import settle
+from cassandra_ros.query.rows.projection import Projections, ResultRow
+from cassandra_ros.query.rows.result_groups import gather
 from cassandra_ros.query.source import Columns, RowT_co, Source, Writers
-from cassandra_ros.query.syntax import Select
-from cassandra_ros.shown import MOST_ROWS, html_table
+from cassandra_ros.query.tree.change_statements import Delete
+from cassandra_ros.query.tree.parse import parse_condition
+from cassandra_ros.query.tree.syntax import Select
 
 _log = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ from typing import Callable, FrozenSet, Iterator, Optional, Protocol, Sequence, 
 
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.plan.pushdown import Pushdown
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.pushdown import Pushdown
 
 Columns = Callable[[Table], Optional[Sequence[str]]]
 """Gives for a table those of its columns that are to be read, in their order; None = all."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Mapping
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.store.registry import Loss, LossKind
+from cassandra_ros.tables.registry import Loss, LossKind
 
 STRETCH_NS = 60 * SECOND_NS
 """Losses of a kind that lie further apart are two rows."""

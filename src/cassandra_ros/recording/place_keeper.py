@@ -31,25 +31,25 @@ from typing import (
 )
 
 from cassandra_ros.arrays.gather import read_arrays
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.keys import Position
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.places.frames import TF, TF_STATIC
+from cassandra_ros.places.frame_poses import TF, TF_STATIC
 from cassandra_ros.places.indexing import TfNotes, TopicNotes, Whose
 from cassandra_ros.places.paths import LONGEST_GAP_NS
+from cassandra_ros.query.plan.pushdown import Pushdown
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.pushdown import Pushdown
 from cassandra_ros.query.source import Columns, Writers
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
 from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
-from cassandra_ros.store.place_index import Placed, Visited
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.transforms.samples import TRANSFORMS_MD5
+from cassandra_ros.tables.place_index import Placed, Visited
+from cassandra_ros.transforms.transform_samples import TRANSFORMS_MD5
 
 if TYPE_CHECKING:
-    from cassandra_ros.recording.buffer import Source
+    from cassandra_ros.recording.message_buffer import Source
 
 _log = logging.getLogger(__name__)
 

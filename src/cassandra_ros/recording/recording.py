@@ -21,19 +21,19 @@ from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
-from cassandra_ros.messages.connection import live_connection
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.places.indexing import Whose
-from cassandra_ros.recording.buffer import Buffer, Feed, Item, Source
-from cassandra_ros.recording.counts import Counts, TopicReport
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.message_buffer import Buffer, Feed, Item, Source
 from cassandra_ros.recording.place_keeper import PlaceKeeper
-from cassandra_ros.recording.settings import Settings, TopicSettings
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
 from cassandra_ros.recording.tables import TableMaker, connect
-from cassandra_ros.store.directory import Lengths
-from cassandra_ros.store.registry import LossKind, Run
-from cassandra_ros.store.run_context import RunContext
+from cassandra_ros.recording.topic_counts import Counts, TopicReport
+from cassandra_ros.recording.topic_settings import Settings, TopicSettings
+from cassandra_ros.tables.context_blob import RunContext
+from cassandra_ros.tables.directory import Lengths
+from cassandra_ros.tables.registry import LossKind, Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 
 _log = logging.getLogger(__name__)

@@ -14,13 +14,13 @@ from typing import Callable, Collection, Mapping, Optional, Protocol, Sequence
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidOption
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.recording.buffer import ITEM_BYTES
-from cassandra_ros.recording.counts import Counts, TopicReport
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
+from cassandra_ros.recording.message_buffer import ITEM_BYTES
 from cassandra_ros.recording.recording import Kept, Recording
-from cassandra_ros.recording.settings import read_duration
-from cassandra_ros.store.registry import LossKind
+from cassandra_ros.recording.topic_counts import Counts, TopicReport
+from cassandra_ros.recording.topic_settings import read_duration
+from cassandra_ros.tables.registry import LossKind
 
 _log = logging.getLogger(__name__)
 

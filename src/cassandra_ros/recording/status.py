@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from typing import Collection, Mapping, Sequence, Tuple
 
-from cassandra_ros.recording.counts import TopicReport
+from cassandra_ros.recording.topic_counts import TopicReport
 
 RECORDING, STOPPED, SNAPSHOT, WAITING = "recording", "stopped", "snapshot", "waiting"
 """States: a run is being recorded; none is; the newest messages are kept in memory; a run is being

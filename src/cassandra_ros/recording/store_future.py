@@ -7,7 +7,7 @@ from __future__ import annotations
 from concurrent.futures import Future
 from typing import Union
 
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.client.ros_cassandra import RosCassandra
 
 Store = Union[RosCassandra, "Future[RosCassandra]"]
 NO_STORE = "the store did not answer before the recording ended"

@@ -22,11 +22,11 @@ from cassandra_ros.errors import (
     SchemaConflict,
     StoreUnavailable,
 )
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.recording.buffer import Source
-from cassandra_ros.recording.settings import Settings, TopicSettings
-from cassandra_ros.store.directory import Lengths
+from cassandra_ros.recording.message_buffer import Source
+from cassandra_ros.recording.topic_settings import Settings, TopicSettings
+from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 
 _log = logging.getLogger(__name__)

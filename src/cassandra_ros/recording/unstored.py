@@ -10,7 +10,7 @@ from typing import FrozenSet, Mapping, Optional
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import Position
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp

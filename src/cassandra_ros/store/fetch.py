@@ -14,16 +14,17 @@ from typing import Iterable, Iterator, NamedTuple, Sequence, Union
 from cassandra.cluster import ResultSet
 from cassandra.query import BoundStatement
 
+from cassandra_ros.blocks.block_lookup import Finder, answer_one, ask_one
+from cassandra_ros.blocks.block_stream import stream
+from cassandra_ros.blocks.bucket_read import BucketRead
+from cassandra_ros.connection.paging import Asked, RawRow, sent_ahead
+from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
-from cassandra_ros.store.blocks.bucket_read import BucketRead
-from cassandra_ros.store.blocks.lookup import Finder, answer_one, ask_one
-from cassandra_ros.store.blocks.stream import stream
-from cassandra_ros.store.checksum import crc32
-from cassandra_ros.store.directory import Directory, slot_of
-from cassandra_ros.store.paging import Asked, RawRow, sent_ahead
-from cassandra_ros.store.raw_page import RawPage
-from cassandra_ros.store.row_table import (
+from cassandra_ros.store.bucket_walk import begin_slot
+from cassandra_ros.tables.checksum import crc32
+from cassandra_ros.tables.directory import Directory, slot_of
+from cassandra_ros.tables.row_table import (
     FIRST,
     LAST,
     RowTable,
@@ -33,7 +34,6 @@ from cassandra_ros.store.row_table import (
     decode_long,
     encode_int,
 )
-from cassandra_ros.store.walk import begin_slot
 
 AHEAD = 16
 KEY_PAGE_ROWS = 5000

@@ -16,10 +16,10 @@ from typing import Callable, Iterable, NamedTuple, Sequence
 
 from cassandra.query import BatchStatement, BatchType, BoundStatement
 
-from cassandra_ros.store.blocks.builder import Block
-from cassandra_ros.store.directory import BucketTotals
-from cassandra_ros.store.protocol import EncodedRows, Prepared
-from cassandra_ros.store.row_table import (
+from cassandra_ros.blocks.block_builder import Block
+from cassandra_ros.connection.protocol import EncodedRows, Prepared
+from cassandra_ros.tables.directory import BucketTotals
+from cassandra_ros.tables.row_table import (
     INLINE_COLUMN_BYTES,
     ODD,
     UNSET,

@@ -12,11 +12,11 @@ from __future__ import annotations
 from itertools import islice
 from typing import Iterable, List, NamedTuple, Sequence, Set, Tuple, Union
 
-from cassandra_ros.store.blocks.block_row import ask_blocks
-from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.names import chunk_table_name
-from cassandra_ros.store.paging import RawRow
-from cassandra_ros.store.row_table import COUNTED, Order, RowTable, bind, decode_long
+from cassandra_ros.blocks.block_row import ask_blocks
+from cassandra_ros.connection.cassandra import Cassandra
+from cassandra_ros.connection.cql_names import chunk_table_name
+from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.tables.row_table import COUNTED, Order, RowTable, bind, decode_long
 
 ORPHAN_SEC = 3600
 """So old pieces without a message are nobody's: a message is not tried for longer."""

@@ -11,9 +11,9 @@ from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cassandra_ros.connection.raw_page import Places, RawPage
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.store.raw_page import Places, RawPage
-from cassandra_ros.store.row_table import RowTable, TableRow
+from cassandra_ros.tables.row_table import RowTable, TableRow
 
 MIN_BYTES = 4096
 """Of an answer: the rows of a smaller one are quicker read one by one."""

@@ -25,16 +25,18 @@ from typing import (
 
 from cassandra.query import PreparedStatement
 
+from cassandra_ros.blocks.block_stream import opened, stream
+from cassandra_ros.blocks.bucket_read import EARLY_BLOCKS, BucketRead, Opened
+from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
+from cassandra_ros.connection.paging import GROWTH, Asked, RawRow
+from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.errors import SchemaConflict
-from cassandra_ros.store.blocks.bucket_read import EARLY_BLOCKS, BucketRead, Opened
-from cassandra_ros.store.blocks.stream import opened, stream
-from cassandra_ros.store.directory import BucketRow, Directory
-from cassandra_ros.store.driver_errors import DRIVER_ERRORS, is_refused
-from cassandra_ros.store.foreseen import foresee, note_first
+from cassandra_ros.store.bucket_walk import Walk
+from cassandra_ros.store.first_buckets import foresee, note_first
 from cassandra_ros.store.page_rows import rows_of_page
-from cassandra_ros.store.paging import GROWTH, Asked, RawRow
-from cassandra_ros.store.raw_page import RawPage
-from cassandra_ros.store.row_table import (
+from cassandra_ros.store.scan import Chooser, Piece, Query, Scan, ends_of
+from cassandra_ros.tables.directory import BucketRow, Directory
+from cassandra_ros.tables.row_table import (
     KEYS,
     RowTable,
     TableRow,
@@ -42,8 +44,6 @@ from cassandra_ros.store.row_table import (
     decode_long,
     encode_int,
 )
-from cassandra_ros.store.scan import Chooser, Piece, Query, Scan, ends_of
-from cassandra_ros.store.walk import Walk
 
 _log = logging.getLogger(__name__)
 

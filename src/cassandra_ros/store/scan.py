@@ -6,10 +6,10 @@ from __future__ import annotations
 
 from typing import Callable, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Tuple
 
+from cassandra_ros.blocks.bucket_read import Sift
 from cassandra_ros.keys import Position
-from cassandra_ros.store.blocks.bucket_read import Sift
-from cassandra_ros.store.directory import BucketRow
-from cassandra_ros.store.row_table import MAX_SEQ, MIN_SEQ, Order, RowTable, Terms
+from cassandra_ros.tables.directory import BucketRow
+from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ, Order, RowTable, Terms
 
 FEW_ROWS = 5000
 """Who takes up to here is not given whole pages from the start."""

@@ -11,19 +11,19 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Callable, Sequence, Union
 
+from cassandra_ros.blocks.block_builder import Block, BlockBuilder, Builders
+from cassandra_ros.connection.cassandra import Cassandra
+from cassandra_ros.connection.driver_errors import is_table_gone, translate
+from cassandra_ros.connection.flight import Flight, Outcome
+from cassandra_ros.connection.paging import Patience
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
-from cassandra_ros.store.blocks.builder import Block, BlockBuilder, Builders
-from cassandra_ros.store.blocks.limits import FULL, Limits
-from cassandra_ros.store.checksum import crc32
-from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.counting import recount
-from cassandra_ros.store.directory import HEARTBEAT_SEC, BucketTotals, Directory
-from cassandra_ros.store.driver_errors import is_table_gone, translate
-from cassandra_ros.store.flight import Flight, Outcome
 from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, Chunks, OpenBucket, RowAgain
-from cassandra_ros.store.paging import Patience
-from cassandra_ros.store.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
-from cassandra_ros.store.schema import Schema
+from cassandra_ros.store.row_counts import recount
+from cassandra_ros.tables.block_limits import FULL, Limits
+from cassandra_ros.tables.checksum import crc32
+from cassandra_ros.tables.directory import HEARTBEAT_SEC, BucketTotals, Directory
+from cassandra_ros.tables.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int
+from cassandra_ros.tables.schema import Schema
 
 _log = logging.getLogger(__name__)
 

@@ -14,12 +14,12 @@ from typing import Optional
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.keys import COUNTER_BITS, Position, RowName, new_writer_id
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection import api_connection
+from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
+from cassandra_ros.topics.key_selection import Clock
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import MessageWriter
-from cassandra_ros.topics.selection import Clock
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
 

@@ -12,11 +12,11 @@ from typing import Deque, Iterable, Iterator, Optional, Sequence, Tuple
 import numpy as np
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
+from cassandra_ros.blocks.bucket_read import BucketRead, Opened
+from cassandra_ros.blocks.codec import Unpacked
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.keys import writer_of
 from cassandra_ros.messages.wire.stacked import Bytes, Places, as_planes
-from cassandra_ros.store.blocks.bucket_read import BucketRead, Opened
-from cassandra_ros.store.blocks.codec import Unpacked
 from cassandra_ros.topics.chunks_ahead import chunks_ahead
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable

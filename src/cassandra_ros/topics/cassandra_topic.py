@@ -17,27 +17,27 @@ from cassandra_ros.arguments import (
     check_text,
     check_user_keys,
 )
-from cassandra_ros.arrays.frames import read_frame
+from cassandra_ros.arrays.data_frame import read_frame
 from cassandra_ros.arrays.gather import read_arrays
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
-from cassandra_ros.query.pushdown import Pushdown
-from cassandra_ros.shown import public_names
+from cassandra_ros.printable import public_names
+from cassandra_ros.query.plan.pushdown import Pushdown
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.descriptions import topic_html, topic_line
-from cassandra_ros.topics.finding import Filter, Finder, Where
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
+from cassandra_ros.topics.key_selection import AnyKey, Stretch, Whose
 from cassandra_ros.topics.keyspace import Keyspace, Wish
-from cassandra_ros.topics.objects import with_messages
-from cassandra_ros.topics.reading import Columns
-from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import AnyKey, Stretch, Whose
+from cassandra_ros.topics.message_objects import with_messages
+from cassandra_ros.topics.row_finder import Filter, Finder, Where
+from cassandra_ros.topics.row_reader import Columns
+from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key, StoredRow
+from cassandra_ros.topics.stored_totals import count_buckets
 from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
-from cassandra_ros.topics.totals import count_buckets
 
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""

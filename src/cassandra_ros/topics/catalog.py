@@ -30,21 +30,19 @@ from cassandra_ros.messages.graph import topic_type
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
-from cassandra_ros.store.directory import STALE_SEC
+from cassandra_ros.tables.directory import STALE_SEC
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.convert import Converted, convert_topic
-from cassandra_ros.topics.copying import Progress
-from cassandra_ros.topics.finding import Filter, Where, stretch_between
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
+from cassandra_ros.topics.key_selection import EVERYBODY, LAST_NS, Clock, Stretch, Whose, spellings
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
 from cassandra_ros.topics.removal import delete_stretch
-from cassandra_ros.topics.runs import RunName
-from cassandra_ros.topics.selection import EVERYBODY, LAST_NS, Clock, Stretch, Whose, spellings
+from cassandra_ros.topics.row_finder import Filter, Where, stretch_between
+from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.totals import count_rows
 
 _log = logging.getLogger(__name__)
 
@@ -189,12 +187,6 @@ class Catalog:
             with self._mutex:
                 self._pending.pop(name, None)
         return removed
-
-    def convert(self, topic: str, format_name: str, progress: Progress = None) -> Converted:
-        """Keep a topic in another format; see convert_topic."""
-        name = self.get(topic).name
-        self.adder.close()  # what it holds open looks like a recording
-        return convert_topic(self.keyspace, name, format_name, progress)
 
     def rename(self, topic: str, new_name: str) -> None:
         """Give a topic another name."""

@@ -8,11 +8,11 @@ from typing import Callable, Iterable, Sequence
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.shown import Listing, html_table, shown
-from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.registry import Run
+from cassandra_ros.printable import Listing, html_table, shown
+from cassandra_ros.tables.directory import Directory
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics.stored_totals import TopicInfo, describe
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.totals import TopicInfo, describe
 
 
 def topic_facts(directory: Directory, tables: Sequence[TopicTable]) -> dict[str, str]:

@@ -19,6 +19,7 @@ from cassandra_ros.arguments import (
     check_ttl,
     check_user_keys,
 )
+from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
@@ -36,25 +37,24 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.places.whereabouts import Whereabouts
-from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.directory import (
+from cassandra_ros.tables.directory import (
     MIN_SPAN_NS,
     UNKNOWN_SPAN_NS,
     Directory,
     limit_for_ttl,
 )
-from cassandra_ros.store.index.changes import IndexChanges
-from cassandra_ros.store.place_index import PlaceIndex
-from cassandra_ros.store.registry import Registry
-from cassandra_ros.store.schema import Planned, Planner, Schema
-from cassandra_ros.store.side_tables import SideTables
-from cassandra_ros.topics.connections import ConnectionCache
-from cassandra_ros.topics.following import Following
-from cassandra_ros.topics.reading import RowReader
-from cassandra_ros.topics.runs import Runs
-from cassandra_ros.topics.selection import Whose
+from cassandra_ros.tables.index_changes import IndexChanges
+from cassandra_ros.tables.place_index import PlaceIndex
+from cassandra_ros.tables.registry import Registry
+from cassandra_ros.tables.schema import Planned, Planner, Schema
+from cassandra_ros.tables.side_tables import SideTables
+from cassandra_ros.topics.key_selection import Whose
+from cassandra_ros.topics.replaced_tables import Following
+from cassandra_ros.topics.row_reader import RowReader
+from cassandra_ros.topics.run_finder import Runs
+from cassandra_ros.topics.stored_headers import ConnectionCache
+from cassandra_ros.topics.stored_totals import holds_any
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition_in
-from cassandra_ros.topics.totals import holds_any
 
 _log = logging.getLogger(__name__)
 

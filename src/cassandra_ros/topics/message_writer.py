@@ -24,6 +24,7 @@ from cassandra_ros.arguments import (
     check_seconds,
     check_ttl,
 )
+from cassandra_ros.blocks.block_builder import BlockBuilder
 from cassandra_ros.errors import (
     CassandraRosError,
     CorruptMessage,
@@ -36,14 +37,13 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, MAX_WRITER, new_writer_id
 from cassandra_ros.messages.classes import installed_definition
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.metadata import ANY_MD5, TopicMetadata
-from cassandra_ros.store.blocks.builder import BlockBuilder
-from cassandra_ros.store.blocks.limits import FULL, Limits
-from cassandra_ros.store.registry import Run
-from cassandra_ros.store.row_table import NewRow
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
+from cassandra_ros.tables.block_limits import FULL, Limits
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.tables.row_table import NewRow
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.topic_table import TopicTable
 

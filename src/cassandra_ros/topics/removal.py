@@ -7,15 +7,15 @@ from __future__ import annotations
 from itertools import chain, islice
 from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
 
+from cassandra_ros.blocks.block_counts import headers
+from cassandra_ros.blocks.block_deletion import Cutter
 from cassandra_ros.places.paths import LONGEST_GAP_NS
-from cassandra_ros.store.blocks.counts import headers
-from cassandra_ros.store.blocks.cutting import Cutter
-from cassandra_ros.store.counting import scan_keys, scan_written
-from cassandra_ros.store.directory import Directory
-from cassandra_ros.store.row_table import BlockKey
-from cassandra_ros.topics.following import current
+from cassandra_ros.store.row_counts import scan_keys, scan_written
+from cassandra_ros.tables.directory import Directory
+from cassandra_ros.tables.row_table import BlockKey
+from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.selection import Whose
+from cassandra_ros.topics.replaced_tables import current
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 

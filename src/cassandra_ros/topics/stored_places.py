@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, FrozenSet, List, Optional, Sequence, Tuple
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.sources import ArraySource
 from cassandra_ros.places.stored import Extent
-from cassandra_ros.store.directory import BucketRow
-from cassandra_ros.topics.following import followed
-from cassandra_ros.topics.selection import Stretch, Whose
+from cassandra_ros.tables.directory import BucketRow
+from cassandra_ros.topics.key_selection import Stretch, Whose
+from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.topics.totals import buckets_of
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.cassandra_topic import CassandraTopic

@@ -15,11 +15,11 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.keys import Position, RowName, writer_of
 from cassandra_ros.messages.classes import deserialize
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, iso_time
-from cassandra_ros.shown import public_names
+from cassandra_ros.printable import public_names
 from cassandra_ros.store.fetch import ask_chunks, fetch_row, read_chunks
-from cassandra_ros.store.row_table import BlockKey, Sent, TableRow
+from cassandra_ros.tables.row_table import BlockKey, Sent, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Place = Tuple[int, str, int, str]

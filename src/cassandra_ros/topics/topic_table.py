@@ -11,25 +11,25 @@ from functools import lru_cache, partial
 from itertools import repeat
 from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, Tuple
 
+from cassandra_ros.connection.cassandra import Cassandra
+from cassandra_ros.connection.raw_page import Places
 from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName, InvalidOption
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.classes import message_class, raw_class
-from cassandra_ros.messages.connection import Connection
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.protocols import Places as RobotPlaces
-from cassandra_ros.store.connection import Cassandra
-from cassandra_ros.store.raw_page import Places
-from cassandra_ros.store.row_table import Indexed, NewRow, RowTable, Shadows, Zones, encode_long
-from cassandra_ros.store.schema import Schema
-from cassandra_ros.store.succession import Listing
-from cassandra_ros.topics.connections import ConnectionCache
-from cassandra_ros.topics.runs import Runs
+from cassandra_ros.tables.row_table import Indexed, NewRow, RowTable, Shadows, Zones, encode_long
+from cassandra_ros.tables.schema import Schema
+from cassandra_ros.tables.succession import Listing
+from cassandra_ros.topics.run_finder import Runs
+from cassandra_ros.topics.stored_headers import ConnectionCache
 
 _log = logging.getLogger(__name__)
 

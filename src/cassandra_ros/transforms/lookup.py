@@ -16,7 +16,14 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, iso_time, to_ns
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.source import Source, Writers
-from cassandra_ros.transforms.samples import Fixed, FrameTree, Nearest, Recorded, fill, named
+from cassandra_ros.transforms.transform_samples import (
+    Fixed,
+    FrameTree,
+    Nearest,
+    Recorded,
+    fill,
+    named,
+)
 
 _SHOWN_FRAMES = 20
 
@@ -110,7 +117,7 @@ class _Lookup:
             known = tree.frames().intersection(self.failure.frames)
             fixed.extend(named(frame) for frame in known)
         # It needs tf2, which who only records or asks may lack.
-        from cassandra_ros.transforms.buffer import look_up
+        from cassandra_ros.transforms.tf_buffer import look_up
 
         failure = self.failure
         found = look_up(*failure.frames, time, moving, fixed, lambda kind: failure.text(kind, tree))

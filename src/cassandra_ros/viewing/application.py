@@ -10,6 +10,7 @@ from typing import Sequence
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
     CassandraRosError,
     ConnectionFailed,
@@ -18,14 +19,13 @@ from cassandra_ros.errors import (
     StoreUnavailable,
     TransformException,
 )
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.handling import Handling
 from cassandra_ros.viewing.route import Route
 from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.security import Guard, check_settings
-from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.shared import Shared
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _ASKED_AGAIN = "no-cache"
 """Files are asked for again each time, which 304 answers mostly."""

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Callable, Sequence
 
 from cassandra_ros.arrays.array_types import column_types
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
@@ -16,11 +17,13 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.query.complete import Known, complete
-from cassandra_ros.query.parse import parse_select
+from cassandra_ros.overview.envelopes import EnvelopeCache
+from cassandra_ros.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
+from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.run import QueryResult
-from cassandra_ros.query.settle import settle
-from cassandra_ros.query.syntax import (
+from cassandra_ros.query.tree.parse import parse_select
+from cassandra_ros.query.tree.statement_completion import Known, complete
+from cassandra_ros.query.tree.syntax import (
     All,
     Compare,
     Expression,
@@ -32,14 +35,11 @@ from cassandra_ros.query.syntax import (
     Select,
     TimeNs,
 )
-from cassandra_ros.topics.envelopes import EnvelopeCache
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.series import MOST_PIXELS, PIXELS, Series, Window
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
-from cassandra_ros.viewing.cells import Cells
+from cassandra_ros.viewing.lossless_json import Cells
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_ROWS = 200
 MOST_ROWS = 10_000

@@ -9,12 +9,12 @@ import threading
 from functools import cached_property
 from typing import Callable, Mapping, Sequence, TypeVar
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.messages.stamps import written_time_ns
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route, Value
-from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.shared import Shared
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
 _FLAGS = {"": True, "1": True, "true": True, "0": False, "false": False}

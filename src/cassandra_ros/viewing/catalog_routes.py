@@ -9,10 +9,10 @@ from typing import Dict, Iterable, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.store.registry import Run
+from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.run_list import list_runs
-from cassandra_ros.topics.totals import TopicInfo
+from cassandra_ros.topics.stored_totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.choice import TOPICS

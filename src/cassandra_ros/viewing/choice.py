@@ -5,8 +5,7 @@
 from __future__ import annotations
 
 from cassandra_ros.arguments import check_node
-from cassandra_ros.topics.latched import tables_of
-from cassandra_ros.topics.selection import Whose
+from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.route import Parameter
@@ -24,7 +23,7 @@ def tables_chosen(call: Call) -> list[TopicTable]:
     Raises:
         TopicNotFound: One of them is not stored.
     """
-    return tables_of(call.store, call.texts("topics") or None)
+    return call.store.catalog.tables(call.texts("topics") or None)
 
 
 def whose_chosen(call: Call) -> Whose:

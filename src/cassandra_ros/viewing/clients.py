@@ -15,7 +15,7 @@ from typing import Dict, Optional, cast
 from aiohttp import web
 from aiohttp.typedefs import Handler
 
-from cassandra_ros.viewing.settings import Limits
+from cassandra_ros.viewing.viewer_settings import Limits
 
 _ACCEPTING_SEC = 1.0
 """Longest time from the acceptance of a connection until the server has got it, s."""

@@ -10,13 +10,13 @@ from collections import OrderedDict
 from dataclasses import replace
 from typing import Iterator, Sequence
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import decode_cursor
-from cassandra_ros.topics.latest import Latest
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.selection import LAST_NS, Stretch, Whose
+from cassandra_ros.overview.latest_messages import Latest
+from cassandra_ros.overview.timeline.lanes import Lane, View
+from cassandra_ros.topics.key_selection import LAST_NS, Stretch, Whose
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.timeline.lanes import Lane, View
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, Stream
 from cassandra_ros.viewing.call import Call
@@ -33,9 +33,9 @@ from cassandra_ros.viewing.choice import (
 from cassandra_ros.viewing.look_window import Held, default_window
 from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.studio import STUDIO_VERSION, studio_installed
 from cassandra_ros.viewing.timeline_routes import timeline_of
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_BYTES = 4 * 2**20
 MAX_PAGE_BYTES = 64 * 2**20

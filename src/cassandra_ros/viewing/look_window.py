@@ -7,8 +7,8 @@ from __future__ import annotations
 from typing import Iterable, NamedTuple
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.topics.selection import LAST_NS, Stretch
-from cassandra_ros.topics.timeline.lanes import Lane
+from cassandra_ros.overview.timeline.lanes import Lane
+from cassandra_ros.topics.key_selection import LAST_NS, Stretch
 
 DAY_NS = 24 * 3600 * SECOND_NS
 

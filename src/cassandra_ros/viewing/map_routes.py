@@ -9,16 +9,16 @@ import threading
 from collections import OrderedDict
 from typing import Callable, FrozenSet, Hashable, Optional
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.drawing.map_picture import map_info, map_png
 from cassandra_ros.errors import StoreUnavailable
-from cassandra_ros.mapping.build import DEFAULT_RESOLUTION, MadeMap, MapOptions, makeMap
+from cassandra_ros.mapping.map_builder import DEFAULT_RESOLUTION, MadeMap, MapOptions, makeMap
 from cassandra_ros.mapping.sensor_poses import PoseChoice
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 USUAL_MESSAGES = 1000
 _KEPT = 8

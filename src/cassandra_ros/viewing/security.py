@@ -18,7 +18,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "

@@ -7,11 +7,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Mapping
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.topics.finding import Where
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.selection import Nodes, Stretch, Whose
+from cassandra_ros.topics.key_selection import Nodes, Stretch, Whose
+from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.choice import END, NODES, RUNS, START, TOPICS, whose_chosen
 from cassandra_ros.viewing.route import Parameter

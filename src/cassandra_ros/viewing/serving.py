@@ -14,14 +14,14 @@ from urllib.parse import quote
 
 from aiohttp import web
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.topics.ros_cassandra import RosCassandra
 from cassandra_ros.viewing.application import make_application
 from cassandra_ros.viewing.clients import Clients
 from cassandra_ros.viewing.route import Route
 from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.security import is_loopback
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 MAX_LINE_BYTES = 64 * 1024
 """Of an address: who ticks hundreds of topics has them all in it; aiohttp's own bound is 8 KB."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 import threading
 from typing import Callable, TypeVar, cast
 
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
 _KEPT_KEYSPACES = 8

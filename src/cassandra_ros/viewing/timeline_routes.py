@@ -6,27 +6,27 @@ from __future__ import annotations
 
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from cassandra_ros.topics.ros_cassandra import RosCassandra
-from cassandra_ros.topics.timeline.cells import (
+from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.overview.timeline.lanes import Lane, RunSpan, Timeline, View
+from cassandra_ros.overview.timeline.time_cells import (
     MAX_CELLS,
     Scale,
     runs_of_cells,
     stretches_of_cells,
 )
-from cassandra_ros.topics.timeline.lanes import Lane, RunSpan, Timeline, View
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.catalog_routes import shown_ns
 from cassandra_ros.viewing.choice import END, NODES, RUNS, START, TOPICS, whose_chosen
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.settings import ViewerSettings
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _PIXELS = 1000
 
 
 def timeline_of(store: RosCassandra, settings: ViewerSettings) -> Timeline:
     """Make what a viewer's calls share; see Call.shared."""
-    return Timeline(store)
+    return Timeline(store.catalog)
 
 
 def _answer(call: Call) -> Json:

@@ -18,17 +18,17 @@ from typing import Iterator
 
 from cassandra_ros.bag.exporter import export_bag, why_empty
 from cassandra_ros.bag.message_file import Progress
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.topics.content_version import content_version
-from cassandra_ros.topics.latched import latched_before, tables_of
-from cassandra_ros.topics.ros_cassandra import RosCassandra
+from cassandra_ros.overview.content_version import content_version
+from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.viewing.answers import Answer, SpooledFile, Stream
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.selected import SELECTION, Selected, selected
-from cassandra_ros.viewing.settings import ViewerSettings
 from cassandra_ros.viewing.spool import Spool
+from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _CONTENT_TYPES = {"bag": "application/x-rosbag", "mcap": "application/x-mcap"}
 _COMPRESSIONS = {"bag": ("none", "lz4", "bz2"), "mcap": ("none", "lz4", "zstd")}
@@ -97,7 +97,7 @@ def _version(store: RosCassandra, wanted: Selected, latched: bool) -> str:
     topics, stretch, before = wanted.topics, wanted.stretch, []
     if latched and wanted.start is not None:
         before = latched_before(
-            store,
+            store.catalog,
             stretch.low,
             topics,
             to=stretch.high,
@@ -105,7 +105,7 @@ def _version(store: RosCassandra, wanted: Selected, latched: bool) -> str:
             run=wanted.whose.writers,
             where=wanted.where or None,
         )
-    tables = tables_of(store, topics)
+    tables = store.catalog.tables(topics)
     return content_version(store.parts.directory, tables, stretch, wanted.whose, before)
 
 

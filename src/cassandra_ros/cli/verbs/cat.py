@@ -20,7 +20,7 @@ import sys
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.answers import add_json_option, plain
+from cassandra_ros.cli.json_answer import add_json_option, plain
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -33,7 +33,7 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.readers import whole_number
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.shown import shown, shown_lines
+from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.stored_row import StoredRow

@@ -29,15 +29,15 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, add_time_options, open_store, read_times
-from cassandra_ros.cli.text import MessageBar, counted, format_bytes, format_time
+from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_time
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.topics.checking import CheckReport
+    from cassandra_ros.upkeep.store_check import CheckReport
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

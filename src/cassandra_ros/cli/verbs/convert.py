@@ -18,13 +18,13 @@ from __future__ import annotations
 import argparse
 import time
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import MessageBar, counted
+from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

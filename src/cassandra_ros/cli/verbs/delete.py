@@ -19,8 +19,8 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -31,12 +31,12 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.text import counted, format_table
+from cassandra_ros.cli.terminal_text import counted, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
+    from cassandra_ros.client.ros_cassandra import RosCassandra
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -22,7 +22,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -32,9 +32,9 @@ from cassandra_ros.cli.options import (
     read_times,
     read_where,
 )
-from cassandra_ros.cli.text import MessageBar, counted, format_bytes, format_table
+from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.exporter import ExportReport

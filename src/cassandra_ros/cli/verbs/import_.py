@@ -32,7 +32,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_format_option,
     add_large_chunks_option,
@@ -41,7 +41,7 @@ from cassandra_ros.cli.options import (
     open_store,
 )
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.text import MessageBar, counted, format_bytes, format_table
+from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
 from cassandra_ros.errors import (
     BagError,
@@ -53,13 +53,13 @@ from cassandra_ros.errors import (
     TopicExists,
     TopicNotFound,
 )
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
     from cassandra_ros.bag.message_file import Progress
-    from cassandra_ros.store.outage import Outage
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.connection.outage import Outage
 
 
 _OF_ONE_FILE = (

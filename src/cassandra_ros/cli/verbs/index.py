@@ -22,11 +22,11 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
-from cassandra_ros.cli.text import MessageBar, format_table, format_time
+from cassandra_ros.cli.terminal_text import MessageBar, format_table, format_time
 from cassandra_ros.cli.topic_options import stored_topics
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.topics.indexes import IndexState

@@ -31,14 +31,14 @@ import sys
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Iterator, Sequence
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
     open_store,
     store_place,
 )
-from cassandra_ros.cli.text import (
+from cassandra_ros.cli.terminal_text import (
     counted,
     format_bytes,
     format_duration,
@@ -52,14 +52,14 @@ from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.shown import shown, shown_lines
+from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.message_sample import MessageSample
-    from cassandra_ros.store.registry import Loss, LossKind, Run
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
-    from cassandra_ros.topics.timeline.lanes import Picture
-    from cassandra_ros.topics.totals import TopicInfo
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.overview.timeline.lanes import Picture
+    from cassandra_ros.tables.registry import Loss, LossKind, Run
+    from cassandra_ros.topics.stored_totals import TopicInfo
 
 _HEADER = (
     "topic",
@@ -169,8 +169,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _find(options: argparse.Namespace) -> _Found:
     from cassandra_ros.arguments import check_nodes
-    from cassandra_ros.topics.selection import Whose
-    from cassandra_ros.topics.timeline.lanes import Timeline, View
+    from cassandra_ros.overview.timeline.lanes import Timeline, View
+    from cassandra_ros.topics.key_selection import Whose
 
     hosts, port = store_place(options)
     with open_store(options) as ros_cas:
@@ -181,7 +181,7 @@ def _find(options: argparse.Namespace) -> _Found:
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
         whose = Whose(check_nodes(options.node_id), ros_cas.parts.runs.writers(options.run))
         view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
-        timeline = Timeline(ros_cas)
+        timeline = Timeline(ros_cas.catalog)
         activity = timeline.picture(view)
         eras = [activity]
         if len(activity.eras) > 1:

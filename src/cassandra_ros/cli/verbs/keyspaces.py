@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import argparse
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import format_table
+from cassandra_ros.cli.terminal_text import format_table
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,10 +6,10 @@ from __future__ import annotations
 
 import argparse
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, foreign_keyspace, open_store
-from cassandra_ros.cli.text import format_table
-from cassandra_ros.shown import shown
+from cassandra_ros.cli.terminal_text import format_table
+from cassandra_ros.printable import shown
 
 _HEADER = ("topic", "type", "format")
 

@@ -33,7 +33,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -42,15 +42,15 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.cli.readers import factor, whole_number
-from cassandra_ros.cli.text import MessageBar, counted
+from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.mapping.build import MadeMap
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.mapping.map_builder import MadeMap
     from cassandra_ros.mapping.occupancy import OccupancyMap
     from cassandra_ros.mapping.sensor_poses import PoseChoice
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
 
 _PICTURE = ".png"
 _FILES = (_PICTURE, ".pgm", ".yaml")
@@ -114,7 +114,7 @@ def _add_poses(group: argparse._ArgumentGroup) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Make the map, and write, store and publish it."""
-    from cassandra_ros.mapping.build import MapOptions, makeMap
+    from cassandra_ros.mapping.map_builder import MapOptions, makeMap
 
     output = _output(options)
     (start, end), choice = read_times(options), _choice(options)

@@ -16,9 +16,9 @@ import argparse
 import json
 from typing import Any
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store, read_pair
-from cassandra_ros.shown import shown_lines
+from cassandra_ros.printable import shown_lines
 
 _FORM = "KEY=VALUE"
 

@@ -19,13 +19,13 @@ import xmlrpc.client
 from datetime import datetime
 from typing import TYPE_CHECKING, Iterator, Mapping
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
 from cassandra_ros.errors import InvalidOption, MessageNotFound
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.store.run_context import Graph, NodeGraph, RunContext
+    from cassandra_ros.tables.context_blob import Graph, NodeGraph, RunContext
 
 MASTERS_OWN = ("/rosdistro", "/rosversion", "/run_id", "/roslaunch")
 

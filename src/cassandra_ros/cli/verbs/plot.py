@@ -33,11 +33,11 @@ from cassandra_ros.cli.options import (
     read_times,
 )
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
-    from cassandra_ros.topics.series import Series
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.overview.plot_series import Series
 
 _SIZES = range(100, 20_001)
 
@@ -85,7 +85,7 @@ def _size(text: str) -> tuple[int, int]:
 def run(options: argparse.Namespace) -> int:
     """Read what the statements give, and draw it."""
     from cassandra_ros.cli.results import open_output
-    from cassandra_ros.drawing.plot import ENDINGS, curves_of, draw_plot, draw_xy
+    from cassandra_ros.drawing.time_plot import ENDINGS, curves_of, draw_plot, draw_xy
 
     ending = options.output.rpartition(".")[2].lower()
     if ending not in ENDINGS:
@@ -112,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _read(ros_cas: RosCassandra, statement: str, options: argparse.Namespace) -> Series:
-    from cassandra_ros.topics.series import MOST_PIXELS, Window
+    from cassandra_ros.overview.plot_series import MOST_PIXELS, Window
 
     start, end = read_times(options)
     pixels = options.size[0] if options.xy is None else MOST_PIXELS

@@ -26,13 +26,13 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.cli.answers import print_json
+from cassandra_ros.cli.json_answer import print_json
 from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
 from cassandra_ros.errors import InvalidExpression, InvalidOption
-from cassandra_ros.shown import shown_lines
+from cassandra_ros.printable import shown_lines
 
 if TYPE_CHECKING:
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
+    from cassandra_ros.client.ros_cassandra import RosCassandra
 
 _OUTPUTS = ("table", "csv", "json", "ndjson", "parquet")
 
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _parameter(text: str) -> object:
-    from cassandra_ros.query.json_values import from_json
+    from cassandra_ros.query.tree.json_values import from_json
 
     try:
         return from_json(text)
@@ -113,8 +113,8 @@ def _parameter(text: str) -> object:
 def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:
     from cassandra_ros.arrays.array_types import ArrayType, column_types
     from cassandra_ros.cli.results import write
-    from cassandra_ros.query.parse import parse_statement
-    from cassandra_ros.query.syntax import Select
+    from cassandra_ros.query.tree.parse import parse_statement
+    from cassandra_ros.query.tree.syntax import Select
 
     statement = parse_statement(options.statement, params)
     node, run, limit = options.node_id, options.run, options.limit

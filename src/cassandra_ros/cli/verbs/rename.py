@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -24,8 +24,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
@@ -34,12 +34,12 @@ from cassandra_ros.cli.options import (
     read_time,
 )
 from cassandra_ros.cli.readers import age, byte_size, factor, seconds
-from cassandra_ros.cli.text import MessageBar, counted, format_table
+from cassandra_ros.cli.terminal_text import MessageBar, counted, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.topics.retention import Retained
+    from cassandra_ros.upkeep.retention_rules import Retained
 
 _FORM = "'TOPIC: CONDITION'"
 _NUMBERS = ("messages", "dropped", "thinned", "left")

@@ -13,13 +13,13 @@ import argparse
 from datetime import datetime
 from typing import TYPE_CHECKING, Mapping
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import format_table
-from cassandra_ros.shown import shown
+from cassandra_ros.cli.terminal_text import format_table
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.store.registry import Run
+    from cassandra_ros.tables.registry import Run
 
 _HEADER = ("run", "id", "robot", "kind", "start", "end", "state", "messages", "lost", "labels")
 

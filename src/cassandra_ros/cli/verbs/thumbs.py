@@ -19,7 +19,7 @@ import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Iterator
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,
     add_store_options,
@@ -37,12 +37,12 @@ from cassandra_ros.errors import (
     MessageNotFound,
     UnknownEncoding,
 )
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
+    from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.drawing.contact_sheet import Cell
-    from cassandra_ros.topics.ros_cassandra import RosCassandra
-    from cassandra_ros.topics.spaced import Chosen
+    from cassandra_ros.overview.time_sample import Chosen
 
 MAX_PICTURES = 1000
 MAX_WIDTH = 2000
@@ -144,10 +144,10 @@ def _draw(
     from cassandra_ros.drawing.contact_sheet import Cell
     from cassandra_ros.drawing.images import picture_of
     from cassandra_ros.messages.stamps import seconds_to_ns
-    from cassandra_ros.topics.spaced import spaced_rows
+    from cassandra_ros.overview.time_sample import spaced_rows
 
     every_ns = seconds_to_ns(options.every) if options.every else 0
-    rows = spaced_rows(ros_cas, topic, _chosen(ros_cas, topic, options), count, every_ns)
+    rows = spaced_rows(ros_cas.catalog, topic, _chosen(ros_cas, topic, options), count, every_ns)
     for row in rows:
         try:
             picture = picture_of(row, options.width)
@@ -158,7 +158,7 @@ def _draw(
 
 
 def _chosen(ros_cas: RosCassandra, topic: str, options: argparse.Namespace) -> Chosen:
-    from cassandra_ros.topics.spaced import Chosen
+    from cassandra_ros.overview.time_sample import Chosen
 
     start, end = read_times(options)
     where = {ros_cas.getTopic(name).name: text for name, text in read_where(options).items()}

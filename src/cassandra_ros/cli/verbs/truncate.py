@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import argparse
 
-from cassandra_ros.cli.answers import add_json_option, print_json
 from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_store_options, open_store
-from cassandra_ros.cli.text import counted, format_bytes, format_table
+from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

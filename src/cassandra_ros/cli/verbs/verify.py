@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.answers import add_json_option, print_json
+from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_large_chunks_option,
     add_origin_options,
@@ -26,12 +26,12 @@ from cassandra_ros.cli.options import (
     read_pair,
     read_times,
 )
-from cassandra_ros.cli.text import MessageBar, counted
+from cassandra_ros.cli.terminal_text import MessageBar, counted
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
-from cassandra_ros.shown import shown
+from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.bag.verify import VerifyReport
+    from cassandra_ros.bag.comparison import VerifyReport
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,8 +86,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _compare(options: argparse.Namespace) -> VerifyReport:
+    from cassandra_ros.bag.comparison import verify_bag, verify_content
     from cassandra_ros.bag.opening import open_file
-    from cassandra_ros.bag.verify import verify_bag, verify_content
 
     start, end = read_times(options)
     with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:

@@ -8,8 +8,8 @@ import struct
 from itertools import chain
 from typing import Callable, List, Sequence, Sized
 
+from cassandra_ros.messages.wire.cql_values import FROM_NS, split_equal, split_list, unpack_numbers
 from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
-from cassandra_ros.messages.wire.values import FROM_NS, split_equal, split_list, unpack_numbers
 
 Columns = Sequence[bytes]
 """Values in CQL's encoding; a None among them ends in TypeError."""

@@ -15,8 +15,8 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import layout
 from cassandra_ros.messages.wire.permutation import Permutation, Unfit
 from cassandra_ros.messages.wire.pieces import Pieces, split_rows
-from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.stacked import Places, Stack, by_size, stacker, windows
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MIN_ROWS = 8
 """Of fewer messages of a layout each is quicker walked by itself, ..."""

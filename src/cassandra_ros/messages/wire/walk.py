@@ -14,9 +14,7 @@ import struct
 from typing import Callable, Container, Iterator, List, Optional, Sequence, Tuple, cast
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
-from cassandra_ros.messages.wire.skip import Skip
-from cassandra_ros.messages.wire.values import (
+from cassandra_ros.messages.wire.cql_values import (
     EMPTY_LIST,
     TO_NS,
     pack_equal,
@@ -24,6 +22,8 @@ from cassandra_ros.messages.wire.values import (
     pack_numbers,
     pack_varint,
 )
+from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
+from cassandra_ros.messages.wire.skip import Skip
 
 Out = List[Optional[bytes]]
 _Head = Callable[[bytes, int, Out, List[int]], int]

@@ -17,11 +17,11 @@ import numpy as np
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.cql_values import encode_value
 from cassandra_ros.messages.wire.layout import FieldColumn
-from cassandra_ros.messages.wire.plan import wire_plan
 from cassandra_ros.messages.wire.skip import compile_skip
 from cassandra_ros.messages.wire.stacked import Numbers, Stack, by_size, read_numbers, stacker
-from cassandra_ros.messages.wire.values import encode_value
+from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MAX_FIELDS = 64
 MAX_TEXT_BYTES = 64

@@ -1,0 +1,301 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Undecoded columns of many rows to arrays, all rows at once; and values that were decoded.
+
+What is missing is a zero in the array, and marked in a second one. Those of batches and of tables
+are joined to one.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional, Sequence
+
+import numpy as np
+
+from cassandra_ros.arrays.array_types import AnyArray, ArrayType
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.wire.cql_values import split_list
+from cassandra_ros.messages.wire.layout import FieldColumn
+from cassandra_ros.query.tree.field_names import FieldRef
+
+if TYPE_CHECKING:
+    from cassandra_ros.arrays.array_types import AnyType
+
+Raws = Sequence[Optional[bytes]]
+_BIG = {
+    "boolean": ">u1",
+    "tinyint": ">i1",
+    "smallint": ">i2",
+    "int": ">i4",
+    "bigint": ">i8",
+    "float": ">f4",
+    "double": ">f8",
+}
+"""numpy's types of CQL's encodings."""
+_FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in _BIG.items()}
+_NO_LIST = b"\0\0\0\1"
+
+
+class Values(NamedTuple):
+    """An array of values, one a row."""
+
+    values: AnyArray
+    missing: AnyArray
+    """A bool for each row; takes no memory where nothing is missing."""
+
+
+Convert = Callable[[Raws], Values]
+
+
+def compile_convert(
+    ref: FieldRef, column: FieldColumn, kind: ArrayType, inside: bool
+) -> Optional[Convert]:
+    """Return the function from the columns of many rows to a field's values.
+
+    None where they must be decoded one by one. ``inside``: The column is a list over an array that
+    is unnested, each element is a row.
+    """
+    direct = all(step.index is None for step in ref.steps) and column.name == ref.column
+    if not direct or column.kind == "wire" or kind.depth > 1:
+        return None
+    listed = column.is_list and not inside
+    convert: Convert
+    if listed and ref.index is not None:
+        return partial(_listed, ref.index)
+    if column.cql_type in _FIXED_LISTS:
+        convert = partial(_elements, column, kind)
+    else:
+        convert = _one(ref, column, kind)
+        if column.is_list:
+            convert = partial(_split, convert)
+    if listed:
+        convert = partial(_lists, kind, convert)
+    return partial(_part, convert, ref.part) if ref.part else convert
+
+
+def count_elements(raws: Raws) -> AnyArray:
+    """Return how many elements the lists have; where one is missing, it stands for one."""
+    return np.frombuffer(b"".join([raw[:4] if raw else _NO_LIST for raw in raws]), ">i4")
+
+
+@lru_cache(maxsize=64)  # most batches have the same number of rows
+def none_missing(count: int) -> AnyArray:
+    """Return the marks of values of which none is missing."""
+    return np.broadcast_to(np.False_, (count,))
+
+
+def _absent(raws: Sequence[object]) -> AnyArray:
+    if None not in raws:
+        return none_missing(len(raws))
+    return np.fromiter((raw is None for raw in raws), bool, len(raws))
+
+
+def _one(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
+    """For columns, or elements of lists, that hold one field each."""
+    if column.kind == "array" and ref.index is not None:
+        # The type of secs is a number's, and they lie in a time.
+        base = column.field_type.partition("[")[0] if ref.part else ref.type
+        return partial(_element, ref.index, base)
+    if column.kind == "array":
+        length = kind.length
+        return partial(_cells, kind.kind) if length is None else partial(_arrays, kind.kind, length)
+    if column.kind == "text":
+        return _texts
+    if column.field_type == "uint64":
+        return _varints
+    return partial(_numbers, np.dtype(_BIG[column.cql_type]), kind.dtype)
+
+
+def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> Values:
+    return Values(_joined(raws, big).astype(dtype), _absent(raws))
+
+
+def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
+    """Lay the values of all rows side by side; each has its type's size."""
+    filler = bytes(dtype.itemsize)
+    joined = b"".join([filler if raw is None else raw for raw in raws])
+    if len(joined) != len(raws) * dtype.itemsize:
+        raise CorruptMessage("a column does not have the size of its type")
+    return np.frombuffer(joined, dtype)
+
+
+def _varints(raws: Raws) -> Values:
+    joined = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
+    return Values(np.frombuffer(joined, ">u8").astype(np.uint64), _absent(raws))
+
+
+def _texts(raws: Raws) -> Values:
+    # Frames and names repeat: of equal texts one is kept.
+    known = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
+    values = np.empty(len(raws), object)
+    values[:] = [None if raw is None else known[raw] for raw in raws]
+    return Values(values, _absent(raws))
+
+
+def _numbers_of(kind: str, wire: bytes) -> AnyArray:
+    """Read the elements of a primitive array as on the wire."""
+    if kind in ("time", "duration"):
+        pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
+        ns: AnyArray = pairs[:, 0].astype(np.int64) * SECOND_NS + pairs[:, 1]
+        return ns
+    dtype = np.dtype("u1" if kind == "bool" else kind)
+    return np.frombuffer(wire, dtype.newbyteorder("<")).astype(kind)
+
+
+def _size_of(kind: str) -> int:
+    """Return the bytes of a primitive on the wire."""
+    return 8 if kind in ("time", "duration") else np.dtype(kind).itemsize
+
+
+def _cells(kind: str, raws: Raws) -> Values:
+    missing = _absent(raws)
+    sizes = {0 if raw is None else len(raw) for raw in raws}
+    if len(sizes) == 1 and 0 not in sizes:  # as scans mostly have: they are read together
+        rows = _arrays(kind, sizes.pop() // _size_of(kind), raws).values
+        return Values(objects_of(list(rows)), missing)
+    cells = [None if raw is None else _numbers_of(kind, raw) for raw in raws]
+    return Values(objects_of(cells), missing)
+
+
+def _arrays(kind: str, length: int, raws: Raws) -> Values:
+    joined = _joined(raws, np.dtype(f"V{length * _size_of(kind)}"))
+    return Values(_numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws))
+
+
+def _element(index: int, kind: str, raws: Raws) -> Values:
+    size = _size_of(kind)
+    low, high = index * size, (index + 1) * size
+    cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
+    return Values(_numbers_of(kind, _joined(cut, np.dtype(f"V{size}")).tobytes()), _absent(cut))
+
+
+def _split(convert: Convert, raws: Raws) -> Values:
+    """Apply to all elements of lists, one after the other."""
+    cut: List[Optional[bytes]] = []
+    for raw in raws:
+        cut += [None] if raw is None else split_list(raw)
+    return convert(cut)
+
+
+def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> Values:
+    """As _split, for elements that all have the same size."""
+    value = np.dtype(_FIXED_LISTS[column.cql_type])
+    element = np.dtype([("size", ">i4"), ("value", value)])
+    filler = value.itemsize.to_bytes(4, "big") + bytes(value.itemsize)
+    joined = b"".join([filler if raw is None else raw[4:] for raw in raws])
+    counts = count_elements(raws)
+    if len(joined) != int(counts.sum()) * element.itemsize:
+        raise CorruptMessage(f"list column {column.name} is malformed")
+    found = np.frombuffer(joined, element)
+    if (found["size"] != value.itemsize).any():
+        raise CorruptMessage(f"list column {column.name} has a malformed element")
+    return Values(found["value"].astype(kind.dtype), np.repeat(_absent(raws), counts))
+
+
+def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> Values:
+    # Lists that are missing stand for one element.
+    every, ends = elements(raws).values, np.cumsum(count_elements(raws))
+    cells = np.split(every, ends[:-1])
+    return _arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
+
+
+def _listed(index: int, raws: Raws) -> Values:
+    """One element of each string[]."""
+    lists = [[] if raw is None else split_list(raw) for raw in raws]
+    return _texts([found[index] if index < len(found) else None for found in lists])
+
+
+def _part(convert: Convert, part: str, raws: Raws) -> Values:
+    values, missing = convert(raws)
+    return Values(values // SECOND_NS if part == "secs" else values % SECOND_NS, missing)
+
+
+def objects_of(cells: Sequence[object]) -> AnyArray:
+    """Return an array of objects, whatever they are."""
+    values = np.empty(len(cells), object)
+    for n, cell in enumerate(cells):
+        values[n] = cell
+    return values
+
+
+def _arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
+    """Return arrays of one dimension as rows of one array, if their length is fixed."""
+    missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
+    if kind.length is None:
+        return Values(objects_of(cells), missing)
+    values = empty_values(kind, len(cells)).values
+    for n, cell in enumerate(cells):
+        if cell is not None:
+            values[n] = cell
+    return Values(values, missing)
+
+
+def from_decoded(values: Sequence[Any], kind: ArrayType) -> Values:
+    """Make the arrays of values that were decoded one by one."""
+    if kind.depth == 1:
+        return _arrays_of([None if value is None else _cell(value, kind) for value in values], kind)
+    if kind.depth > 1 or kind.dtype.kind == "O":
+        return Values(objects_of(values), _absent(values))
+    filled = np.array([0 if value is None else value for value in values], kind.dtype)
+    return Values(filled, _absent(values))
+
+
+def _cell(value: Any, kind: ArrayType) -> AnyArray:
+    if isinstance(value, bytes):
+        return np.frombuffer(value, np.uint8).copy()
+    if kind.dtype.kind == "O" or None in value:
+        return objects_of(value)
+    return np.array(value, kind.dtype)
+
+
+def empty_values(kind: ArrayType, count: int) -> Values:
+    """Return values of which all are missing."""
+    dtype = np.dtype(object) if kind.cells else kind.dtype
+    shape = (count, kind.length) if kind.depth == 1 and kind.length is not None else (count,)
+    values = np.full(shape, None, object) if dtype.kind == "O" else np.zeros(shape, dtype)
+    return Values(values, np.ones(count, bool))
+
+
+def join_values(parts: Sequence[Values], kind: ArrayType) -> Values:
+    """Lay values of one type after each other."""
+    if not parts:
+        return empty_values(kind, 0)
+    values = np.concatenate([part.values for part in parts])
+    if not any(part.missing.any() for part in parts):
+        return Values(values, none_missing(len(values)))
+    return Values(values, np.concatenate([part.missing for part in parts]))
+
+
+def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
+    """Turn the values of one table from their own type into that which holds those of all."""
+    values, missing = found
+    if own == kind or own.depth > 1:
+        return found
+    if kind.depth == 1 and not kind.cells or own.depth == kind.depth == 0:
+        values = values.astype(kind.dtype)
+        if values.dtype.kind == "O":
+            values[missing] = None
+        return Values(values, missing)
+    if own.depth == 0:
+        return Values(rows_of(values.astype(object), missing), missing)  # beside arrays
+    cells = rows_of(values, missing)
+    dtype = own.dtype if kind.depth == 0 else kind.dtype
+    return Values(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
+
+
+def rows_of(values: AnyArray, missing: AnyArray) -> AnyArray:
+    """Return an array of objects, one a row: the rows of an array, None where one is missing."""
+    rows = objects_of(list(values))
+    rows[missing] = None
+    return rows
+
+
+def stack_cells(cells: AnyArray, kind: ArrayType) -> AnyArray:
+    """Return arrays of one length as the rows of one array; arrays of several lengths as given."""
+    lengths = set(map(len, cells))
+    if len(lengths) != 1:
+        return cells
+    rows = np.concatenate(cells.tolist()).reshape(len(cells), lengths.pop())
+    return rows if rows.dtype == kind.dtype else cells  # an element is missing inside of one

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The fields of many messages as a pandas.DataFrame.
+
+pandas and pyarrow are loaded when a table is asked for: nothing else needs them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Optional
+
+import numpy as np
+
+from cassandra_ros.arguments import check_list
+from cassandra_ros.arrays.column_values import rows_of
+from cassandra_ros.arrays.gather import (
+    FieldArray,
+    Fields,
+    ReadBlocks,
+    ReadRows,
+    Where,
+    gather_fields,
+)
+from cassandra_ros.installation import optional_module
+from cassandra_ros.query.protocols import Row
+from cassandra_ros.query.source import Source, Writers
+
+_UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
+
+
+def read_frame(
+    topic: Source[Row],
+    fields: Fields,
+    where: Where,
+    read: ReadRows,
+    blocks: Optional[ReadBlocks] = None,
+    *,
+    node: Optional[str] = None,
+    writers: Writers = None,
+) -> Any:
+    """Return fields as a DataFrame, whose index is KEY; arguments and errors as gather_fields."""
+    pandas = optional_module("pandas", "toDataFrame")
+    asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
+    found = gather_fields(topic, asked, where, read, blocks, node=node, writers=writers)
+    key = found.pop("KEY")
+    times = key.kind.kind == "time"
+    index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")
+    columns = {name: _series(pandas, array) for name, array in found.items()}
+    return pandas.DataFrame(columns, index=index)
+
+
+def _series(pandas: Any, array: FieldArray) -> Any:
+    """Return the values of one column, as pandas says best what is missing."""
+    kind, values, missing = array
+    if kind.depth:
+        return rows_of(values, missing)
+    if kind.kind in _UNITS:
+        values = values.view(_UNITS[kind.kind])
+        values[missing] = np.array("NaT", values.dtype)
+    elif missing.any() and values.dtype.kind in "iu":
+        return pandas.arrays.IntegerArray(values, missing)
+    elif missing.any() and values.dtype.kind == "b":
+        return pandas.arrays.BooleanArray(values, missing)
+    elif values.dtype.kind == "f":
+        values[missing] = np.nan
+    return values

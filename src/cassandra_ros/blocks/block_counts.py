@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How many messages lie in a bucket of blocks: from their headers, where those tell."""
+
+from __future__ import annotations
+
+from typing import FrozenSet, Iterator, Optional, Tuple
+
+import numpy as np
+
+from cassandra_ros.blocks.block_row import (
+    HEADER,
+    Block,
+    BlockRow,
+    ask_blocks,
+    read_block,
+    read_blocks,
+)
+from cassandra_ros.blocks.codec import Longs
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.tables.row_table import (
+    ALL,
+    MAX_SEQ,
+    MIN_SEQ,
+    Order,
+    RowTable,
+    encode_long,
+)
+
+PAGE_HEADERS = 5000
+_AT_ONCE = 16
+
+Ends = Tuple[Order, Order]
+Writers = Optional[FrozenSet[int]]
+
+
+def headers(
+    table: RowTable,
+    node: str,
+    bucket: int,
+    low: Optional[int] = None,
+    high: Optional[int] = None,
+    writers: Writers = None,
+) -> Iterator[BlockRow]:
+    """Read the headers of the blocks that reach into [low, high], None = open; without bytes."""
+    begin = bucket * table.metadata.bucket_ns
+    ends, terms = list(ALL), []
+    if low is not None and low > begin:
+        ends[0] = max(begin, low - table.metadata.span_ns), MIN_SEQ
+        terms.append(("_last", ">=", encode_long(low)))
+    if high is not None:
+        ends[1] = high, MAX_SEQ
+    asked = table.stretch(
+        HEADER,
+        table.place(node, bucket),
+        (ends[0], ends[1]),
+        terms=tuple(terms),
+        page_rows=PAGE_HEADERS,
+        what="counting",
+    )
+    for values in asked.rows():
+        row = read_block(table, values)
+        if row is not None and (writers is None or row.writer in writers):
+            yield row
+
+
+def opened(table: RowTable, node: str, bucket: int, rows: Iterator[BlockRow]) -> Iterator[Block]:
+    """Read and unpack blocks of which the headers are known, those that are still there."""
+    place, keys = table.place(node, bucket), [row.key for row in rows]
+    for n in range(0, len(keys), _AT_ONCE):
+        for row in read_blocks(table, ask_blocks(table, place, keys[n : n + _AT_ONCE]).page()):
+            yield Block(table, node, row)
+
+
+def count_part(
+    table: RowTable, node: str, bucket: int, low: int, high: int, writers: Writers = None
+) -> int:
+    """Count the messages with a time in [low, high]; only blocks at the ends are unpacked."""
+    count, edges = 0, []
+    for row in headers(table, node, bucket, low, high, writers):
+        if low <= row.t and row.last <= high:
+            count += row.left
+        else:
+            edges.append(row)
+    ends = (low, MIN_SEQ), (high, MAX_SEQ)
+    blocks = opened(table, node, bucket, iter(edges))
+    return count + sum(len(block.between(*ends)) for block in blocks)
+
+
+class Measured:
+    """What is left of a block: how many messages and bytes, and when they begin and end."""
+
+    def __init__(self, row: BlockRow, block: Optional[Block] = None) -> None:
+        self.count, self.bytes = row.left, row.size
+        self.t_min, self.t_max = row.t, row.last
+        self.largest = 0 if row.nchunks else -(-row.size // row.messages)
+        if block is None:
+            return
+        places = block.between(*ALL)
+        self.bytes = int(block.sizes[places].sum())
+        if len(places):
+            self.t_min, self.t_max = (int(block.times[places[n]]) for n in (0, -1))
+            self.largest = 0 if row.nchunks else int(block.sizes[places].max())
+
+
+def measure(table: RowTable, node: str, bucket: int) -> Iterator[Tuple[BlockRow, Measured]]:
+    """Tell what is left of each block; those are unpacked of which messages were deleted."""
+    cut = []
+    for row in headers(table, node, bucket):
+        if not len(row.gone):
+            yield row, Measured(row)
+        elif row.left:
+            cut.append(row)
+    by_key = {row.key: row for row in cut}
+    try:
+        for block in opened(table, node, bucket, iter(cut)):
+            by_key.pop(block.row.key, None)
+            if block.row.left:
+                yield block.row, Measured(block.row, block)
+    except CorruptMessage:
+        # How many there are is known all the same.
+        for row in by_key.values():
+            yield row, Measured(row)
+
+
+def positions(block: Block, low: int, high: int) -> Longs:
+    """Return the positions of messages with a time in [low, high] that are not deleted."""
+    return np.asarray(block.between((low, MIN_SEQ), (high, MAX_SEQ)))

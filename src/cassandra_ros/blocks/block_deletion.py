@@ -1,0 +1,79 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Messages are deleted out of blocks: marked there by their positions, which are never used anew.
+
+Two clients may mark at once, and neither undoes what the other did. A block of which all is marked
+is deleted as a row. Where it was not there any more the mark stands alone, and is taken away.
+"""
+
+from __future__ import annotations
+
+from typing import Collection, Dict, List, Mapping, Sequence, Set, Tuple
+
+from cassandra_ros.blocks.block_counts import opened, positions
+from cassandra_ros.blocks.block_row import HEADER, BlockRow, ask_blocks, read_block
+from cassandra_ros.connection.cassandra import Cassandra
+from cassandra_ros.tables.row_table import BlockKey, Order, RowTable, decode_long
+
+
+class Cutter:
+    """Deletes messages of one bucket.
+
+    Attributes:
+        large: Keys of deleted blocks whose message lies in the chunk table.
+    """
+
+    def __init__(self, cassandra: Cassandra, table: RowTable, node: str, bucket: int) -> None:
+        self._cassandra = cassandra
+        self._table = table
+        self._where = node, bucket
+        self._what = f"deleting from topic {table.metadata.topic}"
+        self.large: List[Order] = []
+
+    def stretch(self, rows: Sequence[BlockRow], low: int, high: int) -> int:
+        """Delete what lies in [low, high] of some blocks; return how many messages."""
+        whole = [row for row in rows if low <= row.t and row.last <= high]
+        self._delete([row.key for row in whole])
+        self.large += [row.key for row in whole if row.nchunks]
+        count = sum(row.left for row in whole)
+        others = [row for row in rows if not (low <= row.t and row.last <= high)]
+        cuts: Dict[BlockKey, Set[int]] = {}
+        for block in opened(self._table, *self._where, iter(others)):
+            found = positions(block, low, high)
+            if len(found):
+                key = block.row.block_key
+                cuts[key] = set(found.tolist())
+                count += len(found)
+        self.cut(cuts)
+        return count
+
+    def cut(self, cuts: Mapping[BlockKey, Collection[int]]) -> None:
+        """Delete messages by their blocks and their positions in those."""
+        whole = [key for key, places in cuts.items() if len(places) == key.messages]
+        self._delete([(key.t, key.seq) for key in whole])
+        parts = {key: set(cuts[key]) for key in cuts if len(cuts[key]) < key.messages}
+        marks = [(places, *self._where, key.t, key.seq) for key, places in parts.items()]
+        if not marks:
+            return
+        self._cassandra.execute_many(self._table.mark_gone(), marks, what=self._what)
+        self._clear([(key.t, key.seq) for key in parts])
+
+    def _clear(self, keys: Sequence[Order]) -> None:
+        """Delete those of which nothing is left, and marks that stand alone."""
+        place, empty, alone = self._table.place(*self._where), [], []
+        for values in ask_blocks(self._table, place, keys, HEADER).page():
+            row = read_block(self._table, values)
+            if row is None:
+                alone.append((decode_long(values[0]), decode_long(values[1])))
+            elif not row.left:
+                empty.append(row.key)
+        self._delete(empty)
+        self._run(self._table.unmark_gone(), alone)
+
+    def _delete(self, keys: Sequence[Order]) -> None:
+        self._run(self._table.delete_one(), keys)
+
+    def _run(self, statement: str, keys: Sequence[Order]) -> None:
+        params: List[Tuple[object, ...]] = [(*self._where, *key) for key in keys]
+        if params:
+            self._cassandra.execute_many(statement, params, what=self._what)

@@ -1,0 +1,265 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Blocks in the order in which they are needed, which their headers tell."""
+
+from __future__ import annotations
+
+import heapq
+import logging
+from typing import Iterator, List, Optional, Sequence, Tuple, Union
+
+from cassandra_ros.blocks.block_row import HEADER, WHOLE, BlockRow
+from cassandra_ros.blocks.bucket_read import (
+    BLOCK_BYTES,
+    GROWTH,
+    BucketRead,
+    Held,
+    Opened,
+    key_of,
+)
+from cassandra_ros.connection.driver_errors import DRIVER_ERRORS
+from cassandra_ros.connection.paging import Asked, RawRow
+from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ, Order, TableRow, Terms
+
+_log = logging.getLogger(__name__)
+
+MAX_AT_ONCE = 100
+"""Blocks that are fetched with one statement, by their keys."""
+FIRST_HEADERS = 16
+"""Of the first page of headers, where few messages are wanted; the next ones are larger."""
+MAX_HEADERS = 5000
+FEW_ROWS = 8
+"""So many are made of a block at least, where few are wanted."""
+
+_Item = Union[BlockRow, Opened]
+"""A block that is to be read, or what is left of one that was."""
+
+
+class Headers:
+    """Headers of the blocks of a bucket, in the order of reading, as far as they are needed."""
+
+    def __init__(self, part: BucketRead) -> None:
+        self._part = part
+        self._count = FIRST_HEADERS if part.wanted else MAX_HEADERS
+        self._filters = part.filters
+        if part.filters is not None:
+            self._asked = self._filtered(part.filters)
+        else:
+            self._asked = [part.ask(HEADER, self._count)]
+        # In the same moment: one round trip less.
+        early = part.wanted and part.filters is None
+        self.early = part.ask(WHOLE, part.early) if early else None
+        """The first blocks themselves."""
+        self.more = bool(self._asked)
+        self.last: Optional[Order] = None
+        """Where the last one lies that was read."""
+        self._behind: Optional[RawRow] = None
+
+    def _filtered(self, filters: Sequence[Terms]) -> List[Asked]:
+        try:
+            return [self._part.ask(HEADER, MAX_HEADERS, terms=terms) for terms in filters]
+        except SchemaConflict as exc:
+            return self._unfiltered(exc)
+
+    def _unfiltered(self, exc: object) -> List[Asked]:
+        """Go on with all blocks: a server may forbid to filter, or be too slow at it."""
+        topic = self._part.table.metadata.topic
+        _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
+        self._filters = None
+        return [self._part.ask(HEADER, MAX_HEADERS)]
+
+    def read(self) -> List[BlockRow]:
+        """Read more of them."""
+        if self._filters is not None:
+            return self._every()
+        if not self._asked:
+            self._count = min(MAX_HEADERS, GROWTH * self._count)
+            self._asked = [self._part.ask(HEADER, self._count, self._behind)]
+        asked = self._asked.pop()
+        page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
+        self.more = bool(page) and asked.more
+        if self.more:
+            self._behind, self.last = page[-1], key_of(page[-1])
+        return self._part.blocks(page)
+
+    def _every(self) -> List[BlockRow]:
+        """Read all that the server finds, in one way or several: some 100 bytes a block."""
+        self.more = False
+        try:
+            rows = [row for asked in self._asked for row in asked.rows()]
+        except DRIVER_ERRORS as exc:
+            rows = list(self._unfiltered(exc)[0].rows())
+        found = {block.key: block for block in self._part.blocks(rows)}
+        return [found[key] for key in sorted(found, reverse=self._part.reverse)]
+
+
+class _Batch:
+    """Blocks on their way, in the order in which they are needed.
+
+    Args:
+        wanted: So few messages are taken of them; 0 = all.
+        early: Asked for already, and may hold some of them.
+    """
+
+    def __init__(
+        self, part: BucketRead, taken: List[_Item], wanted: int, early: Optional[Asked] = None
+    ) -> None:
+        self._part = part
+        self.taken, self.wanted = taken, wanted
+        self._open = [item for item in taken if isinstance(item, Opened)]
+        headers = [item for item in taken if isinstance(item, BlockRow)]
+        self._here: List[BlockRow] = []
+        if early is not None:
+            keys = {header.key for header in headers}
+            self._here = [row for row in part.blocks(early.page()) if row.key in keys]
+        here = {row.key for row in self._here}
+        missing = [header for header in headers if header.key not in here]
+        self._asked = part.fetch(missing) if missing else None
+
+    def blocks(self) -> Iterator[Opened]:
+        """Yield the blocks, unpacked."""
+        yield from self._open
+        came = [] if self._asked is None else self._part.blocks(self._asked.page())
+        for row in self._here + came:
+            opened = self._part.open(row)
+            if opened.left:
+                yield opened
+
+
+class Needed:
+    """The blocks of which messages are still to come, in the order in which they are needed.
+
+    Upwards that is the order of their first messages, as they lie; downwards that of their last
+    ones: one that lies before another may end behind it.
+    """
+
+    def __init__(self, part: BucketRead, headers: Headers) -> None:
+        self._part = part
+        self._headers = headers
+        self._known: List[Tuple[Order, int, _Item]] = []
+        self._count = 0
+        self._wanted, self._bytes = part.wanted, part.page_bytes
+        if part.wanted:
+            self._bytes = min(part.page_bytes, BLOCK_BYTES)
+
+    def batch(self) -> Optional[_Batch]:
+        """Ask for the blocks that are needed next; None where all were."""
+        while self._headers.more and not self._is_known():
+            self.read()
+        taken, wanted = self._take(), self._wanted
+        if self._part.wanted:
+            self._wanted *= GROWTH
+            self._bytes = min(self._part.page_bytes, GROWTH * self._bytes)
+        early, self._headers.early = self._headers.early, None
+        return _Batch(self._part, taken, wanted, early) if taken else None
+
+    def read(self) -> None:
+        """Read more headers."""
+        for header in self._headers.read():
+            self._add(header)
+
+    def _add(self, item: _Item) -> None:
+        self._count += 1
+        turn = (-self._end(item), 0) if self._part.reverse else item.key
+        heapq.heappush(self._known, (turn, self._count, item))
+
+    def _end(self, item: _Item) -> int:
+        """Return the time of the last message of a block that may be wanted."""
+        return min(item.last, self._part.ends[1][0])
+
+    def rows(self, batch: _Batch) -> Iterator[List[TableRow]]:
+        """Yield rows of each block: of large ones no more than are wanted, the rest later."""
+        for block in batch.blocks():
+            taken = block
+            if batch.wanted and block.block is not None:
+                taken = block.take(max(FEW_ROWS, batch.wanted), reverse=self._part.reverse)
+                if block.left:
+                    self._add(block)
+            yield self._part.rows(taken)
+
+    def _is_known(self) -> bool:
+        """Say whether none that is not read is needed before the first one that is."""
+        if self._part.reverse:
+            return bool(self._known) and -self._known[0][0][0] > self._unread_end
+        # The next one tells how far the first one is all. What is left of a block may lie behind
+        # others that are not read.
+        last = self._headers.last
+        return len(self._known) > 1 and (last is None or self._known[0][0] <= last)
+
+    @property
+    def _unread_end(self) -> int:
+        """Time of the last message that a block may hold whose header is not read yet."""
+        last = self._headers.last
+        return MAX_SEQ if last is None else last[0] + self._part.table.metadata.span_ns
+
+    def _take(self) -> List[_Item]:
+        """Take blocks: those that may hold the first message, and as many as are wanted."""
+        found: List[_Item] = []
+        count, size = self._wanted or MAX_SEQ, self._bytes
+        first = self._known[0][0][0] if self._known else 0
+        if not self._part.reverse:  # all that begin before what is read may hold its first message
+            first = max(first, self._part.ends[0][0])
+        while self._known and len(found) < MAX_AT_ONCE:
+            turn, _, item = self._known[0]
+            if found and turn[0] > first and (size < item.size or count <= 0):
+                break
+            found.append(heapq.heappop(self._known)[2])
+            count, size = count - item.left, size - item.size
+        return found
+
+    def bound_up(self, coming: Optional[_Batch]) -> Optional[Order]:
+        """Return the key that no message lies before which is still to come; None = none comes."""
+        if coming is not None:
+            return coming.taken[0].key
+        ends = [self._known[0][0]] if self._known else []
+        if self._headers.more and self._headers.last is not None:
+            ends.append(self._headers.last)
+        return min(ends, default=None)
+
+    def bound_down(self, coming: Optional[_Batch]) -> int:
+        """Return the time that no message lies behind which is still to come."""
+        known = self._known_end(coming)
+        return max(known, self._unread_end) if self._headers.more else known
+
+    def look(self, coming: Optional[_Batch]) -> bool:
+        """Read more headers where that may lower the bound downwards; say whether it was done."""
+        short = self._headers.more and self._unread_end > self._known_end(coming)
+        if short:
+            self.read()
+        return short
+
+    def _known_end(self, coming: Optional[_Batch]) -> int:
+        first = [-self._known[0][0][0]] if self._known else []
+        if coming is not None:
+            first.append(self._end(coming.taken[0]))
+        return max(first, default=MIN_SEQ)
+
+
+def upwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
+    """Yield the rows of a bucket in the order (t, seq)."""
+    held, coming = Held(), needed.batch()
+    while coming is not None:
+        for rows in needed.rows(coming):
+            held.add(rows)
+        # Who wants few is given those before more is asked for.
+        coming = None if part.wanted else needed.batch()
+        bound = needed.bound_up(coming)
+        yield from held.rest() if bound is None else held.until(bound, part.node)
+        coming = coming or needed.batch()
+    yield from held.rest()
+
+
+def downwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
+    """Yield the rows of a bucket, the newest first."""
+    held, coming = Held(), needed.batch()
+    while coming is not None:
+        for rows in needed.rows(coming):
+            held.add(rows)
+        coming = None if part.wanted else needed.batch()
+        found = held.beyond(needed.bound_down(coming))
+        while held and not found and needed.look(coming):
+            found = held.beyond(needed.bound_down(coming))
+        yield from found
+        coming = coming or needed.batch()
+    yield from reversed(held.rest())

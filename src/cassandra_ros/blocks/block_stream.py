@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The messages of one bucket of blocks, in order from either end.
+
+Blocks overlap: those of several writers, and those of several connections. So messages go out as
+soon as no block that is still to be read can hold one before them. Whole buckets are read by pages
+of blocks. Else, where few messages are wanted, or those of few blocks, or the newest first, their
+headers are read, and then the blocks in the order in which they are needed.
+"""
+
+from __future__ import annotations
+
+from typing import Iterator, List, Optional, Sequence, Tuple
+
+from cassandra_ros.blocks.block_queue import Headers, Needed, downwards, upwards
+from cassandra_ros.blocks.block_row import WHOLE, BlockRow
+from cassandra_ros.blocks.bucket_read import (
+    BLOCK_BYTES,
+    GROWTH,
+    MAX_BLOCKS,
+    BucketRead,
+    Held,
+    Opened,
+    key_of,
+)
+from cassandra_ros.connection.paging import Asked, RawRow
+from cassandra_ros.connection.raw_page import RawPage
+from cassandra_ros.tables.row_table import Order, TableRow
+
+ROWS_AT_ONCE = 200
+
+
+def stream(part: BucketRead) -> Iterator[TableRow]:
+    """Yield the rows of a bucket in the order (t, seq), or newest first. It is asked at once."""
+    if part.filters is None and not part.reverse and not part.wanted:
+        return _whole(part, _Pages(part))
+    needed = Needed(part, Headers(part))
+    return downwards(part, needed) if part.reverse else upwards(part, needed)
+
+
+def opened(part: BucketRead) -> Iterator[Opened]:
+    """Yield the blocks of a bucket as they lie, whatever their messages' order. Asked at once."""
+    return _opened(part, _Pages(part))
+
+
+def _opened(part: BucketRead, pages: _Pages) -> Iterator[Opened]:
+    for blocks, _ in pages:
+        for block in blocks:
+            found = part.open(block)
+            if found.left:
+                yield found
+
+
+class _Pages:
+    """The blocks of a bucket, all of them, page by page; the next one is asked for ahead."""
+
+    def __init__(self, part: BucketRead) -> None:
+        self._part = part
+        self._count = max(1, part.page_bytes // BLOCK_BYTES)
+        self._asked: Optional[Asked] = part.ask(WHOLE, self._count)
+
+    def __iter__(self) -> Iterator[Tuple[List[BlockRow], Optional[Order]]]:
+        """Yield blocks, and the key that those of later pages lie behind; None = none come."""
+        while self._asked is not None:
+            asked = self._asked
+            page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
+            # All are unpacked before the next page comes: their bytes need not be copied.
+            blocks = self._part.blocks(page.views() if isinstance(page, RawPage) else page)
+            self._asked = None
+            if not page or not asked.more:
+                yield blocks, None
+                return
+            if blocks:
+                mean = sum(block.size for block in blocks) // len(blocks) + 1
+                most = min(MAX_BLOCKS, GROWTH * self._count)
+                self._count = max(1, min(most, self._part.page_bytes // mean))
+            self._asked = self._part.ask(WHOLE, self._count, page[-1])
+            yield blocks, key_of(page[-1])
+
+
+def _whole(part: BucketRead, pages: _Pages) -> Iterator[TableRow]:
+    held = Held()
+    for blocks, behind in pages:
+        keys: List[Optional[Order]] = [*(block.key for block in blocks[1:]), behind]
+        for block, bound in zip(blocks, keys):
+            opened = part.open(block)
+            if not held and opened.left and (bound is None or opened.last < bound[0]):
+                # Nothing overlaps. By some at a time: Python's collector looks through rows that
+                # are there together.
+                while opened.left:
+                    yield from part.rows(opened.take(ROWS_AT_ONCE, reverse=False))
+                continue
+            held.add(part.rows(opened))
+            yield from held.rest() if bound is None else held.until(bound, part.node)
+        if behind is None:
+            break
+    yield from held.rest()

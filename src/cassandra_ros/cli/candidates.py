@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the Tab key offers: verbs, options, and the topics, fields, runs and nodes of the store.
+
+The shell asks a program by an environment variable, and argcomplete answers it; 'cassandra_bag
+completion' prints what makes the shell ask.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from typing import TYPE_CHECKING, Callable, Iterable, List
+
+from cassandra_ros.cli.options import open_store
+from cassandra_ros.errors import CassandraRosError
+
+if TYPE_CHECKING:
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+
+_ASKED = "_ARGCOMPLETE"
+"""The variable by which the shell asks."""
+
+
+def answer_shell(parser: argparse.ArgumentParser) -> None:
+    """Print what may come next where the shell asks for it, and end the program; else nothing.
+
+    Nothing is offered without argcomplete, and of what is stored nothing where the store is away.
+    """
+    if _ASKED not in os.environ:
+        return
+    try:
+        import argcomplete
+    except ImportError:
+        sys.exit(1)  # what was typed so far must not be run
+    offer_values(parser)
+    argcomplete.autocomplete(parser)
+
+
+def offer_values(parser: argparse.ArgumentParser) -> None:
+    """Give the options and words of a parser, and of its verbs, what to offer as values."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for verb in action.choices.values():
+                offer_values(verb)
+        elif action.dest in _OFFERED and not action.choices and action.nargs != 0:
+            action.completer = _completer(_OFFERED[action.dest])  # type: ignore[attr-defined]
+
+
+_Offer = Callable[["RosCassandra", argparse.Namespace], Iterable[str]]
+
+
+def _completer(offer: _Offer) -> Callable[..., List[str]]:
+    def complete(parsed_args: argparse.Namespace, **_: object) -> List[str]:
+        try:
+            of_files = _topics_of_files(parsed_args) if offer is _topics else None
+            if of_files is not None:
+                return of_files
+            with open_store(parsed_args, make=True) as ros_cas:
+                # A shell prints what it is offered, and cannot type what is not printable.
+                return sorted(filter(str.isprintable, offer(ros_cas, parsed_args)))
+        except CassandraRosError:
+            return []  # a Tab is no place for an error
+
+    return complete
+
+
+def _topics(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str]:
+    return [topic.name for topic in ros_cas.getAllTopics()]
+
+
+def _topics_of_files(options: argparse.Namespace) -> List[str] | None:
+    """Return the topics of the files of import or verify; None: the verb is another."""
+    if getattr(options, "verb", "") not in ("import", "verify"):
+        return None
+    from cassandra_ros.bag.opening import open_file
+
+    files = options.bags if options.verb == "import" else [options.bag]
+    found = set()
+    for path in files or ():
+        with open_file(path) as reader:
+            found |= {connection.topic for connection in reader.connections.values()}
+    return sorted(found)
+
+
+def _fields(ros_cas: RosCassandra, options: argparse.Namespace) -> Iterable[str]:
+    from cassandra_ros.query.tree.field_names import all_fields
+
+    named = getattr(options, "topics", None) or getattr(options, "topic", None) or ()
+    topics = [named] if isinstance(named, str) else named
+    tables = (table for name in topics for table in ros_cas.getTopic(name).tables)
+    definitions = (table.definition for table in tables)
+    return {field.column for each in definitions if each for field in all_fields(each)}
+
+
+def _runs(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str]:
+    return {run.name or str(run.writer) for run in ros_cas.runs()}
+
+
+def _nodes(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str]:
+    return {info.node for info in ros_cas.info() if info.node}
+
+
+def _keyspaces(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str]:
+    return [keyspace.name for keyspace in ros_cas.getKeyspaces()]
+
+
+_OFFERED = {
+    **dict.fromkeys(("topic", "topics", "more", "pause_topics", "odom", "store"), _topics),
+    "field": _fields,
+    **dict.fromkeys(("run", "name"), _runs),
+    "node_id": _nodes,
+    "keyspace": _keyspaces,
+}
+"""By the name under which a parser keeps a value."""

@@ -1,0 +1,53 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The messages of any topics by where their robot was: NEAR, asked of all of them at once."""
+
+from __future__ import annotations
+
+from typing import Dict, Iterable, Iterator, Optional, Tuple
+
+from cassandra_ros.arguments import check_topics
+from cassandra_ros.errors import InvalidOption, InvalidQuery
+from cassandra_ros.messages.stamps import Time
+from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.row_finder import Where
+from cassandra_ros.topics.run_finder import RunName
+from cassandra_ros.topics.stored_row import StoredRow
+
+Asked = Tuple[float, float, float, str, str]
+"""x, y and radius, metres, in a frame, and the robot; '' = to be found out."""
+
+
+def near_rows(
+    catalog: Catalog,
+    asked: Asked,
+    topics: Optional[Iterable[str]],
+    ends: Tuple[Optional[Time], Optional[Time]],
+    nodeID: Optional[str],
+    run: RunName,
+    where: Conditions,
+) -> Iterator[StoredRow]:
+    """Walk through the rows of topics (None = all) whose robot was on a disk; see RosCassandra."""
+    listed = check_topics(topics)
+    stretch, tables = catalog.stretch(listed, *ends), catalog.tables(listed)
+    names = sorted({table.metadata.topic for table in tables})
+    catalog.filters(where, names, nodeID, run)  # raises for what is none
+    given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
+    conditions: Dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
+    try:
+        with catalog.places.shared():
+            filters = catalog.filters(conditions, names, nodeID, run)
+            return catalog.merged(tables, filters, stretch, catalog.whose(nodeID, run))
+    except InvalidQuery as exc:
+        raise InvalidOption(exc.reason) from exc
+
+
+def _and_near(where: Optional[Where], asked: Asked) -> Where:
+    """Return NEAR, and the condition that was given besides."""
+    values = list(asked if asked[-1] else asked[:-1])
+    near = f"NEAR({', '.join('?' * len(values))})"
+    if where is None:
+        return near, values
+    text, params = (where, ()) if isinstance(where, str) else where
+    # In lines of its own, for it may end with a comment.
+    return f"(\n{text}\n) AND {near}", [*params, *values]

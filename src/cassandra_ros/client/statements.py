@@ -1,0 +1,289 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Statements of any kind, run on the topics that they name.
+
+DELETE removes whole messages. A condition on KEY, NODE and RUN alone removes the stretch as it lies
+in the store; any other one is checked on every message, read page by page, and a message goes when
+one element of its array satisfies what is asked of the elements. Messages that come in while it
+runs are removed or not.
+"""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import Any, Iterator, Mapping, Optional, Sequence, Union
+
+from cassandra_ros.arguments import check_limit, check_nodes
+from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.overview.envelopes import EnvelopeCache
+from cassandra_ros.overview.plot_series import WHOLE, Asker, Series, Window, read_series
+from cassandra_ros.query.explain import Explanation, explain
+from cassandra_ros.query.plan.key_bounds import meant_as_seconds
+from cassandra_ros.query.plan.pushdown import Watch, unwatched
+from cassandra_ros.query.run import Condition, Cursor, QueryResult, Rows
+from cassandra_ros.query.tree.change_statements import (
+    Change,
+    CreateIndex,
+    Delete,
+    DropIndex,
+    Indexed,
+    IndexName,
+    Truncate,
+)
+from cassandra_ros.query.tree.field_names import nearest
+from cassandra_ros.query.tree.parse import parse_select, parse_statement
+from cassandra_ros.query.tree.syntax import Select
+from cassandra_ros.tables.schema import Schema
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.indexes import check_indexable
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.removal import delete_rows
+from cassandra_ros.topics.row_finder import seconds_meant
+from cassandra_ros.topics.run_finder import RunName
+
+
+class Statements:
+    """Runs the statements of the query language on the topics of one keyspace."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._keyspace = catalog.keyspace
+        self._catalog = catalog
+
+    def run(
+        self,
+        statement: Union[str, Select, Change],
+        params: Sequence[Any] = (),
+        node: Optional[str] = None,
+        limit: Optional[int] = None,
+        run: RunName = None,
+    ) -> Rows:
+        """Run a statement, or its parsed tree, and return all its rows; see executeCQL."""
+        check_nodes(node)
+        if isinstance(statement, (Select, Delete, Truncate, CreateIndex, DropIndex)):
+            parsed: Union[Select, Change] = statement
+        else:
+            parsed = parse_statement(statement, params)
+        if isinstance(parsed, Select):
+            result = self.select(parsed, node=node, limit=limit, run=run)
+            return Rows(result, result.columns)
+        text = parsed.text
+        start = len(text) - len(text.lstrip())
+        if limit is not None:
+            reason = "limit= bounds the rows of a SELECT, it does nothing here"
+            raise InvalidQuery(text, start, reason)
+        if isinstance(parsed, Delete):
+            return Rows([(self._delete(parsed, node, run),)], ["deleted"])
+        if node is not None or run is not None:
+            reason = "this is done for the messages of all nodes and runs, not of one; "
+            reason += "DELETE with NODE = '…' or RUN = '…' removes those of one"
+            raise InvalidQuery(text, start, reason)
+        if isinstance(parsed, Truncate):
+            self._catalog.remove(self.topic_of(parsed).name, renew=True)
+        elif isinstance(parsed, CreateIndex):
+            self._create_index(parsed)
+        else:
+            self._drop_index(parsed)
+        return Rows([], [])
+
+    def select(
+        self,
+        statement: Union[str, Select],
+        params: Sequence[Any] = (),
+        *,
+        node: Optional[str] = None,
+        limit: Optional[int] = None,
+        after: Cursor = None,
+        plan: str = "auto",
+        run: RunName = None,
+        watch: Watch = unwatched,
+    ) -> QueryResult:
+        """Run a SELECT statement, or its parsed tree, lazily; see QueryResult."""
+        check_limit(limit)
+        check_nodes(node)
+        select = statement if isinstance(statement, Select) else parse_select(statement, params)
+        topic, writers = self.topic_of(select), self._keyspace.runs.writers(run)
+        return self._keyspace.naming(
+            lambda: QueryResult(
+                select,
+                topic,
+                node=node,
+                run=writers,
+                limit=limit,
+                after=after,
+                plan=plan,
+                watch=watch,
+            )
+        )
+
+    def explain(
+        self,
+        statement: Union[str, Select],
+        params: Sequence[Any] = (),
+        node: Optional[str] = None,
+        run: RunName = None,
+        watch: Watch = unwatched,
+    ) -> Explanation:
+        """Run a SELECT statement to its end, keeping no row, and say how it was answered."""
+        result = self.select(statement, params, node=node, run=run, watch=watch)
+        return explain(result, self.topic_of(result.select))
+
+    def series(
+        self,
+        statement: Union[str, Select],
+        params: Sequence[Any] = (),
+        window: Window = WHOLE,
+        *,
+        node: Optional[str] = None,
+        run: RunName = None,
+        cache: Optional[EnvelopeCache] = None,
+        watch: Watch = unwatched,
+    ) -> Series:
+        """Read the numbers that a SELECT statement gives over time, as a plot shows them.
+
+        Args:
+            window: What of the time, how closely, and how long it may take.
+            cache: Keeps what was read; None = nothing does.
+
+        Raises:
+            InvalidQuery: It is none, or names what the topic has not.
+        """
+        check_nodes(node)
+        select = statement if isinstance(statement, Select) else parse_select(statement, params)
+        asker = Asker(node, self._keyspace.runs.writers(run), cache, watch)
+        return read_series(self._keyspace, self.topic_of(select), select, window, asker)
+
+    def topic_of(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
+        """Return the topic that a statement names; InvalidQuery: it is not stored."""
+        return self._find(statement.text, statement.topic, statement.topic_position)
+
+    def _find(self, text: str, topic: str, position: int) -> CassandraTopic:
+        """Find the topic that a statement names at a position."""
+        with _at(text, position):
+            return self._catalog.get(topic)
+
+    def _delete(self, statement: Delete, node: Optional[str], run: RunName) -> int:
+        self._keyspace.schema.tables(fresh=True)  # what another client just stored goes, too
+        topic = self.topic_of(statement)
+        named = any(table.named for table in topic.tables)
+        condition = Condition(statement, node=node, run=self._keyspace.runs.writers(run))
+        bounds = condition.bounds(topic.tables)
+        if not named:
+            _refuse_seconds(self._keyspace, topic, statement)
+        if named or not bounds.whole:
+            return delete_rows(self._keyspace, condition.rows(topic))
+        if bounds.empty or not topic.tables:
+            return 0
+        low, high = Stamp.from_ns(bounds.low), Stamp.from_ns(bounds.high)
+        return topic.removeData(low, high, nodeID=bounds.node, run=bounds.writers)
+
+    def _create_index(self, statement: CreateIndex) -> None:
+        text, on, name = statement.text, statement.on, statement.name
+        self._keyspace.schema.tables(fresh=True)  # others make and drop indexes, too
+        topic = self._find(text, on.topic, on.topic_position)
+        field = on.field.dotted
+        if topic.hasIndex(field) and not statement.unless_exists:
+            raise InvalidQuery(
+                text,
+                on.field.position,
+                f"topic {topic.name} has an index on {field} already; IF NOT EXISTS accepts that, "
+                "and completes one whose making was interrupted",
+            )
+        with _at(text, on.field.position):
+            check_indexable(topic.name, topic.tables, field)
+        if name is not None:
+            with _at(text, name.position):
+                _give_name(self._keyspace.schema, topic.name, field, name.text)
+        topic.createIndex(field)
+
+    def _drop_index(self, statement: DropIndex) -> None:
+        index = statement.index
+        if isinstance(index, IndexName):
+            found, spot = self._index_named(statement, index), index.position
+        else:
+            found, spot = self._index_on(statement, index), index.field.position
+        if found is not None:
+            with _at(statement.text, spot):  # somebody was quicker; or the key needs it
+                found[0].removeIndex(found[1])
+
+    def _index_named(
+        self, statement: DropIndex, name: IndexName
+    ) -> Optional[tuple[CassandraTopic, str]]:
+        known = names_of_indexes(self._keyspace.schema.tables(fresh=True))
+        found = known.get(name.text, [])
+        if len(found) == 1:
+            return self._catalog.get(found[0][0]), found[0][1]
+        if not found and statement.if_exists:
+            return None
+        places = " and ".join(f"{topic} ({field})" for topic, field in found)
+        reason = (
+            f"several indexes are called {name.text}, on {places}"
+            if found
+            else f"no index is called {name.text}{nearest(name.text, list(known))}"
+        )
+        reason += "; DROP INDEX ON topic (field) removes an index whatever its name"
+        raise InvalidQuery(statement.text, name.position, reason)
+
+    def _index_on(
+        self, statement: DropIndex, index: Indexed
+    ) -> Optional[tuple[CassandraTopic, str]]:
+        self._keyspace.schema.tables(fresh=True)
+        if statement.if_exists and not self._catalog.exists(index.topic):
+            return None
+        topic = self._find(statement.text, index.topic, index.topic_position)
+        field, known = index.field.dotted, list(topic.getMeta["indexes"])
+        if field in known:
+            return topic, field
+        if statement.if_exists:
+            return None
+        raise InvalidQuery(
+            statement.text,
+            index.field.position,
+            f"topic {topic.name} has no index on {field}{nearest(field, known)}; "
+            "its indexes are on " + (", ".join(sorted(known)) or "nothing"),
+        )
+
+
+@contextmanager
+def _at(text: str, position: int) -> Iterator[None]:
+    """Show what is wrong with a name that a statement gives under the name."""
+    try:
+        yield
+    except (InvalidName, InvalidOption, TopicNotFound) as exc:
+        raise InvalidQuery(text, position, str(exc)) from exc
+
+
+def _refuse_seconds(keyspace: Keyspace, topic: CassandraTopic, statement: Delete) -> None:
+    """Refuse integers that were meant as seconds: a lower end in 1970 removes every message."""
+    for literal in meant_as_seconds(statement.condition):
+        reason = seconds_meant(keyspace, topic.tables, literal.value)
+        if reason:
+            raise InvalidQuery(statement.text, literal.position, reason)
+
+
+def names_of_indexes(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
+    """Return name -> (topic, field) of each index of some tables that bears it, mostly one."""
+    found: dict[str, set[tuple[str, str]]] = {}
+    for metadata in tables.values():
+        for name, field in metadata.index_names.items():
+            if field in metadata.indexes:
+                found.setdefault(name, set()).add((metadata.topic, field))
+    return {name: sorted(indexed) for name, indexed in found.items()}
+
+
+def _give_name(schema: Schema, topic: str, field: str, name: str) -> None:
+    """Call the index of a field so; it need not be there yet, and no other may be called so."""
+
+    def check(tables: Mapping[str, TopicMetadata]) -> None:
+        for other, of in names_of_indexes(tables).get(name, []):
+            if (other, of) != (topic, field):
+                raise InvalidName(
+                    f"the index on {other} ({of}) is called {name} already; choose another name"
+                )
+
+    def change(metadata: TopicMetadata) -> TopicMetadata:
+        return metadata.with_(index_names={**metadata.index_names, name: field})
+
+    schema.change_topic(topic, change, check)

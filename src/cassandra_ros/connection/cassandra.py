@@ -1,0 +1,505 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Class Cassandra: the connection to a cluster (the left half of the paper's figure 1)."""
+
+from __future__ import annotations
+
+import math
+import socket
+import ssl
+import threading
+import time
+from contextlib import suppress
+from typing import Any, Callable, Iterable, Sequence, Tuple
+
+from cassandra import ConsistencyLevel, UnresolvableContactPoints
+from cassandra.auth import PlainTextAuthProvider
+from cassandra.cluster import (
+    EXEC_PROFILE_DEFAULT,
+    Cluster,
+    ExecutionProfile,
+    NoHostAvailable,
+    ResponseFuture,
+    Session,
+)
+from cassandra.policies import (
+    DCAwareRoundRobinPolicy,
+    ExponentialReconnectionPolicy,
+    TokenAwarePolicy,
+)
+from cassandra.pool import Host
+from cassandra.query import PreparedStatement, SimpleStatement, Statement, tuple_factory
+
+from cassandra_ros.connection.driver_errors import (
+    DRIVER_ERRORS,
+    START_HINT,
+    host_errors,
+    is_passing,
+    translate,
+    translated,
+)
+from cassandra_ros.connection.login import read_login
+from cassandra_ros.connection.login_errors import explain_refusal
+from cassandra_ros.connection.outage import Outage
+from cassandra_ros.connection.paging import (
+    REQUEST_TIMEOUT_SEC,
+    RETRY_SEC,
+    Seconds,
+    answered,
+    retried,
+    sent_ahead,
+)
+from cassandra_ros.connection.protocol import (
+    PROTOCOL_VERSION,
+    RawProtocolHandler,
+    connection_class,
+)
+from cassandra_ros.connection.schema_changes import SchemaChanges
+from cassandra_ros.connection.sessions import Link, Links
+from cassandra_ros.errors import (
+    ConnectionFailed,
+    InvalidOption,
+    KeyspaceNotFound,
+    StoreUnavailable,
+    TopicNotFound,
+)
+
+CONNECT_TIMEOUT_SEC = 10.0
+NEW_TABLE_SEC = 1.0
+POOL_PAUSE_SEC = 0.05
+LAST_WORD_SEC = 0.5
+"""How long the end of a connection may take where the program is to end, s."""
+AT_ONCE = 16
+"""Statements of execute_many that are in the air together."""
+
+_NEEDS = {
+    "ONE": "a node that has a copy of the row",
+    "LOCAL_ONE": "a node that has a copy of the row",
+    "QUORUM": "more than half of the copies of a row, two of three",
+    "LOCAL_QUORUM": "more than half of the copies of a row, two of three",
+    "ALL": "all copies of a row",
+}
+
+CqlRow = Tuple[Any, ...]
+"""The decoded values of a row."""
+
+
+class Cassandra:
+    """A connection to a Cassandra cluster. Safe to share between threads.
+
+    Args:
+        host: One address, several divided by commas, or a sequence of them; None =
+            CASSANDRA_ROS_HOST of the environment, else as the cqlshrc says, else 127.0.0.1.
+        port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else the cqlshrc's, else 9042.
+        consistency: Name of a consistency level, e.g. 'LOCAL_QUORUM', 'ONE'.
+        username: User name where the cluster asks for a login; None = that of the files.
+        password: Its password; None = that of the files.
+        ssl_context: An ``ssl.SSLContext`` where the cluster speaks TLS; None = as the cqlshrc says.
+        cqlshrc: A file like cqlsh's; None = CASSANDRA_ROS_CQLSHRC, else ~/.cassandra/cqlshrc.
+        credentials: A file with user name and password; None = the one that the cqlshrc names,
+            else ~/.cassandra/credentials.
+
+    Raises:
+        ConnectionFailed: Nobody answers there, or the name cannot be resolved.
+        LoginFailed, CertificateRefused, TlsMismatch: It refuses us, or we refuse it.
+        InvalidOption: The port cannot be one, or a file cannot be read.
+    """
+
+    def __init__(
+        self,
+        host: str | Sequence[str] | None = None,
+        port: int | None = None,
+        *,
+        consistency: str = "LOCAL_QUORUM",
+        username: str | None = None,
+        password: str | None = None,
+        ssl_context: ssl.SSLContext | None = None,
+        cqlshrc: str | None = None,
+        credentials: str | None = None,
+    ) -> None:
+        self._login = login = read_login(host, port, cqlshrc, credentials, username, password)
+        self.hosts, self.port = login.hosts, login.port
+        self._where = f"{','.join(self.hosts)} port {self.port}"
+        self.outage = Outage(self._where)
+        self.schema_changes = SchemaChanges()
+        self.consistency = _consistency_level(consistency)
+        self._given = {
+            "consistency": consistency,
+            "username": username,
+            "password": password,
+            "cqlshrc": cqlshrc,
+            "credentials": credentials,
+        }
+        self._ssl_context = ssl_context
+        self._prepared: dict[str, PreparedStatement] = {}
+        self._prepare_lock = threading.Lock()
+        self._closed = False
+        self._keyspaces: set[str] = set()
+        self._connecting_until = 0.0
+        places = [(host, self.port) for host in self.hosts]
+        self._links = Links(self._make_link, self._adopt, places, self._where)
+        self.outage.failing = self._links.failed
+        self.outage.nodes = self._nodes_now
+
+    def _make_link(self) -> Link:
+        try:
+            cluster = self._make_cluster()
+        except (UnresolvableContactPoints, UnicodeError) as exc:
+            raise ConnectionFailed(
+                f"no host of this name can be found: {','.join(self.hosts)!r}; check the name, "
+                f"or give the address; {START_HINT}"
+            ) from exc
+        link = self._connect(cluster)
+        self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
+        for keyspace in sorted(self._keyspaces):
+            with suppress(*DRIVER_ERRORS):  # rows then take a way round by another node
+                cluster.refresh_keyspace_metadata(keyspace)
+        return link
+
+    def _adopt(self, link: Link) -> None:
+        # What the server has forgotten the driver prepares again, out of these.
+        for statement in list(self._prepared.values()):
+            link.cluster.add_prepared(statement.query_id, statement)
+
+    @property
+    def _cluster(self) -> Cluster:
+        return self._links.current.cluster
+
+    @property
+    def _session(self) -> Session:
+        return self._links.current.session
+
+    def _make_cluster(self) -> Cluster:
+        name, password = self._login.username, self._login.password
+        auth = PlainTextAuthProvider(name, password or "") if name else None
+        tls, context = self._login.tls, self._ssl_context
+        if tls and context is None:
+            context = tls.context(self.hosts[0])
+        profile = ExecutionProfile(
+            load_balancing_policy=TokenAwarePolicy(
+                DCAwareRoundRobinPolicy(), shuffle_replicas=True
+            ),
+            consistency_level=self.consistency,
+            request_timeout=REQUEST_TIMEOUT_SEC,
+            row_factory=tuple_factory,
+        )
+        return Cluster(
+            contact_points=self.hosts,
+            port=self.port,
+            protocol_version=PROTOCOL_VERSION,
+            connection_class=connection_class(
+                tls if self._ssl_context is None else None, self.schema_changes
+            ),
+            compression=False,
+            auth_provider=auth,
+            ssl_context=context,
+            execution_profiles={EXEC_PROFILE_DEFAULT: profile},
+            # A keyspace may have hundreds of tables, and each change would read them all anew.
+            schema_metadata_enabled=False,
+            # Without it batches stall 40 ms each on delayed acknowledgements.
+            sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+            connect_timeout=CONNECT_TIMEOUT_SEC,
+            control_connection_timeout=CONNECT_TIMEOUT_SEC,
+            idle_heartbeat_interval=5,
+            idle_heartbeat_timeout=5,
+            reconnection_policy=ExponentialReconnectionPolicy(0.5, 10),
+        )
+
+    def _connect(self, cluster: Cluster) -> Link:
+        try:
+            session = cluster.connect()
+            raw_session = cluster.connect()
+        except NoHostAvailable as exc:
+            cluster.shutdown()
+            by_tls = self._ssl_context is not None or self._login.tls is not None
+            refusal = explain_refusal(host_errors(exc), self._login, by_tls, self._where)
+            if refusal:
+                raise refusal from exc
+            causes = "; ".join(sorted({str(error) for error in host_errors(exc).values()}))
+            failure = ConnectionFailed(
+                f"no Cassandra answers at {self._where} ({causes or 'no address'}); {START_HINT}"
+            )
+            failure.refused = not is_passing(exc)
+            raise failure from exc
+        except (*DRIVER_ERRORS, OSError) as exc:
+            cluster.shutdown()
+            raise ConnectionFailed(f"cannot connect to Cassandra at {self._where}: {exc}") from exc
+        for each in (session, raw_session):
+            # Robots' clocks are wrong, and a fast one would hide later rows.
+            each.use_client_timestamp = False
+        raw_session.client_protocol_handler = RawProtocolHandler
+        return Link(cluster, session, raw_session)
+
+    # ---------------------------------------------------------------- statements
+
+    @property
+    def closed(self) -> bool:
+        """Whether it was closed: nothing can be read or written any more."""
+        return self._closed
+
+    def arguments(self) -> dict[str, object]:
+        """Return the arguments by which another process connects as this one did.
+
+        Raises:
+            InvalidOption: It speaks TLS, with keys that cannot be handed on.
+        """
+        if self._ssl_context is not None:
+            raise InvalidOption("jobs: a connection with an ssl_context is of one process; use 1")
+        return {"host": list(self.hosts), "port": self.port, **self._given}
+
+    def __repr__(self) -> str:
+        return f"<Cassandra {self._where}{', closed' if self._closed else ''}>"
+
+    def require_open(self) -> None:
+        """Raise ConnectionFailed where it is closed; the driver takes that for a passing one.
+
+        Raises:
+            StoreUnavailable: The program is to end, and the store does not answer.
+        """
+        if self.outage.left_sec <= 0:
+            raise StoreUnavailable(f"the store at {self._where} does not answer")
+        if self._closed:
+            raise ConnectionFailed(
+                f"the connection to Cassandra at {self._where} is closed; make another RosCassandra"
+            )
+
+    def prepare(self, cql: str) -> PreparedStatement:
+        """Prepare a statement, once for each text."""
+        self.require_open()
+        statement = self._prepared.get(cql)
+        if statement is None:
+            with self._prepare_lock:
+                statement = self._prepared.get(cql) or self._prepare_new(cql)
+                self._prepared[cql] = statement
+                # The link may be another one than that which has prepared it.
+                self._cluster.add_prepared(statement.query_id, statement)
+        return statement
+
+    def _prepare_new(self, cql: str) -> PreparedStatement:
+        pause = 0.05
+        while True:
+            try:
+                statement = retried(
+                    "preparing a statement",
+                    lambda: self._session.prepare(cql),
+                    outage=self.outage,
+                )
+                statement.is_idempotent = True
+                return statement
+            except (TopicNotFound, KeyspaceNotFound):
+                # A table that another client is making can be read in system_schema a moment
+                # before every coordinator knows it.
+                if pause > NEW_TABLE_SEC:
+                    raise
+            time.sleep(pause)
+            pause *= 2
+
+    def forget(self, table: str) -> None:
+        """Drop the prepared statements of a table that is gone."""
+        with self._prepare_lock:
+            self._prepared = {cql: s for cql, s in self._prepared.items() if table not in cql}
+
+    def execute(
+        self,
+        cql: str,
+        params: Sequence[object] = (),
+        *,
+        what: str = "a query",
+        consistency: int | None = None,
+        retry_sec: Seconds = RETRY_SEC,
+    ) -> list[CqlRow]:
+        """Run one idempotent statement, trying again what may pass; return all rows, decoded.
+
+        Args:
+            cql: Text with ``?`` for each parameter.
+            what: What is being done, for an error text.
+        """
+
+        def run() -> list[CqlRow]:
+            bound = self.prepare(cql).bind(tuple(params))
+            if consistency is not None:
+                bound.consistency_level = consistency
+            return self._all_rows(self._session.execute_async(bound, timeout=None))
+
+        return retried(what, run, seconds=retry_sec, outage=self.outage)
+
+    def _all_rows(self, future: ResponseFuture) -> list[CqlRow]:
+        """Wait for all pages of an answer."""
+        rows: list[CqlRow] = list(answered(future, self.outage).current_rows)
+        while future.has_more_pages:
+            future.start_fetching_next_page()
+            rows += answered(future, self.outage).current_rows
+        return rows
+
+    def system_schema(self, of: str, names: str, keyspace: str, table: str = "") -> list[CqlRow]:
+        """Read what the server's schema says of a keyspace, or of one of its tables.
+
+        Args:
+            of: 'keyspaces', 'tables', 'columns' or 'indexes'.
+            names: The columns that are wanted.
+        """
+        cql = f"SELECT {names} FROM system_schema.{of} WHERE keyspace_name = ?"
+        what = f"reading the {of} of {keyspace}"
+        if table:
+            cql, what = f"{cql} AND table_name = ?", f"{what}.{table}"
+        return self.execute(cql, (keyspace, table) if table else (keyspace,), what=what)
+
+    def execute_on_each(
+        self, cql: str, params: Sequence[object] = (), *, what: str
+    ) -> dict[str, list[CqlRow]]:
+        """Run one statement on every node in reach; return address → rows (system_views)."""
+
+        def run() -> dict[str, list[CqlRow]]:
+            bound = self.prepare(cql).bind(tuple(params))
+            nodes = self._nodes_in_reach()
+            return {str(n.endpoint): list(self._session.execute(bound, host=n)) for n in nodes}
+
+        return retried(what, run, outage=self.outage)
+
+    def _nodes_in_reach(self) -> list[Host]:
+        """Return the nodes of our data centre that the driver can ask; raises NoHostAvailable."""
+        # A session is connected as soon as one node answers, and goes on with the others, which
+        # are waited for.
+        while True:
+            connected = self._session.get_pool_state()
+            centres = {host.datacenter for host in connected}
+            coming = any(
+                host.is_up is not False and host not in connected and host.datacenter in centres
+                for host in self._cluster.metadata.all_hosts()
+            )
+            if not coming or time.monotonic() > self._connecting_until:
+                break
+            time.sleep(POOL_PAUSE_SEC)
+        found = [host for host in connected if host.is_up]
+        if not found:
+            raise NoHostAvailable("no node is in reach", {})
+        return found
+
+    def execute_once(self, cql: str, params: Sequence[object] = (), *, what: str) -> list[CqlRow]:
+        """Run a statement that is not idempotent (a lightweight transaction), once."""
+        bound = self.prepare(cql).bind(tuple(params))
+        bound.is_idempotent = False
+        with translated(what, self.outage.nodes):
+            return self._all_rows(self._open_session().execute_async(bound, timeout=None))
+
+    def _open_session(self) -> Session:
+        """Return the session for a request that is made once; another one where it has ended."""
+        return self._links.await_open(RETRY_SEC).session
+
+    def begin(
+        self, cql: str, params: Sequence[object] = (), *, what: str, retry_sec: Seconds = RETRY_SEC
+    ) -> Callable[[], list[CqlRow]]:
+        """Send one idempotent statement; what is returned waits for its answer, as execute does."""
+        bound = self.prepare(cql).bind(tuple(params))
+        future = self._session.execute_async(bound, timeout=None)
+
+        def answer() -> list[CqlRow]:
+            try:
+                return self._all_rows(future)
+            except DRIVER_ERRORS:
+                return self.execute(cql, params, what=what, retry_sec=retry_sec)
+
+        return answer
+
+    def execute_many(
+        self, cql: str, params: Iterable[CqlRow], *, what: str, retry_sec: Seconds = RETRY_SEC
+    ) -> list[list[CqlRow]]:
+        """Run one idempotent statement with several sets of parameters, 16 at a time."""
+        sent = (self.begin(cql, values, what=what, retry_sec=retry_sec) for values in params)
+        return [answer() for answer in sent_ahead(sent, AT_ONCE)]
+
+    def schema_change(self, cql: str, *, what: str) -> None:
+        """Run one DDL statement and wait until all nodes agree on the schema.
+
+        Raises:
+            StoreUnavailable: The nodes do not agree within 30 s.
+        """
+        self.require_open()
+        with translated(what, self.outage.nodes):
+            result = self._open_session().execute(SimpleStatement(cql), timeout=60.0)
+            deadline = time.monotonic() + 30.0
+            agreed = result.response_future.is_schema_agreed
+            while not agreed and time.monotonic() < deadline:
+                agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)
+        if not agreed:
+            raise translate(TimeoutError("the nodes do not agree on the schema"), what)
+
+    def execute_text(self, cql: str, *, what: str) -> None:
+        """Run one statement that cannot be prepared, and is no change of the schema, once."""
+        self.require_open()
+        with translated(what, self.outage.nodes):
+            self._open_session().execute(SimpleStatement(cql))
+
+    def use_keyspace(self, keyspace: str) -> None:
+        """Learn how a keyspace is replicated: rows then go straight to a node that has them."""
+        self.require_open()
+        with translated(f"reading the replication of {keyspace}", self.outage.nodes):
+            self._links.await_open(RETRY_SEC).cluster.refresh_keyspace_metadata(keyspace)
+        self._keyspaces.add(keyspace)
+
+    # ---------------------------------------------------------------- for writer and reader
+
+    def send_raw(self, statement: Statement) -> ResponseFuture:
+        """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
+        self.require_open()
+        raw_session = self._links.current.raw_session
+        return raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
+
+    def ask_raw(self, statement: Statement) -> ResponseFuture:
+        """Send a statement as send_raw does, for somebody who waits for its answer by answered."""
+        self.require_open()
+        return self._links.current.raw_session.execute_async(statement, timeout=None)
+
+    def server_time_us(self) -> int:
+        """Tell the time of a server, microseconds since 1970: what it stamps writes with."""
+        cql = "SELECT toUnixTimestamp(now()) FROM system.local"
+        # The server tells milliseconds: to the end of the present one.
+        return int(self.execute(cql, what="asking for the time")[0][0]) * 1000 + 999
+
+    def _nodes_now(self) -> str:
+        """Say which nodes answer and which do not; '' where all do, or none."""
+        link = self._links.current
+        states = link.session.get_pool_state().items()
+        there = {host for host, state in states if state["open_count"]}
+        every = sorted(link.cluster.metadata.all_hosts(), key=lambda host: str(host.endpoint))
+        up = [host.address for host in every if host in there]
+        down = [host.address for host in every if host not in there]
+        if not (up and down):
+            return ""
+        level = ConsistencyLevel.value_to_name[self.consistency]
+        return (
+            f"of {len(every)} nodes {', '.join(up)} answers and {', '.join(down)} does not; "
+            f"{level} needs {_NEEDS.get(level, 'more copies of a row')}: start the others again"
+        )
+
+    def live_nodes(self) -> int:
+        """Count the nodes that the driver knows in the local data centre."""
+        return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
+
+    def local_datacenter(self) -> str:
+        """Name the data centre of the node that we are connected to."""
+        rows = self.execute("SELECT data_center FROM system.local", what="asking for the node")
+        return str(rows[0][0])
+
+    def close(self) -> None:
+        """Close the connection; a second call is harmless."""
+        if not self._closed:
+            self._closed = True
+            # Where the program is to end, a server that is silent is not told of it.
+            hurried = self.outage.left_sec < math.inf
+            self._links.close(LAST_WORD_SEC if hurried else None)
+
+    def __enter__(self) -> Cassandra:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+
+def _consistency_level(name: str) -> int:
+    levels = ConsistencyLevel.name_to_value
+    if name.upper() not in levels:
+        raise ConnectionFailed(
+            f"{name!r} is not a consistency level; there are {', '.join(sorted(levels))}"
+        )
+    return int(levels[name.upper()])

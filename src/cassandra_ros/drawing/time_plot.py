@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numbers as a picture: over time, a panel for each unit; or one column over another."""
+
+from __future__ import annotations
+
+import math
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.arrays.array_types import AnyArray
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.installation import optional_module
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.overview.plot_columns import Column
+from cassandra_ros.overview.plot_series import Series
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ENDINGS = ("png", "svg", "pdf")
+PURPOSE = "cassandra_bag plot"
+_DAY_NS = 86_400 * SECOND_NS
+_DPI = 100
+FEW_POINTS = 60
+"""Up to here each point is marked."""
+MAX_ABREAST = 4
+"""Names beside each other, above a panel."""
+_GRID = "#d8dde4"
+_COLOURS = ("#2f6fde", "#d9622b", "#0e7c66", "#a23ea8", "#b28a00", "#c4302b", "#4f6b8f", "#5d8f2a")
+
+
+class Line(NamedTuple):
+    """What is drawn of one column: what lies between its least and its greatest numbers."""
+
+    label: str
+    unit: str
+    times: AnyArray
+    """Of its points, ns."""
+    low: AnyArray
+    """NaN where the line is broken."""
+    high: AnyArray
+
+    @property
+    def is_band(self) -> bool:
+        """Whether some points have more than one number."""
+        return bool((self.low < self.high).any())
+
+
+def lines_of(series: Sequence[Series]) -> Sequence[Line]:
+    """Return the lines of some statements; those of several topics are labelled with them."""
+    topics = {each.topic for each in series}
+    found = []
+    for each in series:
+        times = each.points.times
+        behind = each.breaks + 1
+        broken = np.insert(times, behind, times[behind - 1])
+        for n, column in enumerate(each.columns):
+            ends = (each.points.low[n], each.points.high[n])
+            low, high = (np.insert(end, behind, np.nan) for end in ends)
+            label = column.name if len(topics) == 1 else f"{each.topic} {column.name}"
+            found.append(Line(label, column.unit, broken, low, high))
+    return found
+
+
+class Curve(NamedTuple):
+    """One column over another: of each pixel of time the rectangle in which its messages lie."""
+
+    label: str
+    columns: Tuple[Column, Column]
+    """Along x, and along y."""
+    low: AnyArray
+    """(2, points): the smallest x and y of each. NaN where the curve is broken."""
+    high: AnyArray
+
+    @property
+    def middle(self) -> AnyArray:
+        """(2, points): the middle of each rectangle; of a single message exactly its numbers."""
+        return np.asarray(self.low + (self.high - self.low) / 2)
+
+
+def curves_of(series: Sequence[Series], names: Tuple[str, str]) -> Sequence[Curve]:
+    """Return the curves of some statements: of each the second column over the first.
+
+    Args:
+        names: The columns, as the statements call them.
+
+    Raises:
+        InvalidOption: A statement has no such column that is a number.
+    """
+    found = []
+    for each in series:
+        known = [column.name for column in each.columns]
+        for name in names:
+            if name not in known:
+                told = ", ".join(known) or "no column that is a number"
+                raise InvalidOption(f"--xy {name}: the statement on {each.topic} has {told}")
+        places = [known.index(name) for name in names]
+        behind = each.breaks + 1
+        low, high = (
+            np.insert(ends[places], behind, np.nan, axis=1)
+            for ends in (each.points.low, each.points.high)
+        )
+        columns = each.columns[places[0]], each.columns[places[1]]
+        found.append(Curve(each.topic, columns, low, high))
+    return found
+
+
+def draw_xy(
+    stream: IO[bytes],
+    ending: str,
+    curves: Sequence[Curve],
+    size: Tuple[int, int],
+    title: str = "",
+) -> None:
+    """Draw one column of statements over another into one picture.
+
+    Both axes have the same scale where both columns are in metres, or are longitude and latitude.
+
+    Args:
+        stream, ending, size, title: As draw_plot takes them.
+        curves: What is drawn, at least one.
+
+    Raises:
+        MissingDependency: matplotlib is not installed.
+    """
+    figures = optional_module("matplotlib.figure", PURPOSE)
+    figure: Figure = figures.Figure([side / _DPI for side in size], _DPI, layout="constrained")
+    panel = figure.subplots()
+    for n, curve in enumerate(curves):
+        _draw_curve(panel, curve, _COLOURS[n % len(_COLOURS)])
+    x, y = curves[0].columns
+    panel.set_xlabel(_named(x))
+    panel.set_ylabel(_named(y))
+    panel.grid(color=_GRID, linewidth=0.6)
+    panel.set_axisbelow(True)
+    aspect = _aspect(curves[0])
+    if aspect is not None:
+        panel.set_aspect(aspect, adjustable="datalim")
+    if len(curves) > 1:
+        panel.legend(frameon=False, fontsize="small")
+    if title:
+        figure.suptitle(_plain(title))
+    figure.savefig(stream, format=ending)
+
+
+def _draw_curve(panel: Axes, curve: Curve, colour: str) -> None:
+    (x, y), wide = curve.middle, (curve.high > curve.low).any(axis=0)
+    mark: dict[str, Any] = {"color": colour, "linewidth": 1}
+    if np.isfinite(x).sum() <= FEW_POINTS:
+        mark.update(marker=".", markersize=5)
+    panel.plot(x, y, label=_plain(curve.label), **mark)
+    if wide.any():
+        collections = optional_module("matplotlib.collections", PURPOSE)
+        (left, low), (right, high) = curve.low[:, wide], curve.high[:, wide]
+        corners = [[left, low], [right, low], [right, high], [left, high]]
+        boxes = np.moveaxis(np.array(corners), 2, 0)
+        panel.add_collection(collections.PolyCollection(boxes, color=colour, alpha=0.3))
+
+
+def _named(column: Column) -> str:
+    return _plain(column.name) + (f" [{column.unit}]" if column.unit else "")
+
+
+def _aspect(curve: Curve) -> Optional[float]:
+    """Return how long a unit along y is beside one along x; None where they do not compare."""
+    units = tuple(column.unit for column in curve.columns)
+    if units[0] == units[1] != "":
+        return 1.0
+    if set(units) != {"°E", "°N"}:
+        return None
+    latitude = curve.middle[units.index("°N")]
+    if not np.isfinite(latitude).any():
+        return None
+    degree = max(0.01, math.cos(math.radians(float(np.nanmean(latitude)))))
+    return 1 / degree if units == ("°E", "°N") else degree
+
+
+def draw_plot(
+    stream: IO[bytes],
+    ending: str,
+    series: Sequence[Series],
+    size: Tuple[int, int],
+    title: str = "",
+) -> None:
+    """Draw statements into one picture.
+
+    Args:
+        stream: Where the picture is written.
+        ending: One of ENDINGS.
+        series: What was read of each; together they have a column.
+        size: Width and height, in pixels (of svg and pdf in 1/100 inch).
+        title: Above all; '' = none.
+
+    Raises:
+        InvalidOption: There is nothing to draw.
+        MissingDependency: matplotlib is not installed.
+    """
+    lines = lines_of(series)
+    if not lines:
+        reasons = [f"{u.name} is {u.reason}" for each in series for u in each.left_out]
+        raise InvalidOption(f"no column can be drawn: {'; '.join(reasons) or 'there is none'}")
+    figures = optional_module("matplotlib.figure", PURPOSE)
+    figure: Figure = figures.Figure([side / _DPI for side in size], _DPI, layout="constrained")
+    units = list(dict.fromkeys(line.unit for line in lines))
+    panels = figure.subplots(len(units), 1, sharex=True, squeeze=False)[:, 0]
+    colours = {id(line): _COLOURS[n % len(_COLOURS)] for n, line in enumerate(lines)}
+    for panel, unit in zip(panels, units):
+        _draw_panel(panel, [line for line in lines if line.unit == unit], unit, colours)
+    _draw_times(panels[-1], series)
+    if title:
+        figure.suptitle(_plain(title))
+    figure.savefig(stream, format=ending)
+
+
+def _draw_panel(panel: Axes, lines: Sequence[Line], unit: str, colours: dict[int, str]) -> None:
+    for line in lines:
+        _draw_line(panel, line, colours[id(line)])
+    panel.grid(color=_GRID, linewidth=0.6)
+    panel.set_axisbelow(True)
+    for side in ("top", "right"):
+        panel.spines[side].set_visible(False)
+    panel.set_ylabel(f"[{unit}]" if unit else "")
+    panel.legend(
+        loc="lower left",
+        bbox_to_anchor=(0, 1),
+        ncols=min(len(lines), MAX_ABREAST),
+        frameon=False,
+        fontsize="small",
+        borderaxespad=0.2,
+    )
+
+
+def _draw_line(panel: Axes, line: Line, colour: str) -> None:
+    days, label = line.times / _DAY_NS, _plain(line.label)
+    mark: dict[str, Any] = {"color": colour, "linewidth": 1}
+    if len(days) <= FEW_POINTS:
+        mark.update(marker=".", markersize=5)
+    panel.plot(days, line.high, label=label, **mark)
+    if line.is_band:
+        panel.plot(days, line.low, **mark)
+        panel.fill_between(days, line.low, line.high, color=colour, alpha=0.5, linewidth=0)
+
+
+def _draw_times(panel: Axes, series: Sequence[Series]) -> None:
+    """Draw the axis of time from the first to the last pixel of all, in UTC."""
+    dates = optional_module("matplotlib.dates", PURPOSE)
+    locator = dates.AutoDateLocator(minticks=3, maxticks=9)
+    panel.xaxis.set_major_locator(locator)
+    panel.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))
+    panel.set_xlabel("UTC")
+    ends = [(e.points.times[0], e.points.times[-1]) for e in series if len(e.points.times)]
+    if ends:
+        low, high = min(first for first, _ in ends), max(last for _, last in ends)
+        margin = max((high - low) // 100, 1000)
+        panel.set_xlim((low - margin) / _DAY_NS, (high + margin) / _DAY_NS)
+
+
+def _plain(text: str) -> str:
+    """Return a text of which nothing is taken for a formula, nor for a line that has no name."""
+    escaped = text.replace("$", r"\$")
+    return f" {escaped}" if escaped.startswith("_") else escaped

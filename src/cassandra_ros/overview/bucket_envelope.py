@@ -1,0 +1,299 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The envelope of a statement's columns in one part of a bucket.
+
+Of blocks of format ``packed`` their bounds are enough, where a whole block lies in one pixel and
+the condition is of KEY, NODE and RUN alone; those that lie across the edge of a pixel are unpacked,
+later. Anything else is read and made into arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
+from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
+from cassandra_ros.arrays.column_values import Convert, compile_convert
+from cassandra_ros.arrays.envelope import Envelope, Grid
+from cassandra_ros.arrays.table_values import TableValues
+from cassandra_ros.blocks.block_bounds import Bounded, ask_bounds, open_blocks, read_bounds
+from cassandra_ros.blocks.block_row import BlockRow
+from cassandra_ros.blocks.bucket_read import BucketRead
+from cassandra_ros.connection.paging import Asked
+from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.messages.wire.zones import HIGH, LOW
+from cassandra_ros.overview.plot_columns import Column, as_floats
+from cassandra_ros.query.plan.key_bounds import Bounds
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.rows.projection import Projection
+from cassandra_ros.query.tree.field_names import FieldRef, Findings, field_of
+from cassandra_ros.query.tree.syntax import KeyOperand, Path, Select, Selected, StatementError
+from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ
+from cassandra_ros.topics.block_messages import messages_of
+from cassandra_ros.topics.key_selection import Stretch, Whose
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+EDGES_AT_ONCE = 64
+"""Blocks that are unpacked before it is looked whether there is time for more."""
+MOST_MESSAGES = 100_000
+"""So many are made into arrays at once."""
+_NOTHING = ArrayType("mixed")
+"""In place of a column that a table lacks."""
+Coming = Optional[Tuple[BucketRead, Asked]]
+"""Bounds that were asked for; None where messages have to be read."""
+
+
+class Piece(NamedTuple):
+    """A part of a bucket."""
+
+    table: TopicTable
+    node: str
+    bucket: int
+    low: int
+    high: int
+    """The last time that is read of it, ns."""
+
+
+class Part:
+    """What is known of a piece.
+
+    Attributes:
+        sure: What its messages have.
+        edges: Blocks that are still to be unpacked.
+        around: Each pixel of those with all that may lie in it.
+    """
+
+    def __init__(self, grid: Grid, columns: int) -> None:
+        self.sure = Envelope(grid, columns)
+        self.around = Envelope(grid, columns)
+        self.edges: Sequence[BlockRow] = ()
+
+    @property
+    def nbytes(self) -> int:
+        """About what it takes of the memory."""
+        return self.sure.nbytes + self.around.nbytes + 512 * len(self.edges)
+
+
+class _Zoned(NamedTuple):
+    """How the bounds of the columns are read of the blocks of a table."""
+
+    names: Tuple[str, ...]
+    """Of the zone columns: two for each column that the table has."""
+    converts: Tuple[Optional[Tuple[Convert, ArrayType]], ...]
+    """For each column; None: the table lacks it."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is drawn of a topic: some columns of the messages that satisfy a condition."""
+
+    select: Select
+    """The statement; of it the condition counts."""
+    bounds: Bounds
+    """Of its condition, and of whom was asked for besides."""
+    columns: Tuple[Column, ...]
+    """None is an aggregate."""
+    key: str
+    """Tells it from all else that is asked of the topic."""
+
+    @property
+    def selected(self) -> Select:
+        """The statement that gives KEY and the columns, which are called by their numbers."""
+        chosen = [Selected(column.what, str(n)) for n, column in enumerate(self.columns)]
+        key = Selected(KeyOperand(0))
+        plain = replace(self.select, order=(), hidden=(), limit=None, descending=False)
+        return replace(plain, columns=(key, *chosen))
+
+
+class PieceReader:
+    """Reads pieces of the buckets of a topic.
+
+    Args:
+        keyspace: In which the topic lies.
+        wanted: What is read.
+        watch: See Watch.
+    """
+
+    def __init__(self, keyspace: Keyspace, wanted: Wanted, watch: Watch) -> None:
+        self._rows = keyspace.rows
+        self._wanted, self._watch = wanted, watch
+        self._select = wanted.selected
+        self._count = len(wanted.columns)
+        self._zoned: dict[str, Optional[_Zoned]] = {}
+
+    def ask(self, piece: Piece) -> Coming:
+        """Ask for the bounds of a piece's blocks, where they are enough."""
+        name = piece.table.name
+        if name not in self._zoned:
+            self._zoned[name] = self._zones(piece.table)
+        zoned = self._zoned[name]
+        if zoned is None:
+            return None
+        blocks = self._blocks(piece)
+        return blocks, ask_bounds(blocks, zoned.names)
+
+    def read(self, piece: Piece, shift: int, coming: Coming) -> Part:
+        """Read a piece, in pixels of 2 ** shift ns; coming: what ask gave for it."""
+        part = Part(Grid.over(piece.low, piece.high, shift), self._count)
+        if coming is None:
+            self._add_messages(piece, part.sure)
+        else:
+            self._add_bounds(piece, part, list(read_bounds(*coming)))
+        return part
+
+    def refined(self, piece: Piece, part: Part) -> Part:
+        """Return what is known of a piece when some more of its edges are unpacked."""
+        found = Part(part.sure.grid, self._count)
+        found.sure.merge(part.sure)
+        now, found.edges = part.edges[:EDGES_AT_ONCE], part.edges[EDGES_AT_ONCE:]
+        values = self._values(piece.table)
+        for block in messages_of(open_blocks(self._blocks(piece), now), [piece.table]):
+            self._watch()
+            values.add_block(block)
+        _drain(values, found.sure)
+        if found.edges:
+            found.around.merge(part.around)
+        return found
+
+    def _blocks(self, piece: Piece) -> BucketRead:
+        ends, writers = ((piece.low, MIN_SEQ), (piece.high, MAX_SEQ)), self._wanted.bounds.writers
+        return BucketRead(piece.table, piece.node, piece.bucket, ends, writers=writers)
+
+    # ---------------------------------------------------------------- bounds
+
+    def _zones(self, table: TopicTable) -> Optional[_Zoned]:
+        """Return how the bounds of all columns are read; None where messages are needed."""
+        known = table.zone_map
+        if known is None or not self._wanted.bounds.whole:
+            return None
+        names: list[str] = []
+        converts: list[Optional[Tuple[Convert, ArrayType]]] = []
+        projection = Projection.compile(self._select, table, Findings(self._select.text))
+        for column, group in zip(self._wanted.columns, group_types(projection, table)[1:]):
+            if not group:
+                converts.append(None)
+                continue
+            ref = _plain_field(column, table)
+            zone = None if ref is None else known.fields.get(ref.column)
+            kind = group[0][1]
+            convert = None if not (ref and zone) else compile_convert(ref, zone, kind, False)
+            if zone is None or convert is None or zone.is_list:
+                return None
+            names += [LOW + zone.name, HIGH + zone.name]
+            converts.append((convert, kind))
+        return _Zoned(tuple(names), tuple(converts))
+
+    def _add_bounds(self, piece: Piece, part: Part, blocks: Sequence[Bounded]) -> None:
+        """Add blocks that lie in one pixel, and note those that have to be unpacked."""
+        zoned = self._zoned[piece.table.name]
+        if zoned is None or not blocks:
+            return
+        ends = [(b.header.t, b.header.last, b.header.left, b.exact) for b in blocks]
+        firsts, lasts, rows, exact = (np.array(each, np.int64) for each in zip(*ends))
+        places = part.sure.grid.places
+        sure = (exact > 0) & (places(firsts) == places(lasts))
+        sure &= (firsts >= piece.low) & (lasts <= piece.high)
+        low, high = self._numbers(zoned, [block.values for block in blocks])
+        part.sure.add_spans(firsts[sure], lasts[sure], low[:, sure], high[:, sure], rows[sure])
+        edge = ~sure
+        part.edges = [blocks[n].header for n in np.flatnonzero(edge).tolist()]
+        part.around.add_wide(firsts[edge], lasts[edge], low[:, edge], high[:, edge])
+
+    def _numbers(
+        self, zoned: _Zoned, values: Sequence[Sequence[Optional[bytes]]]
+    ) -> Tuple[AnyArray, AnyArray]:
+        """Return the least and the greatest number of each column: (columns, blocks) each."""
+        raws = iter(list(zip(*values)))
+        low, high = (np.full((self._count, len(values)), np.nan) for _ in range(2))
+        for n, convert in enumerate(zoned.converts):
+            if convert is not None:
+                read, kind = convert
+                low[n] = as_floats(read(next(raws)), kind)
+                high[n] = as_floats(read(next(raws)), kind)
+        return low, high
+
+    # ---------------------------------------------------------------- messages
+
+    def _values(self, table: TopicTable) -> TableValues:
+        return TableValues(self._select, table, Findings(self._select.text))
+
+    def _add_messages(self, piece: Piece, envelope: Envelope) -> None:
+        """Read messages, and make arrays of some at a time."""
+        values, count = self._values(piece.table), 0
+        for taken in self._taken(piece, values):
+            self._watch()
+            count += taken
+            if count >= MOST_MESSAGES:
+                _drain(values, envelope)
+                count = 0
+        _drain(values, envelope)
+
+    def _taken(self, piece: Piece, values: TableValues) -> Iterator[int]:
+        """Give messages to those who make arrays of them; yield each time how many."""
+        stretch = Stretch(piece.low, piece.high)
+        whose = Whose((piece.node,), self._wanted.bounds.writers)
+        if self._wanted.bounds.whole and values.takes_blocks:
+            blocks = self._rows.blocks([piece.table], stretch, whose=whose)
+            if blocks is not None:
+                for block in blocks:
+                    _check_table(block.table, piece)
+                    values.add_block(block)
+                    yield len(block.times)
+                return
+        for row in self._matching(piece.table, stretch, whose, values.needed):
+            _check_table(row.table, piece)
+            values.add(row, 0)
+            yield 1
+
+    def _matching(
+        self, table: TopicTable, stretch: Stretch, whose: Whose, needed: Sequence[str]
+    ) -> Iterator[StoredRow]:
+        """Read the messages that satisfy the condition."""
+        if self._wanted.bounds.whole:
+            return self._rows.read([table], stretch, whose=whose, columns=lambda _: needed)
+        chooser = Pushdown(self._select.condition, watch=self._watch)
+        test = Projection.compile(
+            replace(self._select, columns=()), table, Findings(self._select.text)
+        )
+        low, high = stretch
+        spans = self._wanted.bounds.spans
+        parts = [stretch] if spans is None else (Stretch(*s) for s in spans(low, high, False))
+        read = partial(self._rows.read, [table], whose=whose, chooser=chooser)
+        return filter(test.hit, chain.from_iterable(map(read, parts)))
+
+
+def _check_table(table: Table, piece: Piece) -> None:
+    """Refuse messages of a table that has taken the place of the one that is read."""
+    if table.name != piece.table.name:
+        raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
+
+
+def _plain_field(column: Column, table: TopicTable) -> Optional[FieldRef]:
+    """Return the field that a column shows as it is; None where that is more, or less, than one."""
+    if not isinstance(column.what, Path) or table.definition is None:
+        return None
+    try:
+        ref = field_of(column.what, table.definition)
+    except StatementError:
+        return None
+    return None if ref.part or ref.index is not None else ref
+
+
+def _drain(values: TableValues, envelope: Envelope) -> None:
+    """Move what was gathered into an envelope."""
+    values.flush()
+    (key_name, key), *kinds = (next(iter(group), ("", _NOTHING)) for group in values.groups)
+    times = values.take(key_name, key).values
+    numbers = np.full((len(kinds), len(times)), np.nan)
+    for n, (name, kind) in enumerate(kinds):
+        if kind is not _NOTHING:
+            numbers[n] = as_floats(values.take(name, kind), kind)
+    envelope.add(times, numbers)
+    values.renew()

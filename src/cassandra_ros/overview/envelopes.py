@@ -1,0 +1,264 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The envelope of a statement's columns over many buckets: as much as there is time for.
+
+Buckets are taken in an order that spreads over the whole time from the first one on, so that what
+is found soon shows all of it, if thinly. What was found of a bucket that is closed is kept.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import OrderedDict, deque
+from itertools import groupby
+from typing import Deque, Iterator, NamedTuple, Optional, Sequence, Tuple
+
+from cassandra_ros.arrays.envelope import Envelope, Grid
+from cassandra_ros.overview.bucket_envelope import Coming, Part, Piece, PieceReader, Wanted
+from cassandra_ros.query.plan.pushdown import Watch
+from cassandra_ros.tables.directory import BucketRow
+from cassandra_ros.topics.key_selection import Whose
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.topic_table import TopicTable
+
+TILE_PIXELS = 1024
+"""A longer bucket is read in such pieces: who looks closely needs little of it."""
+AHEAD = 8
+"""Pieces whose bounds are asked for at once."""
+CACHE_BYTES = 64 * 1024 * 1024
+
+
+class EnvelopeCache:
+    """What is known of pieces of closed buckets that somebody looked at.
+
+    Safe between threads; what nobody asked for the longest goes first.
+
+    Args:
+        most_bytes: What it takes of the memory, about.
+    """
+
+    def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
+        self._most = most_bytes
+        self._parts: OrderedDict[object, Tuple[Part, int]] = OrderedDict()
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def get(self, key: object) -> Optional[Part]:
+        """Return a part, which nobody changes; None where it is not known."""
+        with self._lock:
+            found = self._parts.get(key)
+            if found is None:
+                return None
+            self._parts.move_to_end(key)
+            return found[0]
+
+    def put(self, key: object, part: Part) -> None:
+        """Keep a part."""
+        with self._lock:
+            known = self._parts.pop(key, None)
+            self._bytes -= known[1] if known else 0
+            self._parts[key] = part, part.nbytes
+            self._bytes += part.nbytes
+            while self._bytes > self._most:
+                self._bytes -= self._parts.popitem(last=False)[1][1]
+
+
+class _Listed(NamedTuple):
+    """A piece, and what the directory says of it."""
+
+    piece: Piece
+    rows: float
+    """How many messages it has, about."""
+    state: Optional[Tuple[object, ...]]
+    """What its writers say; None while one writes, or it is unknown what was deleted."""
+
+
+class Envelopes(NamedTuple):
+    """What was found."""
+
+    envelope: Envelope
+    share: float
+    """How much of what there is to read was read: 1.0 = all."""
+    edges: int
+    """Blocks across the edges of pixels of which only their bounds were read: these pixels may
+    seem to hold more than they do."""
+
+
+class EnvelopeReader:
+    """Reads the envelopes of columns of a topic.
+
+    Args:
+        keyspace: In which it lies.
+        tables: Its tables; no message lies under a name.
+        wanted: What is read.
+        cache: None = nothing is kept.
+        watch: See Watch.
+    """
+
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        tables: Sequence[TopicTable],
+        wanted: Wanted,
+        cache: Optional[EnvelopeCache],
+        watch: Watch,
+    ) -> None:
+        self._keyspace, self._tables = keyspace, tables
+        self._bounds = wanted.bounds
+        self._columns = len(wanted.columns)
+        self._cache, self._watch = cache, watch
+        self._pieces = PieceReader(keyspace, wanted, watch)
+        self._asked = wanted.key
+
+    def read(self, grid: Grid, seconds: Optional[float] = None) -> Envelopes:
+        """Read the envelope of the messages in a grid.
+
+        Args:
+            seconds: Stop about then with what is known; at least something more is read each time.
+                Buckets that are still written to come last, all of them. None = read all.
+        """
+        ends = None if seconds is None else time.monotonic() + seconds
+        listed = list(self._listed(grid))
+        listed = [listed[n] for n in spread(len(listed))]
+        parts = {n: part for n, each in enumerate(listed) if (part := self._known(each, grid))}
+        left = [n for n in range(len(listed)) if n not in parts]
+        kept = [n for n in left if self._keeps(listed[n])]
+        fresh = False
+        for n, part in self._new(listed, kept, grid):
+            parts[n], fresh = part, True
+            if _is_over(ends):
+                break
+        for n in list(parts):
+            while parts[n].edges and not (fresh and _is_over(ends)):
+                parts[n], fresh = self._refined(listed[n], grid, parts[n]), True
+        done = len(parts) == len(listed) - len(left) + len(kept)
+        if done and not (fresh and _is_over(ends) and any(p.edges for p in parts.values())):
+            # Nothing of these is known the next time: who began with them would never end.
+            parts.update(self._at_once(listed, [n for n in left if n not in parts], grid))
+        return self._joined(grid, listed, parts)
+
+    # ---------------------------------------------------------------- what there is to read
+
+    def _listed(self, grid: Grid) -> Iterator[_Listed]:
+        bounds = self._bounds
+        if bounds.empty or max(grid.low, bounds.low) > min(grid.high, bounds.high):
+            return
+        low, high = max(grid.low, bounds.low), min(grid.high, bounds.high)
+        whose = Whose(None if bounds.node is None else (bounds.node,), bounds.writers)
+        for table in self._tables:
+            ends = table.bucket_of(low), table.bucket_of(high)
+            rows = sorted(buckets_of(self._keyspace.directory, table, whose, ends), key=_place)
+            for (node, bucket), group in groupby(rows, key=_place):
+                writers = [row for row in group if _reaches(row, low, high)]
+                if writers:
+                    yield from self._tiles(table, node, bucket, writers, grid)
+
+    def _tiles(
+        self, table: TopicTable, node: str, bucket: int, writers: Sequence[BucketRow], grid: Grid
+    ) -> Iterator[_Listed]:
+        """Yield a bucket, or the pieces of a long one that reach into the grid.
+
+        A piece is no shorter for that only a part of it lies in the grid: who looks a little aside
+        needs all of it.
+        """
+        length, tile = table.metadata.bucket_ns, TILE_PIXELS << grid.shift
+        begin, end = bucket * length, (bucket + 1) * length - 1
+        rows = sum(row.rows for row in writers)
+        state = None
+        if all(row.closed for row in writers):
+            state = tuple((r.writer, r.rows, r.bytes, r.t_min, r.t_max) for r in writers)
+        cuts = [begin, end + 1]
+        if length > tile:
+            first, last = max(begin, grid.low) // tile, min(end, grid.high) // tile + 1
+            cuts = [min(max(begin, n * tile), end + 1) for n in range(first, last + 1)]
+        for low, high in zip(cuts, cuts[1:]):
+            share = rows * (high - low) / length
+            low, high = max(low, self._bounds.low), min(high - 1, self._bounds.high)
+            if low <= high and any(_reaches(row, low, high) for row in writers):
+                yield _Listed(Piece(table, node, bucket, low, high), share, state)
+
+    def _key(self, listed: _Listed, grid: Grid) -> object:
+        piece = listed.piece
+        where = self._keyspace.name, piece.table.name, *piece[1:], listed.state
+        return self._asked, grid.shift, where
+
+    def _keeps(self, listed: _Listed) -> bool:
+        """Say whether what is read of a piece is known the next time."""
+        return self._cache is not None and listed.state is not None
+
+    def _known(self, listed: _Listed, grid: Grid) -> Optional[Part]:
+        if self._cache is None or not self._keeps(listed):
+            return None
+        return self._cache.get(self._key(listed, grid))
+
+    def _keep(self, listed: _Listed, grid: Grid, part: Part) -> None:
+        if self._cache is not None and self._keeps(listed):
+            self._cache.put(self._key(listed, grid), part)
+
+    # ---------------------------------------------------------------- reading
+
+    def _new(
+        self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
+    ) -> Iterator[Tuple[int, Part]]:
+        """Read pieces that are not known; the bounds of some are asked for ahead."""
+        coming: Deque[Tuple[int, Coming]] = deque()
+        left = iter(places)
+        while True:
+            for n in left:
+                coming.append((n, self._pieces.ask(listed[n].piece)))
+                if len(coming) >= AHEAD:
+                    break
+            if not coming:
+                return
+            n, asked = coming.popleft()
+            self._watch()
+            part = self._pieces.read(listed[n].piece, grid.shift, asked)
+            self._keep(listed[n], grid, part)
+            yield n, part
+
+    def _refined(self, listed: _Listed, grid: Grid, part: Part) -> Part:
+        found = self._pieces.refined(listed.piece, part)
+        self._keep(listed, grid, found)
+        return found
+
+    def _at_once(
+        self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
+    ) -> Iterator[Tuple[int, Part]]:
+        """Read pieces whole, however long it takes."""
+        for n, part in self._new(listed, places, grid):
+            while part.edges:
+                part = self._refined(listed[n], grid, part)
+            yield n, part
+
+    def _joined(self, grid: Grid, listed: Sequence[_Listed], parts: dict[int, Part]) -> Envelopes:
+        envelope, read, edges = Envelope(grid, self._columns), 0.0, 0
+        for n, part in parts.items():
+            envelope.merge(part.sure)
+            if part.edges:
+                envelope.merge(part.around)
+                edges += len(part.edges)
+            read += listed[n].rows + 1
+        every = sum(each.rows + 1 for each in listed)
+        share = 1.0 if len(parts) == len(listed) else min(read / every, 0.999)
+        return Envelopes(envelope, share, edges)
+
+
+def _place(row: BucketRow) -> Tuple[str, int]:
+    return row.node, row.bucket
+
+
+def _reaches(row: BucketRow, low: int, high: int) -> bool:
+    """Say whether a writer may have messages of a time in a bucket."""
+    return not row.closed or bool(row.rows and row.t_min <= high and row.t_max >= low)
+
+
+def _is_over(ends: Optional[float]) -> bool:
+    return ends is not None and time.monotonic() >= ends
+
+
+def spread(count: int) -> Sequence[int]:
+    """Return the numbers below count so that the first of them, however many, lie far apart."""
+    bits = max(1, (count - 1).bit_length())
+    return sorted(range(count), key=lambda n: int(f"{n:0{bits}b}"[::-1], 2))

@@ -1,0 +1,259 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Latched messages: what a subscriber of a past time would have been sent first.
+
+A connection is latched where its header says ``latching=1``. A late subscriber of such a topic is
+given the last message of each publisher, so whoever plays or exports a window needs those from
+before it, of the runs that the window shows.
+"""
+
+from __future__ import annotations
+
+import logging
+from functools import cached_property, partial
+from typing import (
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+)
+
+from cassandra_ros.arguments import check_nodes, check_topics
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.keys import split_seq
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.store.row_counts import settle
+from cassandra_ros.tables.directory import STALE_SEC, BucketRow
+from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.key_selection import LAST_NS, Nodes, Stretch, Whose
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.run_finder import RunName
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+_log = logging.getLogger(__name__)
+
+Source = Tuple[str, int]
+"""nodeID and writer id of a run."""
+Publisher = Tuple[Source, int]
+"""A run, and the number of one of its connections in a table."""
+Tests = Dict[str, Callable[[StoredRow], bool]]
+"""Topic -> whether a message of it is wanted; topics that are not in it are wanted whole."""
+
+
+def latched_before(
+    catalog: Catalog,
+    t: int,
+    topics: Optional[Iterable[str]] = None,
+    *,
+    to: Optional[int] = None,
+    nodeID: Optional[str] = None,
+    run: RunName = None,
+    where: Conditions = None,
+) -> List[StoredRow]:
+    """Find the last latched message before a time of each publisher of some topics.
+
+    They are taken only from the runs (recordings, imports) that have messages of any topic in the
+    window that begins at t. Rows of topics that nobody latches are not read.
+
+    Args:
+        t: Time of reception at which the window begins, ns; a message at t itself is in it.
+        topics: Names; None = all.
+        to: Where the window ends, included, ns; None = open.
+        nodeID: Only messages of this node; None = of all.
+        run: Only messages of this run, by name or writer id; None = of all.
+        where: Topic -> condition: of these topics the last message that satisfies it.
+
+    Returns:
+        The rows in the order of their reception; their messages are fetched when asked for.
+
+    Raises:
+        TopicNotFound, RunNotFound: One of the topics, or the run, is not stored.
+        InvalidName, InvalidQuery: As readMessages.
+    """
+    names = check_topics(topics)
+    finder = LatchedFinder(
+        catalog.keyspace,
+        catalog.tables(names),
+        check_nodes(nodeID),
+        catalog.keyspace.runs.writers(run),
+        tests=tests_of(catalog, where, nodeID),
+    )
+    return finder.before(t, LAST_NS if to is None else to)
+
+
+def tests_of(catalog: Catalog, where: Conditions, node: Optional[str]) -> Tests:
+    """Return for each topic with a condition the test whether a row satisfies the condition."""
+    return {name: kept.test for name, kept in catalog.filters(where, None, node).items()}
+
+
+class LatchedFinder:
+    """Finds latched messages of some tables; what it knows of their connections it keeps.
+
+    Args:
+        keyspace: Where they lie.
+        tables: The tables of the topics that are asked for.
+        nodes: Only messages of these nodeIDs; None = of all.
+        writers: Only messages of these writer ids; None = of all.
+        tests: Topic -> whether a message is wanted.
+    """
+
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        tables: Sequence[TopicTable],
+        nodes: Nodes = None,
+        writers: Optional[FrozenSet[int]] = None,
+        tests: Optional[Tests] = None,
+    ) -> None:
+        self._keyspace = keyspace
+        self._tables = tables
+        self._nodes = nodes
+        self._writers = writers
+        self._tests = tests or {}
+
+    @cached_property
+    def _latched(self) -> Dict[str, FrozenSet[int]]:
+        """Table -> numbers of its latched connections."""
+        found: Dict[str, set[int]] = {}
+        names = {table.name for table in self._tables}
+        for table, conn, connection in self._keyspace.connections.of_tables(names):
+            if is_latched(connection):
+                found.setdefault(table, set()).add(conn)
+        return {table: frozenset(conns) for table, conns in found.items()}
+
+    @property
+    def latches(self) -> bool:
+        """Whether somebody latched a message of the tables."""
+        return bool(self._latched)
+
+    def is_latched(self, row: StoredRow) -> bool:
+        """Say whether a message came over a latched connection."""
+        if row.table.name in {table.name for table in self._tables}:
+            return row.conn in self._latched.get(row.table.name, ())
+        return is_latched(row.connection)  # its table has replaced one of them
+
+    def before(self, t: int, to: int = LAST_NS) -> List[StoredRow]:
+        """Find the last latched message before t of each publisher; see latched_before."""
+        return self.of_sources(self.sources(t, to), t) if self.latches and t > 0 else []
+
+    def of_sources(self, sources: FrozenSet[Source], t: int, since: int = 0) -> List[StoredRow]:
+        """Find the last latched message in [since, t) of each publisher of some runs."""
+        tables = [table for table in self._tables if table.name in self._latched]
+        found = [row for table in tables for row in self._last(table, t, since, sources)]
+        return sorted(found, key=lambda row: row.arrival)
+
+    def sources(self, t: int, to: int) -> FrozenSet[Source]:
+        """List the runs that have messages in [t, to], of whatever topic."""
+        found: set[Source] = set()
+        # What is asked for alone may be a topic that was sent once, long before the window.
+        for name, metadata in sorted(self._keyspace.schema.tables().items()):
+            if metadata.named or metadata.own_time:
+                continue  # their rows do not lie by the time of reception
+            length = metadata.bucket_ns
+            listed = self._keyspace.directory.buckets(
+                name, t // length, to // length, self._nodes, metadata.ttl
+            )
+            rows = [row for row in listed if self._writers is None or row.writer in self._writers]
+            for row in self._counted(name, metadata, rows):
+                if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t):
+                    found.add((row.node, row.writer))
+        return frozenset(found)
+
+    def _counted(
+        self, name: str, metadata: TopicMetadata, rows: Sequence[BucketRow]
+    ) -> List[BucketRow]:
+        """Count what a recorder that was killed left open; one that lives has its bucket still."""
+        left = [row for row in rows if not row.closed and row.age_sec > STALE_SEC]
+        if not left:
+            return list(rows)
+        table = self._keyspace.tables.get(name, metadata)
+        counted = settle(self._keyspace.directory, table, left)
+        others = [row for row in rows if row.closed or row.age_sec <= STALE_SEC]
+        return [*others, *(row._replace(closed=True) for row in counted)]
+
+    def _last(
+        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
+    ) -> Iterable[StoredRow]:
+        if table.named or table.metadata.own_time:
+            return self._last_of_all(table, t, since, sources)
+        return self._last_by_time(table, t, since, sources)
+
+    def _last_by_time(
+        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
+    ) -> Iterator[StoredRow]:
+        """Read keys backwards, until every latched connection of every run is found."""
+        # Only of buckets that a run of the window wrote into.
+        length, conns = table.metadata.bucket_ns, self._latched[table.name]
+        robots = tuple({node for node, _ in sources})
+        buckets = self._keyspace.directory.buckets(
+            table.name, since // length, (t - 1) // length, robots, table.metadata.ttl
+        )
+        there = [row for row in buckets if (row.node, row.writer) in sources]
+        if not there:
+            return
+        missing = {((row.node, row.writer), conn) for row in there for conn in conns}
+        stretch = Stretch(max(since, min(row.bucket for row in there) * length), t - 1)
+        whose = Whose(tuple({row.node for row in there}), frozenset(row.writer for row in there))
+        for row in self._rows(table, stretch, whose, reverse=True, wanted=len(missing)):
+            publisher = publisher_of(row)
+            if publisher in missing and self._wanted(row):
+                missing.discard(publisher)
+                yield row
+                if not missing:
+                    return
+
+    def _last_of_all(
+        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
+    ) -> Iterator[StoredRow]:
+        """Look through the keys of a topic whose key is not the time of reception."""
+        last: Dict[Publisher, StoredRow] = {}
+        conns, every = self._latched[table.name], Stretch()
+        for row in self._rows(table, every, Whose(self._nodes, self._writers)):
+            source, conn = publisher = publisher_of(row)
+            # Equal messages of key format hash have one row, which names no writer.
+            if not since <= row.received < t or conn not in conns:
+                continue
+            if source[1] and source not in sources:
+                continue
+            known = last.get(publisher)
+            if (known is None or known.arrival < row.arrival) and self._wanted(row):
+                last[publisher] = row
+        return iter(last.values())
+
+    def _rows(
+        self,
+        table: TopicTable,
+        stretch: Stretch,
+        whose: Whose,
+        reverse: bool = False,
+        wanted: Optional[int] = None,
+    ) -> Iterator[StoredRow]:
+        # Of most rows the keys are enough; a condition looks into the messages.
+        columns = None if table.metadata.topic in self._tests else lambda table: ()
+        read = partial(self._keyspace.rows.read, [table], stretch, whose=whose, columns=columns)
+        return read(reverse=reverse, wanted=wanted)
+
+    def _wanted(self, row: StoredRow) -> bool:
+        test = self._tests.get(row.topic)
+        return test is None or test(row)
+
+
+def publisher_of(row: StoredRow) -> Publisher:
+    """Return who sent a message: its run, and the number of its connection in the table."""
+    return (row.node, split_seq(row.seq)[0]), row.conn
+
+
+def is_latched(connection: Connection) -> bool:
+    """Say whether a connection's header has latching=1; one that is no header has not."""
+    try:
+        return connection.latching
+    except CorruptMessage as exc:
+        _log.debug("topic %s is taken as not latched: %s", connection.topic, exc)
+        return False

@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What was sent last: all that somebody has to be shown who begins to look at a moment."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Dict, Iterator, List, Sequence, Tuple
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.overview.latched_messages import LatchedFinder
+from cassandra_ros.topics.key_selection import EVERYBODY, Stretch, Whose
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
+
+TRANSFORMS = frozenset({"tf2_msgs/TFMessage", "tf/tfMessage"})
+"""Types whose single message tells of some frames only."""
+TRANSFORMS_NS = SECOND_NS
+"""So far back lies, of whoever publishes one steadily, a transform of each frame."""
+AROUND_NS = 60 * SECOND_NS
+"""Whose messages lie so near to the moment, they are the runs whose latched messages hold then."""
+
+
+class Latest:
+    """Finds the last messages of some topics before a moment; keeps what it knows of latched ones.
+
+    Args:
+        keyspace: Where they lie.
+        tables: Their tables. Of those with key format hash, whose messages have no place in time,
+            nothing is found.
+        whose: Whose messages. What is kept under names, as a map is, is no part of a recording: of
+            that all runs count, and what nobody's nodeID is said of.
+    """
+
+    def __init__(
+        self, keyspace: Keyspace, tables: Sequence[TopicTable], whose: Whose = EVERYBODY
+    ) -> None:
+        self._keyspace = keyspace
+        self._whose = whose
+        self._by_topic: Dict[str, List[TopicTable]] = {}
+        for table in tables:
+            self._by_topic.setdefault(table.metadata.topic, []).append(table)
+        timed = [table for table in tables if not table.named]
+        self._latched = LatchedFinder(keyspace, timed, whose.nodes, whose.writers)
+
+    def before(self, t: int, since: int = 0) -> List[StoredRow]:
+        """Find what was sent last on each topic, in the order of time.
+
+        That is the last message; of transforms those of the last second; of what is latched the
+        last of each publisher, whenever it was sent; of what is kept under names each name's
+        newest, or the first where all were stored later.
+
+        Args:
+            t: The moment, ns; a message at t itself counts.
+            since: What is not latched counts from here on, ns.
+        """
+        found: Dict[Tuple[object, ...], StoredRow] = {}
+        for rows in (self._last(t, since), self._latched_before(t, since)):
+            found.update(((row.topic, *row.place), row) for row in rows)
+        return sorted(found.values(), key=lambda row: row.position)
+
+    def _last(self, t: int, since: int) -> Iterator[StoredRow]:
+        for tables in self._by_topic.values():
+            timed = [table for table in tables if not table.named]
+            manual = [table for table in tables if table.metadata.key_format == "manual"]
+            if timed:
+                yield from self._last_timed(timed, t, since)
+            if manual:
+                yield from self._newest_of_names(manual, t)
+
+    def _last_timed(self, tables: Sequence[TopicTable], t: int, since: int) -> List[StoredRow]:
+        rows = self._keyspace.rows
+        if any(table.msg_type in TRANSFORMS for table in tables):
+            steady = Stretch(max(since, t - TRANSFORMS_NS), t)
+            found = list(rows.read(tables, steady, whose=self._whose))
+            if found:
+                return found
+        near = rows.beside(tables, t, self._whose, [True])
+        if near is None:
+            back = rows.read(tables, Stretch(since, t), whose=self._whose, reverse=True, wanted=1)
+            near = list(islice(back, 1))
+        return [row for row in near if row.t >= since]
+
+    def _newest_of_names(self, tables: Sequence[TopicTable], t: int) -> Sequence[StoredRow]:
+        nodes = self._whose.nodes
+        whose = Whose(None if nodes is None else (*nodes, ""))
+        newest: Dict[Tuple[str, str], StoredRow] = {}
+        for row in self._keyspace.rows.read(
+            tables, Stretch(), whose=whose, columns=lambda table: ()
+        ):
+            key = (row.node, row.name)
+            if row.t <= t or key not in newest:
+                newest[key] = row
+        return list(newest.values())
+
+    def _latched_before(self, t: int, since: int) -> Sequence[StoredRow]:
+        finder = self._latched
+        if not finder.latches:
+            return []
+        # In a gap the runs of what came before it.
+        runs = finder.sources(max(0, t - AROUND_NS), t + AROUND_NS) or finder.sources(since, t)
+        return finder.of_sources(runs, t + 1)

@@ -1,0 +1,246 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Numbers of a statement over time, as a plot shows them: of each pixel the least and greatest.
+
+The messages of a plain statement are looked at bucket by bucket (see envelopes.py), as many as
+there is time for. Groups, distinct rows and those of a LIMIT are made first, all of them.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.arrays.array_types import AnyArray, column_types
+from cassandra_ros.arrays.envelope import Envelope, Grid, Points
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.overview.bucket_envelope import Wanted
+from cassandra_ros.overview.envelopes import EnvelopeCache, EnvelopeReader, Envelopes
+from cassandra_ros.overview.plot_columns import Column, Drawn, Undrawn, as_float, drawn_columns
+from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of
+from cassandra_ros.query.plan.nearby import located, spans_of
+from cassandra_ros.query.plan.pushdown import Watch, unwatched
+from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.rows.projection import ResultRow
+from cassandra_ros.query.run import QueryResult
+from cassandra_ros.query.source import Writers
+from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.topic_table import TopicTable
+
+PIXELS = 1000
+MOST_PIXELS = 20_000
+MOST_ROWS = 2_000_000
+"""So many rows are made for a plot that has to have all of them."""
+NEAR_KEPT_SEC = 60
+"""So long it is believed what a robot's poses said."""
+_CHUNK_ROWS = 4096
+
+
+class Window(NamedTuple):
+    """What of the time is drawn, and how closely."""
+
+    low: Optional[int] = None
+    """First time, ns; None = that of the first message."""
+    high: Optional[int] = None
+    """Last time, included; None = that of the last message."""
+    pixels: int = PIXELS
+    """At most so many, 1 to MOST_PIXELS."""
+    seconds: Optional[float] = None
+    """Stop about then with what is known; None = read all."""
+
+
+WHOLE = Window()
+
+
+@dataclass(frozen=True)
+class Asker:
+    """Who asks for a series, and how.
+
+    Attributes:
+        node, writers: Only messages of these; None = of all.
+        cache: Keeps what was read for the next time, whole pixels also at the ends of the window;
+            None = nothing does, and nothing is read beside the window.
+        watch: See Watch.
+    """
+
+    node: Optional[str] = None
+    writers: Writers = None
+    cache: Optional[EnvelopeCache] = None
+    watch: Watch = unwatched
+
+
+@dataclass(frozen=True)
+class Series:
+    """The numbers of a statement over time."""
+
+    topic: str
+    columns: Tuple[Column, ...]
+    left_out: Tuple[Undrawn, ...]
+    """Columns that cannot be drawn."""
+    grid: Grid
+    """Its pixels: somewhat more than was asked for, whole ones."""
+    points: Points
+    share: float = 1.0
+    """How much of what there is to read was read: below 1.0 points are missing, and others lack
+    a part."""
+    edges: int = 0
+    """Blocks that lie in two pixels or more, and of which only the bounds were read: both of these
+    seem to hold all of their numbers."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether each number is exact."""
+        return self.share == 1.0 and not self.edges
+
+    @property
+    def breaks(self) -> AnyArray:
+        """Places of the points behind which lines are broken.
+
+        Empty while not all is read: what was not read yet is no pause.
+        """
+        return self.points.breaks if self.share == 1.0 else np.zeros(0, np.int64)
+
+
+def read_series(
+    keyspace: Keyspace,
+    topic: CassandraTopic,
+    select: Select,
+    window: Window,
+    asker: Asker,
+) -> Series:
+    """Read the numbers that a statement gives over time.
+
+    Where there is no time to draw them over, each column is left out.
+
+    Raises:
+        InvalidQuery: The statement names what the topic has not.
+    """
+    tables = topic.tables
+    plain = settle(select, tables)
+    named, runs = any(t.named for t in tables), next((t.runs for t in tables), None)
+    bounds = bounds_of(plain, asker.node, named, asker.writers, runs)
+    settled = located(plain, tables, bounds.node, bounds.writers)
+    drawn = drawn_columns(settled, tables)
+    if named:
+        return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))
+    if settled.gathers or settled.limit is not None:
+        return _of_rows(topic, select, drawn, window, asker)
+    if asker.cache is None:
+        bounds = bounds.within(window.low, window.high)
+    ends = _extent(topic, bounds, window) if drawn.columns else None
+    if ends is None:
+        return _nothing(topic, drawn)
+    grid = Grid.between(*ends, window.pixels)
+    key = _key(plain, bounds, drawn, near=settled is not plain)
+    bounds = replace(bounds, spans=spans_of(settled.condition))
+    wanted = Wanted(settled, bounds, drawn.columns, key)
+
+    def read(now: Sequence[TopicTable]) -> Envelopes:
+        reader = EnvelopeReader(keyspace, now, wanted, asker.cache, asker.watch)
+        return reader.read(grid, window.seconds)
+
+    found = followed(tables, read)
+    points = found.envelope.points()
+    return Series(topic.name, *drawn, grid, points, found.share, found.edges)
+
+
+def _key(select: Select, bounds: Bounds, drawn: Drawn, near: bool) -> str:
+    """Return what tells a question from all others, where it is asked of the same messages."""
+    # The trees, for the values of its parameters are in no text.
+    key = repr(([column.what for column in drawn.columns], select.condition, bounds))
+    # Poses may come later than what was recorded there.
+    return f"{key} {time.time() // NEAR_KEPT_SEC}" if near else key
+
+
+def _nothing(topic: CassandraTopic, drawn: Drawn) -> Series:
+    grid = Grid(0, 0, 1)
+    return Series(topic.name, *drawn, grid, Envelope(grid, len(drawn.columns)).points())
+
+
+def _without(drawn: Drawn, reason: str) -> Drawn:
+    """Leave out every column, for one reason."""
+    left_out = (Undrawn(column.name, reason) for column in drawn.columns)
+    return Drawn((), (*left_out, *drawn.left_out))
+
+
+def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[Tuple[int, int]]:
+    """Return the first and the last time that is drawn; None: there is none."""
+    low, high = window.low, window.high
+    if not topic.tables or bounds.empty:
+        return None
+    if low is None:
+        low = _end(topic, bounds, reverse=False)
+    if high is None:
+        high = _end(topic, bounds, reverse=True)
+    if low is None or high is None or low > high:
+        return None
+    return low, high
+
+
+def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> Optional[int]:
+    rows = topic.rows(
+        bounds.low,
+        bounds.high,
+        nodeID=bounds.node,
+        limit=1,
+        reverse=reverse,
+        columns=lambda table: (),
+        run=bounds.writers,
+    )
+    return next((row.t for row in rows), None)
+
+
+# ---------------------------------------------------------------- rows that are made
+
+
+def _of_rows(
+    topic: CassandraTopic, select: Select, drawn: Drawn, window: Window, asker: Asker
+) -> Series:
+    """Draw the rows of a result: all of them are made."""
+    if select.columns is not None and not (select.aggregates or select.group or select.distinct):
+        select = replace(select, columns=(Selected(KeyOperand(0)), *select.columns))
+    kinds = column_types(select, topic.tables)
+    over = next((n for n, (_, k) in enumerate(kinds) if k.kind == "time" and not k.depth), None)
+    if over is None:
+        reason = "in rows without a time to draw it over: group by time(1m), and select that, too"
+        return _nothing(topic, _without(drawn, reason))
+    name = kinds[over][0]
+    drawn = drawn._replace(left_out=tuple(u for u in drawn.left_out if u.name != name))
+    places = [[name for name, _ in kinds].index(column.name) for column in drawn.columns]
+    asked = QueryResult(select, topic, node=asker.node, run=asker.writers, watch=asker.watch)
+    with asked as result:
+        times, numbers = _arrays(select, result, over, places)
+    low = times.min(initial=2**63 - 1) if window.low is None else window.low
+    high = times.max(initial=-1) if window.high is None else window.high
+    if low > high:
+        return _nothing(topic, drawn)
+    grid = Grid.between(int(low), int(high), window.pixels)
+    envelope = Envelope(grid, len(places))
+    envelope.add(times, numbers)
+    return Series(topic.name, *drawn, grid, envelope.points())
+
+
+def _arrays(
+    select: Select, rows: Iterator[ResultRow], over: int, places: Sequence[int]
+) -> Tuple[AnyArray, AnyArray]:
+    """Return times and numbers of rows; those without a time are left out."""
+    times, numbers, count = [np.zeros(0, np.int64)], [np.zeros((len(places), 0))], 0
+    while True:
+        chunk = list(islice(rows, _CHUNK_ROWS))
+        if not chunk:
+            return np.concatenate(times), np.concatenate(numbers, axis=1)
+        count += len(chunk)
+        if count > MOST_ROWS:
+            reason = f"more than {MOST_ROWS} rows are too many to draw; group by a longer time"
+            raise InvalidQuery(select.text, 0, reason)
+        kept = [row for row in chunk if hasattr(row[over], "to_nsec")]
+        times.append(np.array([row[over].to_nsec() for row in kept], np.int64))
+        found = [[as_float(row[place]) for row in kept] for place in places]
+        numbers.append(np.array(found, np.float64).reshape(len(places), len(kept)))

@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Some messages of a topic, evenly spaced in time, without reading those between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+from typing import Iterable, Iterator, Optional, Sequence
+
+from cassandra_ros.errors import MessageNotFound
+from cassandra_ros.keys import RowName
+from cassandra_ros.messages.stamps import Stamp, Time
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.row_finder import Where
+from cassandra_ros.topics.run_finder import Writers
+from cassandra_ros.topics.stored_row import StoredRow
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Of which messages of a topic some are wanted."""
+
+    start: Optional[Time] = None
+    end: Optional[Time] = None
+    """Key times, both included; None = open."""
+    node: Optional[str] = None
+    """Of this nodeID; None = of all."""
+    writers: Writers = None
+    """Of these writer ids; None = of all."""
+    where: Optional[Where] = None
+    """That satisfy this condition; None = all."""
+
+    def rows(self, catalog: Catalog, topic: CassandraTopic) -> Iterator[StoredRow]:
+        """Walk through them in order of time; what lies in the messages is read when asked for."""
+        if self.where is None:
+            return topic.rows(
+                self.start,
+                self.end,
+                nodeID=self.node,
+                run=self.writers,
+                columns=lambda table: (),
+            )
+        names = [topic.name]
+        return catalog.merged(
+            topic.tables,
+            catalog.filters({topic.name: self.where}, names, self.node, self.writers),
+            catalog.stretch(names, self.start, self.end),
+            catalog.whose(self.node, self.writers),
+        )
+
+    def last(self, topic: CassandraTopic) -> int:
+        """Return the time of the last of them, of which there is one, ns."""
+        newest = topic.items(
+            self.start,
+            self.end,
+            nodeID=self.node,
+            limit=1,
+            reverse=True,
+            where=self.where,
+            run=self.writers,
+        )
+        keys = (key for key, _ in newest)
+        return next((key.t if isinstance(key, RowName) else key.ns for key in keys), 0)
+
+
+def spaced_rows(
+    catalog: Catalog, name: str, chosen: Chosen, count: int, every_ns: int = 0
+) -> Iterator[StoredRow]:
+    """Choose messages of a topic that lie evenly in time between its first and last.
+
+    Where there are no more than are wanted, all of them are chosen. Else each is the nearest to one
+    of the times, found by that time; with a condition all that satisfy it are read, once, and where
+    keys are names the keys of all.
+
+    Args:
+        name: The topic.
+        chosen: Of which of its messages.
+        count: How many are wanted at most, at least 1.
+        every_ns: So far they lie apart, from the first on; 0 = as many as wanted, up to the last.
+
+    Yields:
+        Rows in the order of time, each once.
+
+    Raises:
+        MessageNotFound: There is none.
+        TopicNotFound, InvalidQuery: As readMessages.
+    """
+    topic = catalog.get(name)
+    few = [(row.t, row.key) for row in islice(chosen.rows(catalog, topic), count + 1)]
+    if not few:
+        raise MessageNotFound(
+            f"topic {topic.name} has no such message: none of that time, robot, run or condition"
+        )
+    if len(few) <= count and not every_ns:
+        found = (topic.getRow(key) for _, key in few)
+        yield from (row for row in found if row is not None)  # else it was deleted meanwhile
+        return
+    times = _times(few[0][0], chosen.last(topic), count, every_ns)
+    if chosen.where is None and not isinstance(few[0][1], RowName):
+        yield from _once(_looked_up(topic, chosen, times))
+    else:
+        yield from _once(nearest_rows(chosen.rows(catalog, topic), times))
+
+
+def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:
+    """List the times for which messages are looked for, both ends included, ns."""
+    if every_ns:
+        return range(first, last + 1, every_ns)[:count]
+    gaps = max(1, count - 1)
+    return [first + (last - first) * n // gaps for n in range(count)]
+
+
+def _looked_up(topic: CassandraTopic, chosen: Chosen, times: Sequence[int]) -> Iterator[StoredRow]:
+    for t in times:
+        row = topic.getRow(
+            Stamp.from_ns(t), nearest="either", nodeID=chosen.node, run=chosen.writers
+        )
+        if row is not None:
+            yield row
+
+
+def nearest_rows(rows: Iterable[StoredRow], times: Sequence[int]) -> Iterator[StoredRow]:
+    """Yield for each of some times, in their order, the nearest row; of two the earlier.
+
+    Args:
+        rows: In the order of time; all are read.
+        times: ns.
+    """
+    before: Optional[StoredRow] = None
+    wanted = iter(times)
+    t = next(wanted, None)
+    for row in rows:
+        while t is not None and t <= row.t:
+            yield row if before is None or row.t - t < t - before.t else before
+            t = next(wanted, None)
+        if t is None:
+            return
+        before = row
+    while before is not None and t is not None:
+        yield before
+        t = next(wanted, None)
+
+
+def _once(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
+    before = None
+    for row in rows:
+        if row.place != before:
+            yield row
+        before = row.place

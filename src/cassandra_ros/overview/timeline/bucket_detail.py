@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""When messages came within their buckets: by keys and by headers of blocks, up to a bound.
+
+Pieces of which there is least to be read come first, so that most of them are told exactly.
+"""
+
+from __future__ import annotations
+
+import threading
+from itertools import islice
+from typing import List, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.blocks.block_counts import headers
+from cassandra_ros.keys import writer_of
+from cassandra_ros.overview.timeline.range_counts import Keys, Piece
+from cassandra_ros.overview.timeline.time_cells import WIDE_CELLS, Bools, Longs, Scale, Stretches
+from cassandra_ros.store.row_counts import scan_keys
+from cassandra_ros.topics.key_selection import Whose
+
+MAX_KEYS = 30_000
+"""Messages whose keys are read for one picture."""
+MAX_BLOCKS = 5000
+"""Headers of blocks that are read for one picture."""
+_BLOCK_MESSAGES = 256
+"""A block holds as many, or more, or not much longer than half a second."""
+
+
+class _Budget:
+    """What may still be read."""
+
+    def __init__(self) -> None:
+        self.keys, self.blocks = MAX_KEYS, MAX_BLOCKS
+
+
+def refined(
+    pieces: Sequence[Piece], scale: Scale, whose: Whose, gone: threading.Event
+) -> List[Piece]:
+    """Return pieces of which more is known, where buckets cover several cells or have no count.
+
+    Args:
+        gone: Once it is set nothing more is read.
+    """
+    found, budget = list(pieces), _Budget()
+    coarse = [_coarse(piece, scale) for piece in pieces]
+    costs = [
+        float((piece.stretches.messages * piece.stretches.shares(scale.start, scale.end))[c].sum())
+        for piece, c in zip(pieces, coarse)
+    ]
+    for number in sorted(range(len(found)), key=costs.__getitem__):
+        if gone.is_set():
+            break
+        if coarse[number].any() and not (found[number].sampled):
+            better = _better(found[number], coarse[number], costs[number], scale, whose, budget)
+            found[number] = better or found[number]
+    return found
+
+
+def _coarse(piece: Piece, scale: Scale) -> Bools:
+    """Tell which stretches are worth a closer look."""
+    each = piece.stretches
+    near = (each.first <= scale.end) & (each.last >= scale.start)
+    spans = scale.cells_of(each.last) - scale.cells_of(each.first)
+    wide = (spans >= WIDE_CELLS - 1) & (each.messages > 2)
+    cut = (each.first < scale.start) | (each.last > scale.end)
+    return np.asarray(near & (wide | cut | ~each.sure))
+
+
+def _better(
+    piece: Piece, coarse: Bools, cost: float, scale: Scale, whose: Whose, budget: _Budget
+) -> Optional[Piece]:
+    """Return a piece with what was read of its buckets; None where that would be too much."""
+    buckets = np.unique(piece.buckets[coarse])
+    left = ~np.isin(piece.buckets, buckets)
+    rest = piece._replace(stretches=piece.stretches.where(left), buckets=piece.buckets[left])
+    if cost <= budget.keys:
+        keys = _keys(piece, buckets, scale, whose, budget)
+        return None if keys is None else rest._replace(keys=Keys.joined([piece.keys, keys]))
+    if piece.table.packed and cost <= budget.blocks * _BLOCK_MESSAGES:
+        blocks = _blocks(piece, buckets, scale, whose, budget)
+        if blocks is not None:
+            stretches, of_buckets = blocks
+            return rest._replace(
+                stretches=Stretches.joined([rest.stretches, stretches]),
+                buckets=np.concatenate([rest.buckets, of_buckets]),
+            )
+    return None
+
+
+def _keys(
+    piece: Piece, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
+) -> Optional[Keys]:
+    rows: List[Tuple[int, int, int]] = []
+    for bucket in map(int, buckets):
+        scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
+        some = [(t, writer_of(seq), size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
+        budget.keys -= len(some)
+        if budget.keys < 0:  # more than the directory knew of
+            budget.keys = 0
+            return None
+        rows += [row for row in some if whose.writers is None or row[1] in whose.writers]
+    return Keys(*np.array(rows, np.int64).reshape(-1, 3).T)
+
+
+def _blocks(
+    piece: Piece, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
+) -> Optional[Tuple[Stretches, Longs]]:
+    rows: List[Tuple[int, ...]] = []
+    for bucket in map(int, buckets):
+        read = headers(piece.table, piece.node, bucket, scale.start, scale.end, whose.writers)
+        some = list(islice(read, budget.blocks + 1))
+        budget.blocks -= len(some)
+        if budget.blocks < 0:
+            budget.blocks = 0
+            return None
+        rows += [
+            (r.t, r.last, r.left, r.size, r.writer, not len(r.gone), bucket) for r in some if r.left
+        ]
+    every = np.array(rows, np.int64).reshape(-1, 7).T
+    first, last, messages, size, writer, sure, of_buckets = every
+    return Stretches(first, last, messages, size, writer, sure.astype(bool)), of_buckets

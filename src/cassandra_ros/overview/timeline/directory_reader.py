@@ -1,0 +1,284 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the directory says of a stretch of time, as much of it as a picture needs, and kept a while.
+
+Where there are more buckets than that a sample of them stands for the others: so what it costs is
+bounded, however long was recorded.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, OrderedDict
+from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.connection.cassandra import AT_ONCE
+from cassandra_ros.connection.paging import sent_ahead
+from cassandra_ros.overview.timeline.range_counts import Piece, piece_of, slots_between, unread
+from cassandra_ros.store.row_counts import settle
+from cassandra_ros.tables.bucket_columns import BucketColumns, Place, Wanted
+from cassandra_ros.tables.directory import ALL_ROWS, SLOT_BUCKETS, Directory, slot_of
+from cassandra_ros.topics.key_selection import LAST_NS, Whose
+from cassandra_ros.topics.topic_table import TopicTable
+
+MAX_PARTITIONS = 2000
+"""Partitions of the directory that one picture reads, or one of each table and node."""
+MAX_BUCKETS = 200_000
+"""Rows of the directory that one picture reads, about."""
+LEAST_BUCKETS = 128
+"""Of each partition so many at least."""
+MAX_RECOUNTS = 10_000
+"""Buckets whose messages one picture counts itself, for some were deleted."""
+KEEP_SEC = 5.0
+"""So long what was read is taken for what it is: a person who zooms asks often."""
+KEPT_BUCKETS = 400_000
+"""Rows of the directory that are kept, 80 bytes each."""
+_EVER = (-(2**63), 2**63 - 1)
+_EVER_NS = (0, LAST_NS)
+_SPREAD = 2_654_435_761
+"""2**32 by the golden ratio: multiples of it are spread evenly, and follow no other pattern."""
+_WRITERS = 8
+"""So many are looked at of the first bucket and of the last."""
+
+Ends = Tuple[int, int]
+"""Of a stretch of time, ns, or of buckets; both included."""
+Listed = List[Tuple[int, str]]
+"""Slots of a table and the nodes that have buckets in them, in their order."""
+
+
+Part = Tuple[TopicTable, Place, Ends]
+"""A partition of the directory, and which of its buckets are wanted."""
+
+
+class _Kept(NamedTuple):
+    until: float
+    ends: Ends
+    """The buckets that were asked for."""
+    columns: BucketColumns
+    stride: int
+    """Each of them stands for so many."""
+
+
+class Reader:
+    """Reads what timelines need of the directory, and keeps some of it. Thread-safe.
+
+    Args:
+        directory: Of the keyspace.
+        clock: Seconds that only grow.
+    """
+
+    def __init__(self, directory: Directory, clock: Callable[[], float] = time.monotonic) -> None:
+        self._directory = directory
+        self._clock = clock
+        self._kept: OrderedDict[Place, _Kept] = OrderedDict()
+        self._slots: Dict[str, Tuple[float, Listed]] = {}
+        self._size = 0
+        self._mutex = threading.Lock()
+
+    def slots(self, tables: Sequence[TopicTable]) -> Dict[str, Listed]:
+        """List the slots and nodes of tables whose messages lie by time, by the tables' names."""
+        now = self._clock()
+        with self._mutex:
+            known = {name: slots for name, (until, slots) in self._slots.items() if until > now}
+        missing = [table.name for table in tables if not table.named and table.name not in known]
+        asked = (self._directory.begin_nodes(name, _EVER) for name in missing)
+        for name, answer in zip(missing, sent_ahead(asked, AT_ONCE)):
+            known[name] = [(slot, node) for slot, node in answer()]
+        until = now + KEEP_SEC
+        with self._mutex:
+            self._slots = {name: each for name, each in self._slots.items() if each[0] > now}
+            self._slots.update((name, (until, known[name])) for name in missing)
+        return {table.name: known[table.name] for table in tables if not table.named}
+
+    def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Optional[Ends]:
+        """Tell when the first and the last message of some tables come; None: there is none.
+
+        Of single writers it is told by what pieces gives.
+        """
+        if whose.writers is not None:
+            every = self.extent(tables, whose._replace(writers=None))
+            found = self.pieces(tables, every, whose) if every is not None else []
+            own = [piece.stretches for piece in found if len(piece.stretches.first)]
+            if not own:
+                return None
+            return min(int(s.first.min()) for s in own), max(int(s.last.max()) for s in own)
+        ends: List[int] = []
+        emptied: Dict[str, TopicTable] = {}
+        for reverse in (False, True):
+            for table, times in self._outmost(tables, whose, reverse):
+                ends += times
+                if not times:
+                    emptied[table.name] = table
+        # Where all is gone from the outmost buckets, what is left lies anywhere between.
+        for piece in self.pieces(list(emptied.values()), _EVER_NS, whose) if emptied else ():
+            if len(piece.stretches.first):
+                ends += [int(piece.stretches.first.min()), int(piece.stretches.last.max())]
+        return (min(ends), max(ends)) if ends else None
+
+    def _outmost(
+        self, tables: Sequence[TopicTable], whose: Whose, reverse: bool
+    ) -> Iterator[Tuple[TopicTable, List[int]]]:
+        """Yield the times in the first bucket of each table and node, or in the last.
+
+        A bucket in which messages were deleted gives no times: the directory does not know them.
+        """
+        slots = self.slots(tables)
+        wanted = [
+            (table, (table.name, node, slot, *_EVER))
+            for table in tables
+            for node, slot in _outmost_slots(slots.get(table.name, []), reverse).items()
+            if whose.nodes is None or node in whose.nodes
+        ]
+        params = (place for _, place in wanted)
+        answers = self._directory.begin_buckets(params, _WRITERS, reverse=reverse)
+        for (table, _), answer in zip(wanted, sent_ahead(answers, AT_ONCE)):
+            length, ttl = table.metadata.bucket_ns, table.metadata.ttl
+            times: List[int] = []
+            rows = [row for row in answer() if not (ttl and row.expired(ttl))]
+            for row in [] if any(row.cut for row in rows) else rows:
+                if row.rows:
+                    times += (row.t_min, row.t_max)
+                elif not row.closed:  # nothing is known of it yet
+                    times += (row.bucket * length, (row.bucket + 1) * length - 1)
+            yield table, times
+
+    def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> List[Piece]:
+        """Tell what tables hold in the buckets that touch a stretch of time.
+
+        Tables whose messages lie under names are left out.
+        """
+        found: List[Piece] = []
+        parts = list(self._parts(tables, ends, whose))
+        stride = max(1, -(-len(parts) // MAX_PARTITIONS))
+        chosen, left = _thinned(parts, stride)
+        limit = max(LEAST_BUCKETS, MAX_BUCKETS // max(1, len(chosen)))
+        answers = self._columns(chosen, limit)
+        for (table, (_, node, _), _), (columns, each) in zip(chosen, answers):
+            found.append(piece_of(table, node, columns, each, whose))
+        return [*found, *_rest(left, found)]
+
+    def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[Part]:
+        """Yield the partitions that hold buckets in a stretch of time, and which of them may."""
+        slots = self.slots(tables)
+        for table in tables:
+            listed = slots.get(table.name, [])
+            first, last = slots_between(table, ends)
+            low, high = (table.bucket_of(end) for end in ends)
+            for slot, node in listed:
+                if first <= slot <= last and (whose.nodes is None or node in whose.nodes):
+                    begin = slot * SLOT_BUCKETS
+                    inside = max(begin, low), min(begin + SLOT_BUCKETS - 1, high)
+                    yield table, (table.name, node, slot), inside
+
+    def _columns(self, parts: Sequence[Part], limit: int) -> List[Tuple[BucketColumns, int]]:
+        """Return the buckets of partitions, and for how many each of these stands."""
+        until, left = self._clock() + KEEP_SEC, MAX_RECOUNTS
+        tables = {place: table for table, place, _ in parts}
+        found = {place: self._get(place, ends, limit) for _, place, ends in parts}
+        missing = [(place, ends) for _, place, ends in parts if found[place] is None]
+
+        def keep(place: Place, ends: Ends, columns: BucketColumns, stride: int) -> None:
+            nonlocal left
+            columns, done = self._recounted(tables[place], place[1], columns, left)
+            left -= done
+            found[place] = self._keep(place, _Kept(until, ends, columns, stride))
+
+        # One more tells that there are too many.
+        wanted: List[Wanted] = [(place, ends, limit + 1) for place, ends in missing]
+        many: List[Tuple[Place, Ends, int]] = []
+        for (place, ends), columns in zip(missing, self._directory.columns(wanted)):
+            if len(columns.bucket) > limit:
+                many.append((place, ends, -(-(ends[1] - ends[0] + 1) // limit)))
+            else:
+                keep(place, ends, columns, 1)
+        samples: List[Wanted] = [
+            (place, _sample(ends, stride), ALL_ROWS) for place, ends, stride in many
+        ]
+        answers = self._directory.columns(samples, single=True)
+        for (place, ends, stride), columns in zip(many, answers):
+            keep(place, ends, columns, stride)
+        return [each for each in (found[place] for _, place, _ in parts) if each is not None]
+
+    def _recounted(
+        self, table: TopicTable, node: str, columns: BucketColumns, most: int
+    ) -> Tuple[BucketColumns, int]:
+        """Count the messages of buckets in which some were deleted; return of how many.
+
+        Args:
+            most: Of so many at the most; of the others the directory is believed.
+        """
+        buckets = np.unique(columns.bucket[columns.cut])[:most].tolist()
+        if not buckets:
+            return columns, 0
+        asked = ((table.name, node, slot_of(bucket), bucket, bucket) for bucket in buckets)
+        answers = sent_ahead(self._directory.begin_buckets(asked), AT_ONCE)
+        rows = settle(self._directory, table, [row for answer in answers for row in answer()])
+        counts = {(row.bucket, row.writer): row for row in rows}
+        columns = BucketColumns._make(column.copy() for column in columns)
+        for n in np.flatnonzero(np.isin(columns.bucket, buckets)).tolist():
+            row = counts.get((int(columns.bucket[n]), int(columns.writer[n])))
+            totals = (0, 0, 0, 0) if row is None else (row.rows, row.bytes, row.t_min, row.t_max)
+            columns.rows[n], columns.bytes[n], columns.t_min[n], columns.t_max[n] = totals
+            columns.closed[n] = not columns.writing[n]
+        return columns, len(buckets)
+
+    def _get(self, place: Place, ends: Ends, limit: int) -> Optional[Tuple[BucketColumns, int]]:
+        """Return what is kept of a partition; None where that is too little, too coarse, or old."""
+        with self._mutex:
+            kept = self._kept.get(place)
+        if kept is None or kept.until < self._clock():
+            return None
+        covers = kept.ends[0] <= ends[0] and ends[1] <= kept.ends[1]
+        if not covers or kept.stride > max(1, -(-(ends[1] - ends[0] + 1) // limit)):
+            return None
+        bucket = kept.columns.bucket
+        inside = (bucket > ends[0] - kept.stride) & (bucket <= ends[1])
+        return kept.columns.where(inside), kept.stride
+
+    def _keep(self, place: Place, kept: _Kept) -> Tuple[BucketColumns, int]:
+        with self._mutex:
+            before = self._kept.pop(place, None)
+            self._kept[place] = kept
+            self._size += len(kept.columns.bucket)
+            self._size -= len(before.columns.bucket) if before is not None else 0
+            while self._size > KEPT_BUCKETS:
+                _, oldest = self._kept.popitem(last=False)
+                self._size -= len(oldest.columns.bucket)
+        return kept.columns, kept.stride
+
+
+def _sample(ends: Ends, stride: int) -> List[int]:
+    """Choose one of each ``stride`` buckets, not always the same: recordings may be regular."""
+    cells = range(ends[0] // stride, ends[1] // stride + 1)
+    return [cell * stride + (cell * _SPREAD % 2**32 * stride >> 32) for cell in cells]
+
+
+def _outmost_slots(slots: Listed, reverse: bool) -> Dict[str, int]:
+    """Return the first slot of each node, or the last."""
+    ordered = slots if reverse else reversed(slots)
+    return {node: slot for slot, node in ordered}  # the one that comes last stays
+
+
+def _thinned(parts: Sequence[Part], stride: int) -> Tuple[List[Part], List[Part]]:
+    """Choose every so manieth partition of each table and node, the first one always."""
+    met: Counter[Tuple[str, str]] = Counter()
+    chosen: List[Part] = []
+    left: List[Part] = []
+    for part in parts:
+        lane = part[1][:2]
+        (left if met[lane] % stride else chosen).append(part)
+        met[lane] += 1
+    return chosen, left
+
+
+def _rest(parts: Sequence[Part], read: Sequence[Piece]) -> Iterator[Piece]:
+    """Yield what is probably in partitions that nobody read."""
+    left: Dict[Tuple[str, str], Tuple[TopicTable, List[Ends]]] = {}
+    for table, (_, node, _), inside in parts:
+        left.setdefault((table.name, node), (table, []))[1].append(inside)
+    for (name, node), (table, ends) in left.items():
+        own = [piece for piece in read if piece.node == node and piece.table.name == name]
+        yield unread(table, node, ends, own)

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What is known of the messages of a table and a node in some stretches of time."""
+
+from __future__ import annotations
+
+from typing import List, NamedTuple, Sequence, Tuple
+
+import numpy as np
+
+from cassandra_ros.overview.timeline.time_cells import Bools, Longs, Stretches
+from cassandra_ros.store.fetch import some_names
+from cassandra_ros.tables.bucket_columns import BucketColumns
+from cassandra_ros.tables.directory import (
+    CLOCKS_SEC,
+    SLOT_BUCKETS,
+    STALE_SEC,
+    TTL_MARGIN_SEC,
+    slot_of,
+)
+from cassandra_ros.topics.key_selection import Whose
+from cassandra_ros.topics.topic_table import TopicTable
+
+MAX_NAMES = 1000
+"""Of a table whose messages lie under names so many are shown."""
+_SECOND_MS = 1000
+
+
+class Keys(NamedTuple):
+    """Single messages of which the time is known."""
+
+    times: Longs
+    writers: Longs
+    sizes: Longs
+    """Serialised, bytes."""
+
+    def where(self, chosen: Bools) -> Keys:
+        """Return those of which ``chosen`` says so."""
+        return Keys(self.times[chosen], self.writers[chosen], self.sizes[chosen])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Keys]) -> Keys:
+        """Return the messages of some."""
+        none = np.zeros(0, np.int64)
+        return cls(*map(np.concatenate, zip((none, none, none), *parts)))
+
+
+class Piece(NamedTuple):
+    """What is known of a table and a node."""
+
+    table: TopicTable
+    node: str
+    stretches: Stretches
+    buckets: Longs
+    """In which bucket each stretch lies; what is of no bucket has none of them."""
+    sampled: bool = False
+    """Some stand for others, which were not read."""
+    writing: bool = False
+    """Somebody writes there now."""
+    keys: Keys = Keys.joined([])
+    """Messages that are not among the stretches."""
+
+
+def piece_of(
+    table: TopicTable, node: str, columns: BucketColumns, stride: int, whose: Whose
+) -> Piece:
+    """Make a piece of buckets.
+
+    Args:
+        stride: Each of them stands for so many.
+        whose: Whose entries are meant; its nodes were looked at.
+    """
+    chosen = _living(columns, table.metadata.ttl)
+    if whose.writers is not None:
+        chosen &= np.isin(columns.writer, sorted(whose.writers))
+    some = columns.where(chosen)
+    length, known = table.metadata.bucket_ns, some.rows > 0
+    begin = some.bucket * length
+    first = np.where(known, some.t_min, begin)
+    last = np.where(known, some.t_max, begin + length - 1)
+    if stride > 1:
+        first = some.bucket // stride * stride * length
+        last = np.minimum(first + stride * length - 1, _end_of_slot(some.bucket, length))
+    sure = some.closed & (stride == 1) & (table.metadata.ttl == 0)
+    counts = some.rows * stride, some.bytes * stride
+    now = some.writing & (some.age_ms <= STALE_SEC * _SECOND_MS)
+    stretches = Stretches(first, last, *counts, some.writer, sure)
+    return Piece(table, node, stretches, some.bucket, stride > 1, bool(now.any()))
+
+
+def _living(columns: BucketColumns, ttl: int) -> Bools:
+    """Tell of which buckets not all messages have expired; ttl of their table, seconds, 0 = none.
+
+    Those of which all were deleted are left out, too.
+    """
+    there = (columns.rows > 0) | ~columns.closed
+    margin = np.where(columns.closed, CLOCKS_SEC, TTL_MARGIN_SEC)
+    return there & (columns.age_ms <= (ttl + margin) * _SECOND_MS) if ttl else there
+
+
+def _end_of_slot(buckets: Longs, length: int) -> Longs:
+    return np.asarray((buckets // SLOT_BUCKETS + 1) * SLOT_BUCKETS * length - 1)
+
+
+def unread(
+    table: TopicTable, node: str, ends: Sequence[Tuple[int, int]], read: Sequence[Piece]
+) -> Piece:
+    """Make a piece of buckets that nobody read: each part holds what others hold on average.
+
+    Args:
+        ends: The first and the last bucket of each part.
+        read: What is known of others.
+    """
+    length = table.metadata.bucket_ns
+    first, last = (np.array(buckets, np.int64) * length for buckets in zip(*ends))
+    columns = (
+        [int(each.sum()) for each in (p.stretches.messages, p.stretches.bytes)] for p in read
+    )
+    totals = np.array(list(columns), np.int64).reshape(-1, 2).sum(axis=0) // max(1, len(read))
+    messages, size = (np.full(len(ends), total) for total in totals)
+    nobody = np.zeros(len(ends), np.int64)
+    sure = nobody.astype(bool)
+    stretches = Stretches(first, last + length - 1, messages, size, nobody, sure)
+    return Piece(table, node, stretches, nobody - 1, sampled=True)
+
+
+def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
+    """Make pieces of messages that lie under names, by node; of MAX_NAMES at the most."""
+    keys, every = some_names(table, MAX_NAMES)
+    by_node: dict[str, List[Tuple[int, int, int]]] = {}
+    for (t, node, seq, _, _), size, *_ in keys:
+        if whose.wrote(seq) and (whose.nodes is None or node in whose.nodes):
+            by_node.setdefault(node, []).append((t, seq >> 32, size))
+    found = []
+    for node, rows in by_node.items():
+        single = Keys(*np.array(rows, np.int64).T)
+        nothing = Stretches.joined([])
+        found.append(Piece(table, node, nothing, nothing.first, sampled=not every, keys=single))
+    return found
+
+
+def slots_between(table: TopicTable, ends: Tuple[int, int]) -> Tuple[int, int]:
+    """Return the slots of a table in which the ends of a stretch of time lie."""
+    return slot_of(table.bucket_of(ends[0])), slot_of(table.bucket_of(ends[1]))

@@ -1,0 +1,265 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Poses of a frame in another one, out of recorded transforms: all times of a stretch at once.
+
+``transforms/`` answers one time with tf2's own maths; here a topic of any length is gone through
+once, with numpy, and the rules are the same: slashes in front of names do not count, what is among
+the fixed transforms is fixed, of equal stamps the first counts, tf2 would take it or not.
+"""
+
+from __future__ import annotations
+
+from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from cassandra_ros.arguments import check_nodes
+from cassandra_ros.arrays.array_types import AnyArray
+from cassandra_ros.errors import TransformException
+from cassandra_ros.keys import MAX_NS, SECOND_NS
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, Placed, Samples, Times
+from cassandra_ros.places.rigid import Rigid
+from cassandra_ros.places.sources import (
+    ArraySource,
+    Find,
+    arrays_between,
+    find_stored,
+    key_behind,
+)
+from cassandra_ros.query.source import Writers
+from cassandra_ros.transforms.lookup import lookup_transform
+from cassandra_ros.transforms.transform_samples import Fixed, Recorded
+
+TF, TF_STATIC = "/tf", "/tf_static"
+AROUND_NS = 10 * SECOND_NS
+"""How far around a time it is looked which frames there are."""
+_NUMBERS = [f"translation.{c}" for c in "xyz"] + [f"rotation.{c}" for c in "xyzw"]
+_NAMES = ("transforms.header.frame_id", "transforms.child_frame_id")
+_STAMP = "transforms.header.stamp"
+_FIELDS = ["KEY", _STAMP, *_NAMES, *(f"transforms.transform.{number}" for number in _NUMBERS)]
+
+
+class Way(NamedTuple):
+    """The way up from a frame, for those times at which it leads through the same frames."""
+
+    rows: Codes
+    """Which of the times."""
+    frames: Tuple[int, ...]
+    """From the frame itself upwards."""
+    poses: Tuple[Rigid, ...]
+    """Of the frame itself in each of them."""
+
+
+class Frames:
+    """The transforms that one robot, or everybody, recorded.
+
+    Args:
+        find: Returns a topic by its name.
+        node: nodeID of the robot; None = of all.
+        writers: Of the runs that are meant; None = all.
+        tf, tf_static: The topics of the moving and of the fixed transforms; one may be missing.
+
+    Raises:
+        TopicNotFound: Neither is stored.
+        TypeMismatch: One holds other messages.
+    """
+
+    def __init__(
+        self,
+        find: Find,
+        node: Optional[str] = None,
+        writers: Writers = None,
+        tf: str = TF,
+        tf_static: str = TF_STATIC,
+    ) -> None:
+        check_nodes(node)
+        self._find, self._node, self._writers = find, node, writers
+        self._topics = (tf, tf_static)
+        self._codes: Dict[str, int] = {}
+        self.names: List[str] = []
+        """Of the frames, by their numbers."""
+        self.moving = find_stored(find, tf)
+        fixed = find_stored(find, tf_static)
+        if self.moving is None and fixed is None:
+            find(tf)  # raises with the nearest names
+        if self.moving is not None:
+            Recorded(self.moving, node, writers)  # raises where it holds no transforms
+        self.fixed = self._read_fixed(fixed)
+        """Parent and pose of each frame that does not move."""
+
+    def _read_fixed(self, topic: Optional[ArraySource]) -> Dict[int, Tuple[int, Rigid]]:
+        if topic is None:
+            return {}
+        fixed = Fixed()
+        Recorded(topic, self._node, self._writers).read(fixed, 0, MAX_NS, reverse=True)
+        return {
+            self.code(sample.child): (
+                self.code(sample.parent),
+                Rigid.of_numbers(np.array([sample.numbers], np.float64)),
+            )
+            for sample in fixed.all()
+        }
+
+    def code(self, name: Optional[str]) -> int:
+        """Return the number of a frame, with or without a slash in front; NO_FRAME for no name."""
+        name = (name or "").lstrip("/")
+        if not name:
+            return NO_FRAME
+        if name not in self._codes:
+            self._codes[name] = len(self.names)
+            self.names.append(name)
+        return self._codes[name]
+
+    def read(self, low: int, high: int) -> Samples:
+        """Read the moving transforms with a row key in [low, high], ns."""
+        if self.moving is None or low > high:
+            return Samples.none()
+        found = arrays_between(self.moving, _FIELDS, low, high, self._node, self._writers)
+        numbers = np.stack([filled(found[name], np.nan) for name in _FIELDS[4:]], 1)
+        parents, children = (self._codes_of(found[name]) for name in _NAMES)
+        stamps = filled(found[_STAMP], 0)
+        return Samples.checked(found["KEY"], stamps, parents, children, numbers)
+
+    def _codes_of(self, names: Iterable[Optional[str]]) -> Codes:
+        known: Dict[Optional[str], int] = {}
+        codes = []
+        for name in names:
+            if name not in known:
+                known[name] = self.code(name)
+            codes.append(known[name])
+        return np.array(codes, np.int64)
+
+    def next_key(self, time: int) -> Optional[int]:
+        """Return the first row key behind a time, ns; None where there is none."""
+        if self.moving is None:
+            return None
+        return key_behind(self.moving, time, self._node, self._writers)
+
+    def above(self, name: str, times: Sequence[int]) -> List[str]:
+        """List the frames above one, the nearest first, as recorded around some row keys, ns."""
+        parents: Dict[int, Set[int]] = {child: {p} for child, (p, _) in self.fixed.items()}
+        for time in dict.fromkeys(times):
+            samples = self.read(max(0, time - AROUND_NS), time + AROUND_NS)
+            pairs = np.unique(np.stack([samples.children, samples.parents], 1), axis=0)
+            for child, parent in pairs.tolist():
+                if child not in self.fixed:
+                    parents.setdefault(child, set()).add(parent)
+        found = [self.code(name)]
+        for code in found:
+            found.extend(sorted(parents.get(code, set()).difference(found)))
+        return [self.names[code] for code in found[1:]]
+
+    def explain(self, frame: str, of: str, time: int) -> str:
+        """Say why there is no pose at a time; '' where tf2 would have one."""
+        when = Stamp.from_ns(max(1, time))
+        try:
+            lookup_transform(self._find, self._node, self._writers, frame, of, when, *self._topics)
+        except TransformException as exc:
+            return str(exc)
+        return ""
+
+
+def filled(values: AnyArray, missing: float) -> AnyArray:
+    """Return values with something in the place of those that are missing."""
+    made: AnyArray = np.ma.filled(values, missing)  # type: ignore[no-untyped-call]
+    return made
+
+
+class Chain:
+    """Where one frame was in another one.
+
+    Args:
+        frames: What was recorded.
+        of: The frame whose poses are asked for, as 'base_link'.
+        frame: The one in which they are, as 'map'.
+    """
+
+    def __init__(self, frames: Frames, of: str, frame: str) -> None:
+        self._frames = frames
+        self.of, self.frame = of.lstrip("/"), frame.lstrip("/")
+        self._of, self._frame = frames.code(of), frames.code(frame)
+
+    def read(self, low: int, high: int) -> Samples:
+        """Read what was recorded in [low, high], row keys, ns."""
+        return self._frames.read(low, high)
+
+    def explain(self, time: int) -> str:
+        """Say why there is no pose at a time; '' where tf2 would have one."""
+        return self._frames.explain(self.frame, self.of, time)
+
+    def next_key(self, time: int) -> Optional[int]:
+        """Return the first row key behind a time, ns; None where there is none."""
+        return self._frames.next_key(time)
+
+    def on_way(self, samples: Samples) -> Flags:
+        """Say which samples are of frames above the two, or of themselves."""
+        above = {self._of, self._frame}
+        while True:
+            on_way: Flags = np.isin(samples.children, list(above))
+            wider = above | set(samples.parents[on_way].tolist())
+            wider |= {self._frames.fixed[code][0] for code in above if code in self._frames.fixed}
+            if wider == above:
+                still = [code for code in above if code in self._frames.fixed]
+                return on_way & ~np.isin(samples.children, still)
+            above = wider
+
+    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
+        """Return the poses at some times, ns, out of samples around them."""
+        climb = _Climb(self._frames, samples, times, stamped, longest_gap_ns)
+        poses, known = Rigid.none(len(times)), np.zeros(len(times), bool)
+        downs = climb.ways(self._frame)
+        for up in climb.ways(self._of):
+            for down in downs:
+                meeting = next((code for code in up.frames if code in down.frames), None)
+                if meeting is None:
+                    continue
+                both = np.intersect1d(up.rows, down.rows, assume_unique=True, return_indices=True)
+                rows, mine, others = both
+                inner = up.poses[up.frames.index(meeting)].take(mine)
+                outer = down.poses[down.frames.index(meeting)].take(others)
+                poses.put(rows, outer.inverse() @ inner)
+                known[rows] = True
+        return Placed(poses, known)
+
+
+class _Climb:
+    """Goes up from frames at some times."""
+
+    def __init__(
+        self, frames: Frames, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
+    ) -> None:
+        self._frames, self._samples, self._times = frames, samples, times
+        self._stamped, self._gap = stamped, longest_gap_ns
+
+    def ways(self, frame: int) -> Sequence[Way]:
+        """Return the ways up from a frame; each time is on one of them."""
+        count = len(self._times)
+        done: List[Way] = []
+        going = [Way(np.arange(count), (frame,), (Rigid.none(count),))]
+        while going:
+            way = going.pop()
+            steps, parents = self._step(way.frames[-1], way.rows)
+            for parent in np.unique(parents).tolist():
+                part = _part(way, parents == parent)
+                if parent == NO_FRAME or parent in way.frames:
+                    done.append(part)
+                    continue
+                higher = steps.take(parents == parent) @ part.poses[-1]
+                going.append(Way(part.rows, (*way.frames, parent), (*part.poses, higher)))
+        return done
+
+    def _step(self, frame: int, rows: Codes) -> Tuple[Rigid, Codes]:
+        """Return poses of a frame in its parents, and these."""
+        fixed = self._frames.fixed.get(frame)
+        if fixed is not None:
+            parent, pose = fixed
+            same = np.zeros(len(rows), np.int64)
+            return pose.take(same), np.full(len(rows), parent)
+        track = self._samples.track(frame, self._stamped)
+        placed, parents = track.at(self._times[rows], self._gap)
+        return placed.poses, parents
+
+
+def _part(way: Way, which: Flags) -> Way:
+    return Way(way.rows[which], way.frames, tuple(pose.take(which) for pose in way.poses))

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Coarse cells: squares of the ground, and when a way lies in them.
+
+There are squares of three sizes, so that some hundred of them cover a room as well as a town. What
+is said of a cell is a superset: that a robot may have been in it. Whoever asks looks again.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Dict, Iterator, List, NamedTuple, Optional
+
+import numpy as np
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.places.paths import Path
+from cassandra_ros.places.pose_samples import Times
+from cassandra_ros.places.regions import Box
+from cassandra_ros.places.rigid import Floats
+
+SIZES_M = (4, 64, 1024)
+"""Sides of the cells, the smallest first."""
+MOST_CELLS = 150
+"""So many of a size are looked at; for more the next size is taken."""
+JOIN_NS = 5 * SECOND_NS
+"""Two visits of a cell that lie closer together are noted as one."""
+LONGEST_NS = 3600 * SECOND_NS
+"""A visit that lasts longer is noted as several, so that a time is found by what began lately."""
+_FAR = 2**31 - 1
+"""Cells are counted in 32 bits; what lies beyond is taken to lie in the last one."""
+_ROUNDED_M = 1e-6
+"""What lies so close to a side lies in both cells: sums of floats are rounded."""
+
+
+class Cell(NamedTuple):
+    """A square whose sides are ``size`` metres long; (0, 0) begins at the origin."""
+
+    size: int
+    x: int
+    y: int
+
+
+class Visit(NamedTuple):
+    """A stretch of time in which a robot may have been in a cell, ns, both ends included."""
+
+    cell: Cell
+    low: int
+    high: int
+
+
+def cells_of(box: Box) -> Optional[List[Cell]]:
+    """Return the cells that cover a rectangle; None where these would be too many of any size."""
+    for size in SIZES_M:
+        left, bottom, right, top = (_number(side, size) for side in box)
+        if (right - left + 1) * (top - bottom + 1) <= MOST_CELLS:
+            columns, rows = range(left, right + 1), range(bottom, top + 1)
+            return [Cell(size, x, y) for x in columns for y in rows]
+    return None
+
+
+def _number(metres: float, size: int) -> int:
+    return max(-_FAR, min(_FAR, math.floor(metres / size)))
+
+
+def visits_of(path: Path) -> Iterator[Visit]:
+    """Yield the visits of a way, by size and cell, those of each cell in order.
+
+    Each point of the way lies, at its time, in a cell of each size that is visited then.
+    """
+    for size in SIZES_M:
+        yield from _joined(np.concatenate([_of_poses(path, size), _of_lines(path, size)]), size)
+
+
+def _of_poses(path: Path, size: int) -> Times:
+    """Return the cells of poses from which no way leads to another."""
+    n = path.alone
+    x, y, times = _numbers(path.x[n], size), _numbers(path.y[n], size), path.times[n]
+    return np.stack([x, y, times, times], 1)
+
+
+def _of_lines(path: Path, size: int) -> Times:
+    """Return the cells of the ways between poses, cut in pieces half as long as a cell."""
+    starts, ends, lines = path.lines
+    longest = np.maximum(np.abs(lines.dx), np.abs(lines.dy))
+    pieces = np.maximum(np.ceil(2 * longest / size), 1).astype(np.int64)
+    line = np.repeat(np.arange(len(pieces)), pieces)
+    number = np.arange(len(line)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    shares = [number / pieces[line], (number + 1) / pieces[line]]
+    x0, x1 = (lines.x[line] + share * lines.dx[line] for share in shares)
+    y0, y1 = (lines.y[line] + share * lines.dy[line] for share in shares)
+    length = (ends - starts)[line]
+    # Rounded outwards, so that no time between two pieces is in neither.
+    low = starts[line] + np.floor(shares[0] * length).astype(np.int64) - 1
+    high = starts[line] + np.ceil(shares[1] * length).astype(np.int64) + 1
+    # A piece touches at most two columns and two rows. What the sums above round is little.
+    left, right = np.minimum(x0, x1) - _ROUNDED_M, np.maximum(x0, x1) + _ROUNDED_M
+    bottom, top = np.minimum(y0, y1) - _ROUNDED_M, np.maximum(y0, y1) + _ROUNDED_M
+    columns = (_numbers(left, size), _numbers(right, size))
+    rows = (_numbers(bottom, size), _numbers(top, size))
+    # Most lie in one cell, which is named once.
+    wide, tall = columns[0] != columns[1], rows[0] != rows[1]
+    every = np.ones(len(low), bool)
+    corners = [(0, 0, every), (1, 0, wide), (0, 1, tall), (1, 1, wide & tall)]
+    found = [np.stack([columns[m], rows[n], low, high], 1)[which] for m, n, which in corners]
+    return np.concatenate(found)
+
+
+def _numbers(metres: Floats, size: int) -> Times:
+    numbers: Times = np.clip(np.floor(metres / size), -_FAR, _FAR).astype(np.int64)
+    return numbers
+
+
+def _joined(found: Times, size: int) -> Iterator[Visit]:
+    """Join visits of a cell that lie close together; (n, 4) numbers: x, y, low, high."""
+    if not len(found):
+        return
+    x, y, low, high = found[np.lexsort((found[:, 2], found[:, 1], found[:, 0]))].T
+    other = (np.diff(x) != 0) | (np.diff(y) != 0) | (low[1:] > high[:-1] + JOIN_NS)
+    first = np.concatenate([[0], np.flatnonzero(other) + 1])
+    ends = np.maximum.reduceat(high, first)
+    columns = (x[first], y[first], low[first], ends)
+    for cell_x, cell_y, start, end in zip(*(column.tolist() for column in columns)):
+        for begin in range(start, end + 1, LONGEST_NS):
+            yield Visit(Cell(size, cell_x, cell_y), begin, min(end, begin + LONGEST_NS - 1))
+
+
+def joins(visit: Visit, low: int, high: int) -> bool:
+    """Say whether a later stretch in the same cell makes a visit longer, or is another one."""
+    return low <= visit.high + JOIN_NS and high - visit.low <= LONGEST_NS
+
+
+class OpenVisits:
+    """Makes visits longer while a way goes on."""
+
+    def __init__(self) -> None:
+        self._open: Dict[Cell, Visit] = {}
+
+    def go_on(self, path: Path) -> List[Visit]:
+        """Return the visits of the next part of a way; one that is longer than it was, whole."""
+        found = []
+        for visit in visits_of(path):
+            known = self._open.get(visit.cell)
+            if known is not None and known.low <= visit.low and joins(known, visit.low, visit.high):
+                visit = Visit(visit.cell, known.low, max(known.high, visit.high))
+            self._open[visit.cell] = visit
+            found.append(visit)
+        last = int(path.times[-1]) if len(path) else 0
+        self._open = {c: v for c, v in self._open.items() if v.high + JOIN_NS >= last}
+        return found

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The ways of one robot, window by window: read when they are asked for, a few of them kept.
+
+Where several runs of a node recorded poses at the same time (two robots to which nobody gave a
+nodeID, or two recorders on one), messages of a run go by the poses of that run; those of a run that
+has none then go by all of them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Set, Tuple
+
+import numpy as np
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.places.paths import LONGEST_GAP_NS, Path
+from cassandra_ros.places.pose_samples import Samples
+from cassandra_ros.places.poses import Poses
+from cassandra_ros.places.robots import Robot
+from cassandra_ros.places.stored import Extent, Stored
+from cassandra_ros.query.source import Writers
+
+WINDOW_NS = 30 * SECOND_NS
+KEPT = 8
+"""Windows that are kept."""
+FRESH_SEC = 2.0
+"""So long a window is kept whose poses may be still to come."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """Where a robot was in some stretch of time, as each run recorded it."""
+
+    every: Path
+    """By the poses of all runs."""
+    own: Mapping[str, Path] = field(default_factory=dict)
+    """By those of one, under what RUN says of it, where several overlap."""
+    complete: bool = False
+    """No pose of its time is still to come, as far as those that are there tell."""
+
+    def at(self, run: str, t: int) -> Optional[Tuple[float, float]]:
+        """Return where the robot of a run's message was at a time, ns; None: nobody knows."""
+        mine = self.own.get(run)
+        place = None if mine is None else mine.at(t)
+        return self.every.at(t) if place is None else place
+
+    @property
+    def paths(self) -> List[Path]:
+        """All ways."""
+        return [self.every, *self.own.values()]
+
+
+class Windows:
+    """The ways of one robot. For one thread at a time."""
+
+    def __init__(self, robot: Robot, stored: Stored) -> None:
+        self.robot = robot
+        self._stored = stored
+        self._poses: Dict[Writers, Poses] = {}
+        self._kept: OrderedDict[int, Tuple[float, Window]] = OrderedDict()
+        self.still = self._still()
+        """Its way where it never moves; None where it does."""
+
+    def _still(self) -> Optional[Path]:
+        # What is known without anything that moves is fixed.
+        nothing, once = Samples.none(), np.zeros(1, np.int64)
+        poses, known = self.robot.recording().placed(nothing, once, False, 0)
+        return Path.still(float(poses.x[0]), float(poses.y[0])) if known[0] else None
+
+    def _poses_of(self, writers: Writers) -> Poses:
+        if writers not in self._poses:
+            self._poses[writers] = self.robot.poses(writers)
+        return self._poses[writers]
+
+    def of(self, t: int) -> Window:
+        """Return the window in which a time lies, ns."""
+        if self.still is not None:
+            return Window(self.still, complete=True)
+        number = t // WINDOW_NS
+        known = self._kept.get(number)
+        if known is not None and known[0] > time.monotonic():
+            self._kept.move_to_end(number)
+            return known[1]
+        window = self._read(number)
+        until = math.inf if window.complete else time.monotonic() + FRESH_SEC
+        self._kept[number] = (until, window)
+        self._kept.move_to_end(number)
+        while len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
+        return window
+
+    def _read(self, number: int) -> Window:
+        low = number * WINDOW_NS - LONGEST_GAP_NS
+        high = (number + 1) * WINDOW_NS - 1 + LONGEST_GAP_NS
+        every = Path.of(self._poses_of(None).tracks(low, high))
+        if not len(every):
+            return Window(every)
+        robot = self.robot
+        extents = self._stored.extents(robot.topic, robot.node, low, high)
+        # Runs may be called the same: their messages go by the poses of all of these.
+        called: Dict[str, Set[int]] = {}
+        for writer in {each.writer for pair in overlaps(extents) for each in pair}:
+            called.setdefault(self._stored.run_text(writer), set()).add(writer)
+        own = {
+            text: Path.of(self._poses_of(frozenset(writers)).tracks(low, high))
+            for text, writers in called.items()
+        }
+        return Window(every, own, int(every.times[-1]) > high - LONGEST_GAP_NS)
+
+
+def overlaps(extents: Sequence[Extent]) -> Iterator[Tuple[Extent, Extent]]:
+    """Yield pairs of neighbours, by their beginnings, of two runs at the same time."""
+    longest: Optional[Extent] = None
+    for extent in sorted(extents, key=lambda each: (each.low, each.high)):
+        if longest is not None and extent.low <= longest.high and extent.writer != longest.writer:
+            yield longest, extent
+        if longest is None or extent.high > longest.high:
+            longest = extent

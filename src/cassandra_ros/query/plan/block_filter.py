@@ -1,0 +1,318 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Conditions on whole blocks of messages, with numpy: which of them may match.
+
+Every message that is left is checked again by ``evaluate``, so a mask may be true for too many and
+never for too few. It is exact for numbers, bools and times outside of arrays of messages, and for
+ANY and ALL of an array of numbers; where an array of messages is unnested a message passes if any
+element may. What is not understood here (NOT, LIKE, NULL, KEY, arithmetic) leaves out nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Callable, List, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.stacked import DTYPES, Numbers, Stack, stacker
+from cassandra_ros.query.protocols import Block
+from cassandra_ros.query.tree.field_names import FieldRef, field_of
+from cassandra_ros.query.tree.literals import fitting
+from cassandra_ros.query.tree.syntax import (
+    All,
+    Call,
+    Compare,
+    Either,
+    Expression,
+    Leaf,
+    Literal,
+    Negation,
+    OneOf,
+    Path,
+    Quantified,
+    StatementError,
+    wants_array,
+)
+
+Mask = NDArray[np.bool_]
+Sift = Callable[[Block], Optional[Mask]]
+"""From a block to a mask of the messages that may match; None = all may."""
+_Test = Callable[[Stack], Mask]
+_Compare = Callable[[Numbers], Mask]
+"""Of each number whether it compares as wanted."""
+_Get = Callable[[Stack], Numbers]
+
+_WHOLE = {"uint32": "time", "int32": "duration"}
+"""Of the type of secs and nsecs that of the field."""
+
+
+def compile_sift(expression: Expression, definition: Definition) -> Optional[Sift]:
+    """Make a function that sifts blocks of one type; None: the condition leaves out nothing."""
+    refs: List[FieldRef] = []
+    test, finder = _compile(expression, definition, refs), stacker(definition)
+    if test is None:
+        return None
+    # What stands before all that varies is found in messages of any size.
+    by_head = all(_is_plain(ref) and ref.column in finder.head for ref in refs)
+
+    def sift(block: Block) -> Optional[Mask]:
+        mask = np.ones(len(block), np.bool_)
+        groups = [(group.planes, group.members) for group in block.groups]
+        if by_head and len(groups) > 1:
+            stacks = [finder.heads(groups)]
+        else:
+            stacks = [stack for group in groups for stack in finder.stacks(*group)[0]]
+        with np.errstate(invalid="ignore"):  # of signalling NaNs
+            for stack in stacks:
+                mask[stack.members] = test(stack)
+        return None if mask.all() else mask
+
+    return sift
+
+
+def _is_plain(ref: FieldRef) -> bool:
+    return ref.index is None and not ref.is_array and not any(step.many for step in ref.steps)
+
+
+def _compile(
+    expression: Expression, definition: Definition, refs: List[FieldRef]
+) -> Optional[_Test]:
+    """Make the test of a condition; refs collect the fields that it looks at."""
+    if isinstance(expression, Negation):
+        return None
+    if isinstance(expression, (All, Either)):
+        tests = [_compile(item, definition, refs) for item in expression.items]
+        known = [test for test in tests if test is not None]
+        either = isinstance(expression, Either)
+        if not known or (either and len(known) < len(tests)):
+            return None
+        return _joined(known, np.logical_or if either else np.logical_and)
+    return _leaf(expression, definition, refs)
+
+
+def _joined(tests: Sequence[_Test], join: Any) -> _Test:
+    def test(stack: Stack) -> Mask:
+        mask = tests[0](stack)
+        for other in tests[1:]:
+            mask = join(mask, other(stack))
+        return mask
+
+    return test
+
+
+def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
+    if isinstance(leaf, Quantified):
+        return _quantified(leaf, definition, refs)
+    if isinstance(leaf, Compare) and isinstance(leaf.operand, Call):
+        # The least or greatest element compares so: then any does.
+        call = leaf.operand
+        of_array = call.function in ("min", "max") and leaf.operator != "LIKE"
+        array = call.arguments[0] if of_array else None
+        if isinstance(array, Path):
+            return _elements(array, leaf.operator, leaf.value, np.any, definition, refs)
+    if not isinstance(leaf, (Compare, OneOf)) or not isinstance(leaf.operand, Path):
+        return None
+    operator = leaf.operator if isinstance(leaf, Compare) else "="
+    try:
+        ref = field_of(leaf.operand, definition, wants_array(leaf))
+    except StatementError:
+        return _never  # missing here, and what is missing never matches
+    refs.append(ref)
+    values = list(fitting(leaf, ref))
+    if not values:
+        return _never
+    if ref.type == "string":
+        return _text_test(ref, operator, [v for v in values if isinstance(v, str)])
+    get = _getter(ref)
+    if get is None or operator == "LIKE":
+        return None
+    dtype = np.dtype(np.int64) if ref.part or ref.type in _NS else DTYPES[ref.type]
+    numbers = [v for v in values if not isinstance(v, str)]
+    if operator in ("=", "CONTAINS"):
+        compare = _one_of(dtype, numbers)
+    else:
+        compare = _comparison(dtype, operator, numbers[0])
+    return lambda stack: compare(get(stack)).any(axis=0)
+
+
+def _quantified(leaf: Quantified, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
+    if len(leaf.tests) != 1 or leaf.negated:
+        return None
+    ((operator, value),) = leaf.tests
+    if not isinstance(value, Literal) or operator == "LIKE":
+        return None
+    join = np.all if leaf.every else np.any
+    return _elements(leaf.operand, operator, value, join, definition, refs)
+
+
+def _elements(
+    array: Path,
+    operator: str,
+    value: Literal,
+    join: Any,
+    definition: Definition,
+    refs: List[FieldRef],
+) -> Optional[_Test]:
+    """Make the test of the elements of an array of numbers; join says how many have to pass it."""
+    try:
+        ref = field_of(array, definition, array=True)
+    except StatementError:
+        return _never
+    get = _getter(ref)
+    if ref.type == "string" or get is None:
+        return None
+    wanted = list(fitting(Compare(array, operator, value), ref))
+    if not wanted:
+        return _never
+    refs.append(ref)
+    dtype = np.dtype(np.int64) if ref.type in _NS else DTYPES[ref.type]
+    if operator == "=":
+        compare = _one_of(dtype, wanted)
+    else:
+        compare = _comparison(dtype, operator, wanted[0])
+    read = get
+    return lambda stack: join(compare(read(stack)), axis=0)
+
+
+_NS = ("time", "duration")
+
+
+def _never(stack: Stack) -> Mask:
+    return np.zeros(stack.planes.shape[1], np.bool_)
+
+
+def _place(ref: FieldRef) -> Optional[slice]:
+    """Return which of the places of a field are meant, over an array of messages; None: unclear."""
+    many = [step for step in ref.steps if step.many]
+    indexes = [step.index for step in many if step.index is not None]
+    if not indexes:
+        return slice(None)
+    # Inside of another array the number of an element does not tell its place.
+    return slice(indexes[0], indexes[0] + 1) if len(many) == 1 else None
+
+
+def _getter(ref: FieldRef) -> Optional[_Get]:
+    """Return the function that reads a number: (places, messages)."""
+    base = _WHOLE[ref.type] if ref.part else ref.type
+    path, chosen = ref.column, _place(ref)
+    many = any(step.many for step in ref.steps)
+    index = ref.index
+    if chosen is None or (many and (ref.is_array or index is not None)):
+        return None
+    if ref.is_array:
+        return lambda stack: stack.array(path, base)
+    if index is not None:
+        at = index
+        return _part(ref.part, lambda stack: stack.element(path, at, base))
+    return _part(ref.part, lambda stack: stack.numbers(path, base, chosen))
+
+
+def _part(part: str, get: _Get) -> _Get:
+    """Return the function that reads secs or nsecs of a time, or all of it."""
+    if part == "secs":
+        return lambda stack: get(stack) // SECOND_NS
+    if part == "nsecs":
+        return lambda stack: get(stack) % SECOND_NS
+    return get
+
+
+def _text_test(ref: FieldRef, operator: str, values: Sequence[str]) -> Optional[_Test]:
+    """Texts are compared where they shall be equal; what is no UTF-8 is read with U+FFFD."""
+    chosen, path = _place(ref), ref.column
+    many = any(step.many for step in ref.steps)
+    if ref.index is not None:
+        chosen = None if many else slice(ref.index, ref.index + 1)
+    elif ref.is_array and many and chosen != slice(None):
+        chosen = None  # the elements before may hold any number of texts
+    if operator not in ("=", "CONTAINS") or chosen is None:
+        return None
+    if any("\N{REPLACEMENT CHARACTER}" in value for value in values):
+        return None
+    # No text that was read has surrogates.
+    wanted = {v.encode("utf-8") for v in values if v.isascii() or _is_utf8(v)}
+    where: slice = chosen
+
+    def test(stack: Stack) -> Mask:
+        mask = _never(stack)
+        for at, size in stack.layout.texts.get(path, [])[where]:
+            for raw in wanted:
+                if len(raw) == size:
+                    same = stack.planes[at : at + size] == np.frombuffer(raw, np.uint8)[:, None]
+                    mask |= same.all(axis=0)
+        return mask
+
+    return test
+
+
+def _is_utf8(text: str) -> bool:
+    try:
+        text.encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
+    """Compare as Python does: exactly, whatever the types."""
+    below, above = _neighbours(dtype, value)
+    none, every = (lambda x: np.zeros(x.shape, np.bool_)), (lambda x: np.ones(x.shape, np.bool_))
+    if value != value:
+        return every if operator == "!=" else none
+    if operator == "!=":
+        return every if below is None or below != above else lambda x: x != below
+    closed = operator in ("<=", ">=") or below is None or above is None or below != above
+    if operator in ("<", "<="):
+        # What is less than the value is less than its upper neighbour; NaN is neither.
+        return none if below is None else (lambda x: x <= below) if closed else lambda x: x < below
+    return none if above is None else (lambda x: x >= above) if closed else lambda x: x > above
+
+
+def _one_of(dtype: np.dtype[Any], values: Sequence[Any]) -> _Compare:
+    found = []
+    for value in values:
+        below, above = _neighbours(dtype, value) if value == value else (None, None)
+        if below is not None and below == above:
+            found.append(below)
+    if len(found) == 1:
+        only = found[0]
+        return lambda x: x == only
+    wanted = np.array(found, dtype)
+    return lambda x: np.isin(x, wanted)
+
+
+def _neighbours(dtype: np.dtype[Any], value: Any) -> Tuple[Any, Any]:
+    """Return the greatest number of a type that is not above a value, and the least not below.
+
+    They are equal where it is one itself, and None where there is none.
+    """
+    if value != value:
+        return None, None
+    if dtype.kind == "f":
+        return _float_neighbours(dtype, value)
+    ends = np.iinfo(dtype)
+    low, high = int(ends.min), int(ends.max)
+    below = high if value > high else None if value < low else math.floor(value)
+    above = low if value < low else None if value > high else math.ceil(value)
+    return (
+        None if below is None else dtype.type(below),
+        None if above is None else dtype.type(above),
+    )
+
+
+def _float_neighbours(dtype: np.dtype[Any], value: Any) -> Tuple[Any, Any]:
+    try:
+        wide = float(value)
+    except OverflowError:
+        wide = math.inf if value > 0 else -math.inf
+    with np.errstate(over="ignore"):
+        near = dtype.type(wide)
+        # As Python numbers, for they compare exactly.
+        if float(near) == value:
+            return near, near
+        if float(near) < value:
+            return near, np.nextafter(near, dtype.type(math.inf))
+        return np.nextafter(near, dtype.type(-math.inf)), near

@@ -1,0 +1,173 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""NEAR in a condition: what it asks for, who knows the answer, and which times it leaves.
+
+``NEAR(x, y, radius, 'frame', 'robot')`` is true of a message when its robot was on the disk then,
+false when it was elsewhere, and unknown where no pose of it is known. Whoever has the rows of a
+table also knows its keyspace's robots, by ``Table.places``.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from dataclasses import replace
+from numbers import Real
+from typing import Callable, Iterator, NamedTuple, Optional, Sequence, Tuple
+
+from cassandra_ros.errors import InvalidOption, InvalidQuery
+from cassandra_ros.query.protocols import Disk, Table
+from cassandra_ros.query.source import Writers
+from cassandra_ros.query.tree.syntax import (
+    All,
+    DurationNs,
+    Either,
+    Expression,
+    Literal,
+    Near,
+    Negation,
+    Select,
+    StatementError,
+    TimeNs,
+    leaves,
+)
+
+Span = Tuple[int, int]
+"""A stretch of time, ns, both ends included."""
+Spans = Callable[[int, int, bool], Iterator[Span]]
+"""Gives the stretches of [low, high] in order, or (True) the newest first, apart from another."""
+
+_METRES = ("x", "y", "the radius")
+_NAMES = ("the frame", "the robot")
+
+
+def located(
+    select: Select,
+    tables: Sequence[Table],
+    node: Optional[str] = None,
+    writers: Writers = None,
+) -> Select:
+    """Return a statement whose NEARs know when it was so.
+
+    Args:
+        node, writers: The robot and the runs whose messages are asked for; None = all.
+
+    Raises:
+        InvalidQuery: One takes other values, or no pose answers it.
+    """
+    condition = select.condition
+    if condition is None or not any(isinstance(leaf, Near) for leaf in leaves(condition)):
+        return select
+    try:
+        return replace(select, condition=_located(condition, _Asked(tables, node, writers)))
+    except StatementError as exc:
+        raise InvalidQuery(select.text, exc.position, exc.reason) from None
+
+
+class _Asked(NamedTuple):
+    """Whose messages a statement asks for."""
+
+    tables: Sequence[Table]
+    node: Optional[str]
+    writers: Writers
+
+
+def _located(item: Expression, asked: _Asked) -> Expression:
+    if isinstance(item, Near):
+        return _answered(item, asked)
+    if isinstance(item, Negation):
+        return Negation(_located(item.item, asked))
+    if isinstance(item, (All, Either)):
+        return replace(item, items=tuple(_located(each, asked) for each in item.items))
+    return item
+
+
+def _answered(near: Near, asked: _Asked) -> Near:
+    disk = disk_of(near)
+    if not asked.tables:
+        return near
+    try:
+        return replace(near, stays=asked.tables[0].places.stays(disk, asked.node, asked.writers))
+    except InvalidOption as exc:
+        raise StatementError(near.position, str(exc)) from exc
+
+
+def disk_of(near: Near) -> Disk:
+    """Return what NEAR asks for, its values bound; StatementError: they cannot be meant."""
+    x, y, radius = (_metres(name, value) for name, value in zip(_METRES, near.values))
+    texts = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])]
+    if radius < 0:
+        raise StatementError(near.values[2].position, "the radius is negative")
+    return Disk(x, y, radius, *texts)
+
+
+def _metres(name: str, literal: Literal) -> float:
+    value = literal.value
+    if isinstance(value, Real) and not isinstance(value, (bool, DurationNs, TimeNs)):
+        try:
+            metres = float(value)
+        except OverflowError:
+            metres = math.inf
+        if math.isfinite(metres):
+            return metres
+    reason = f"{name} is a number of metres, not {literal.text}"
+    raise StatementError(literal.position, reason)
+
+
+def _text(name: str, literal: Literal) -> str:
+    if isinstance(literal.value, str) and literal.value.strip("/"):
+        return literal.value
+    reason = f"{name} is a name in quotes, as 'base_link', not {literal.text}"
+    raise StatementError(literal.position, reason)
+
+
+def spans_of(condition: Optional[Expression]) -> Optional[Spans]:
+    """Return the stretches of time outside of which a condition is never true; None = all time.
+
+    They may be more than those in which it is.
+    """
+    if isinstance(condition, Near) and condition.stays is not None:
+        return condition.stays.spans
+    if isinstance(condition, (All, Either)):
+        found = [spans_of(item) for item in condition.items]
+        known = [spans for spans in found if spans is not None]
+        if isinstance(condition, All):
+            return _both(known) if known else None
+        return _united(known) if len(known) == len(found) else None
+    return None
+
+
+def _both(every: Sequence[Spans]) -> Spans:
+    """Return what lies in all of some spans: those of one are asked inside of those of another."""
+    first, rest = every[0], every[1:]
+    if not rest:
+        return first
+    others = _both(rest)
+
+    def spans(low: int, high: int, reverse: bool) -> Iterator[Span]:
+        for start, end in first(low, high, reverse):
+            yield from others(start, end, reverse)
+
+    return spans
+
+
+def _united(every: Sequence[Spans]) -> Spans:
+    if len(every) == 1:
+        return every[0]
+
+    def spans(low: int, high: int, reverse: bool) -> Iterator[Span]:
+        sign = -1 if reverse else 1
+        streams = [each(low, high, reverse) for each in every]
+        last: Optional[Span] = None
+        # The newest first by their ends, else by their beginnings.
+        for span in heapq.merge(*streams, key=lambda span: sign * span[1 if reverse else 0]):
+            if last is not None and last[0] <= span[1] + 1 and span[0] - 1 <= last[1]:
+                last = min(last[0], span[0]), max(last[1], span[1])
+                continue
+            if last is not None:
+                yield last
+            last = span
+        if last is not None:
+            yield last
+
+    return spans

@@ -1,0 +1,146 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a SELECT means once the fields of its topic are known.
+
+``min(ranges)`` of an array is a value of every row, ``min(range_min)`` of a number one of all rows;
+a name in GROUP BY or ORDER BY may be the one that AS gives; and what rows are grouped and ordered
+by has to be read, shown or not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Optional, Sequence, Union
+
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.tree.field_names import field_of
+from cassandra_ros.query.tree.syntax import (
+    Aggregate,
+    Call,
+    Ordering,
+    Path,
+    Select,
+    Selected,
+    StatementError,
+    Term,
+    is_constant,
+)
+
+What = Union[Term, Aggregate]
+
+
+def settle(select: Select, tables: Sequence[Table]) -> Select:
+    """Return the statement as the tables of its topic make it, its ``hidden`` columns filled in.
+
+    Twice is harmless.
+
+    Raises:
+        InvalidQuery: It shows or orders what a group of rows has not one of.
+    """
+    if select.hidden or not (select.aggregates or select.group or select.order):
+        return select
+    told = _Telling(tables)
+    columns = select.columns
+    if columns is not None:
+        columns = tuple(replace(c, what=told.of(c.what)) for c in columns)
+    order = tuple(replace(o, what=told.of(o.what)) for o in select.order)
+    try:
+        select = replace(select, columns=columns, order=order)
+        select = _grouped(select) if select.group else select
+        _check_columns(select)
+        return _ordered(select)
+    except StatementError as exc:
+        raise InvalidQuery(select.text, exc.position, exc.reason) from None
+
+
+class _Telling:
+    """Tells values of one array from those of all rows."""
+
+    def __init__(self, tables: Sequence[Table]) -> None:
+        self._tables = tables
+
+    def of(self, what: What) -> What:
+        if isinstance(what, Aggregate) and what.function != "count":
+            operand = what.operand
+            if isinstance(operand, Path) and any(_is_array(operand, t) for t in self._tables):
+                return Call(what.function, (operand,), what.position)
+        return what
+
+
+def _is_array(path: Path, table: Table) -> bool:
+    try:
+        return table.definition is not None and field_of(path, table.definition, True).is_array
+    except StatementError:
+        return False
+
+
+def _grouped(select: Select) -> Select:
+    """Put what the rows are grouped by among the hidden columns."""
+    columns = select.columns or ()
+    aliases = {c.alias: c.what for c in columns if c.alias and not isinstance(c.what, Aggregate)}
+    terms = []
+    for term in select.group:
+        named = aliases.get(term.text) if isinstance(term, Path) else None
+        found = term if named is None or isinstance(named, Aggregate) else named
+        if is_constant(found):
+            raise StatementError(term.position, f"{term.text} is the same in every row")
+        terms.append(found)
+    return replace(select, group=tuple(terms), hidden=tuple(map(Selected, terms)))
+
+
+def _check_columns(select: Select) -> None:
+    """Refuse columns of which a group of rows has more than one value."""
+    if not (select.group or select.aggregates):
+        return
+    if select.columns is None:
+        reason = "names what stands behind GROUP BY, and aggregates of the rest, instead of *"
+        raise StatementError(select.group[0].position, f"a statement with GROUP BY {reason}")
+    known = {term.text for term in select.group}
+    for column in select.columns:
+        what = column.what
+        if isinstance(what, Aggregate) or what.text in known:
+            continue
+        if not select.group:
+            one = select.aggregates[0]
+            reason = "is one value made of all rows: it stands alone or beside other aggregates, "
+            reason += f"not beside {what.text}, unless GROUP BY names that"
+            raise StatementError(one.position, f"{one.text} {reason}")
+        reason = f"{what.text} is none of what the rows are grouped by; name it in GROUP BY, or "
+        raise StatementError(what.position, f"{reason}take one value of it, as max({what.text})")
+
+
+def _ordered(select: Select) -> Select:
+    """Give each part of ORDER BY its column, a hidden one where it is not shown."""
+    placed, hidden = [], list(select.hidden)
+    every = len(select.visible)
+    limited = bool(select.group or select.aggregates or select.distinct)
+    for part in select.order:
+        place = _place(select, part.what)
+        if not isinstance(part.what, Aggregate) and is_constant(part.what):
+            raise StatementError(part.position, f"{part.what.text} is the same in every row")
+        if place is None:
+            if limited:
+                how = "DISTINCT" if select.distinct else "aggregates"
+                reason = f"with {how} rows are ordered by a column that is shown; select it, too"
+                raise StatementError(part.position, f"{part.what.text} is not selected: {reason}")
+            if isinstance(part.what, Aggregate):
+                reason = "is one value made of all rows, which orders none of them: GROUP BY makes "
+                reason += "it one of each group, by which groups are ordered where it is selected"
+                raise StatementError(part.position, f"{part.what.text} {reason}")
+            place = every + len(hidden)
+            hidden.append(Selected(part.what))
+        placed.append(Ordering(part.what, part.descending, part.position, place))
+    return replace(select, order=tuple(placed), hidden=tuple(hidden))
+
+
+def _place(select: Select, what: What) -> Optional[int]:
+    """Return the place of a column among all that are asked for."""
+    limited = bool(select.group or select.aggregates or select.distinct)
+    for place, selected in enumerate(select.asked):
+        if selected is None:
+            continue
+        called = selected.alias is not None and selected.alias == what.text
+        if called or (limited and selected.what.text == what.text):
+            return place
+    return None

@@ -1,0 +1,370 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a statement names, in one table: where each value stands, of which kind it is.
+
+The values of a row are KEY, NODE, RUN and its time (which KEY is not where it is a name), those of
+the fields that are named, and behind them what is computed of these.
+"""
+
+from __future__ import annotations
+
+from typing import Callable, NamedTuple, Optional, Sequence, Tuple
+
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.rows.evaluate import Check, compile_condition
+from cassandra_ros.query.tree.expressions import (
+    INTEGER,
+    NO_NUMBERS,
+    Computed,
+    Found,
+    Get,
+    compile_term,
+    family,
+    kind_name,
+)
+from cassandra_ros.query.tree.field_names import (
+    Array,
+    FieldRef,
+    Findings,
+    all_fields,
+    counted_field,
+    field_of,
+    fields_of,
+)
+from cassandra_ros.query.tree.literals import (
+    Comparable,
+    fit_to_field,
+    fit_to_kind,
+    fit_to_text,
+    fit_to_time,
+)
+from cassandra_ros.query.tree.syntax import (
+    Aggregate,
+    Call,
+    Compare,
+    Comparison,
+    Expression,
+    KeyOperand,
+    Literal,
+    NodeOperand,
+    Operand,
+    Path,
+    Quantified,
+    Relate,
+    RunOperand,
+    Selected,
+    StatementError,
+    Term,
+    inside,
+    wants_array,
+)
+
+KEY_PLACE, NODE_PLACE, RUN_PLACE, TIME_PLACE = 0, 1, 2, 3
+OWN_WIDTH = 4
+"""So many values are of no field."""
+COUNTED = "int64"
+"""Kind of a count: whatever is counted is not shown."""
+_BESIDE = -1
+"""From here downwards are the marks of problems that no other table can make good."""
+_PAIR = 32
+"""So many bits further are the marks of two terms that are compared: of BETWEEN one stands in two
+comparisons, and each term may be fine by itself."""
+
+
+class Output(NamedTuple):
+    """One column of a result, in one table."""
+
+    name: str
+    place: int
+    """Where its value stands among the values of a row."""
+    kind: str
+    """ROS type of a value; 'sum' is an integer of any size."""
+    ref: Optional[FieldRef] = None
+    """The field that it shows; None for KEY, NODE, RUN and what is computed."""
+    compute: Optional[Get] = None
+    """What gives its value where it has no place yet."""
+
+
+class Names:
+    """Finds what a statement names in one table, while it is compiled; see ``evaluate.Fields``."""
+
+    def __init__(self, table: Table, findings: Findings) -> None:
+        self._definition = table.definition
+        self._named = table.named
+        self._findings = findings
+        self.refs: list[FieldRef] = []
+        """The fields that were found so far, in the order of their values."""
+        self._places: dict[FieldRef, int] = {}
+        self._used: set[int] = set()
+        self._counted: list[Tuple[Path, Array]] = []
+        self.unnested: list[Array] = []
+        """The arrays of messages whose elements are named, outermost first."""
+        self.runs = False
+        """RUN is needed."""
+
+    # ---------------------------------------------------------------- columns
+
+    def outputs(self, selected: Optional[Selected]) -> Sequence[Output]:
+        """Return the columns that one selected path gives; None = every field."""
+        if selected is None:
+            return self._shown(() if self._definition is None else all_fields(self._definition))
+        what = selected.what
+        if isinstance(what, Aggregate):
+            return self._aggregated(what, selected.text)
+        if not isinstance(what, Path):
+            found = self._output(what)
+            return [] if found is None else [found._replace(name=selected.text)]
+        columns = self._shown(self._resolved(what, lambda definition: fields_of(what, definition)))
+        if selected.alias is None:
+            return columns
+        if len(columns) > 1:
+            self._refuse(what, f"{what.text} has {len(columns)} fields; AS gives a name to one")
+        return [output._replace(name=selected.alias) for output in columns[:1]]
+
+    def single(self, selected: Selected) -> Sequence[Output]:
+        """Return the one column of a term by which rows are grouped or ordered."""
+        what = selected.what
+        if isinstance(what, Aggregate):
+            raise AssertionError("aggregates are ordered by the columns that show them")
+        found = self._output(what)
+        return [] if found is None else [found._replace(name=selected.text)]
+
+    def _shown(self, refs: Sequence[FieldRef]) -> list[Output]:
+        return [Output(ref.name, self._place(ref), ref.type, ref) for ref in refs]
+
+    def _aggregated(self, asked: Aggregate, name: str) -> Sequence[Output]:
+        operand, function = asked.operand, asked.function
+        found = self._output(operand or KeyOperand(0))
+        if found is None:
+            return []
+        if operand is not None and function in ("sum", "avg") and found.kind in NO_NUMBERS:
+            reason = f"{operand.text} is a {found.kind}, and {function} is for numbers; "
+            problem = StatementError(operand.position, reason + "min, max and count take any field")
+            self._findings.wrong.setdefault(asked.position, problem)
+            return []
+        self._findings.fine.add(asked.position)
+        if function in ("min", "max"):
+            return [found._replace(name=name)]
+        total = "float64" if found.kind.startswith("float") else INTEGER
+        kinds = {"count": COUNTED, "avg": "float64", "sum": total}
+        return [found._replace(name=name, kind=kinds[function], ref=None)]
+
+    def _output(self, term: Term, array: Optional[bool] = False) -> Optional[Output]:
+        """Return the column of one term; None where the table lacks it."""
+        if isinstance(term, (Literal, Call)):
+            made = self._computed(term)
+            return None if made is None else Output(term.text, -1, made.kind, compute=made.get)
+        if isinstance(term, Path):
+            found = self._resolved(term, lambda definition: [field_of(term, definition, array)])
+            return self._shown(found)[0] if found else None
+        if isinstance(term, NodeOperand):
+            return Output(term.text, NODE_PLACE, "string")
+        if isinstance(term, RunOperand):
+            self.runs = True
+            return Output(term.text, RUN_PLACE, "string")
+        return Output(term.text, KEY_PLACE, "string" if self._named else "time")
+
+    # ---------------------------------------------------------------- what is computed
+
+    def _computed(self, term: Term) -> Optional[Computed]:
+        """Compile a term; None where the table lacks it."""
+        made = None
+        try:
+            made = compile_term(term, self._find)
+        except StatementError as exc:
+            self._findings.wrong.setdefault(exc.position, exc)
+        if made is not None:
+            self._findings.fine.update(part.position for part in inside(term))
+        elif isinstance(term, Call):
+            # What of it makes sense here is no error where another definition lacks it.
+            for part in term.arguments:
+                if isinstance(part, Call):
+                    self._computed(part)
+        return made
+
+    def _find(self, operand: Operand, array: Optional[bool]) -> Optional[Found]:
+        if array is None and isinstance(operand, Path):
+            return self._find_counted(operand)
+        found = self._output(operand, array)
+        if found is None:
+            return None
+        self._used.add(found.place)
+        return Found(found.kind, found.place, found.ref is not None and found.ref.is_array)
+
+    def _find_counted(self, path: Path) -> Optional[Found]:
+        """Find a field with as many values as there are elements, also of an array of messages."""
+        found = self._resolved(path, lambda definition: [counted_field(path, definition)])
+        if not found:
+            return None
+        (ref,) = found
+        array = ref.steps[: len(path.parts)]
+        self._used.add(self._place(ref))
+        if not array[-1].many:
+            return Found(ref.type, self._place(ref), ref.is_array)
+        self._counted.append((path, array))
+        return Found(ref.type, self._place(ref), True)
+
+    def check_lengths(self) -> None:
+        """Refuse to count the elements of an array each of whose elements is a row by itself."""
+        for path, array in self._counted:
+            if array in self.unnested:
+                reason = f"names fields inside of {path.text}, so that each element is a row; "
+                reason += "ask for their number in another statement"
+                self._refuse(path, f"the statement takes len({path.text}) and {reason}")
+
+    # ---------------------------------------------------------------- conditions
+
+    def condition(self, expression: Optional[Expression]) -> tuple[frozenset[int], Check]:
+        """Compile a condition, and return the places of the values that it needs with it."""
+        self._used.clear()
+        check = compile_condition(expression, self)
+        return frozenset(self._used), check
+
+    def locate(self, leaf: Comparison) -> Optional[int]:
+        """Return the place of a comparison's operand; None where the table lacks it."""
+        found = self._output(leaf.operand, wants_array(leaf))
+        if found is None:
+            return None
+        self._used.add(found.place)
+        return found.place
+
+    def whereabouts(self) -> Tuple[int, int, int]:
+        """Return the places of what tells where a row's robot was: node, run and time."""
+        self.runs = True
+        return NODE_PLACE, RUN_PLACE, TIME_PLACE
+
+    def compute(self, leaf: Comparison) -> Sequence[Optional[Get]]:
+        """Return what computes the terms of a comparison, but for an array's; None: missing."""
+        if isinstance(leaf, Quantified):
+            return self._tests(leaf)
+        made = self._computed(leaf.operand)
+        if not isinstance(leaf, Relate):
+            return [None if made is None else made.get]
+        other = self._computed(leaf.other)
+        if made is None or other is None:
+            self._hint_at_quotes(leaf, made)
+            return [None, None]
+        if not self._are_alike(leaf.operand, made.kind, leaf.other, other.kind, leaf.position):
+            return [None, None]
+        return [made.get, other.get]
+
+    def _tests(self, leaf: Quantified) -> Sequence[Optional[Get]]:
+        array = self._output(leaf.operand, array=True)
+        return [self._wanted(leaf, array, sign, term) for sign, term in leaf.tests]
+
+    def _wanted(
+        self, leaf: Quantified, array: Optional[Output], sign: str, term: Term
+    ) -> Optional[Get]:
+        # A term names its fields, and makes rows of their arrays, also where the array is missing.
+        made = None if isinstance(term, Literal) else self._computed(term)
+        if array is None:
+            return None
+        if isinstance(term, Literal):
+            value = self._fitted(Compare(leaf.operand, sign, term), array, term)
+            return None if value is None else lambda values: value
+        if made is None or not self._are_alike(
+            leaf.operand, array.kind, term, made.kind, leaf.position
+        ):
+            return None
+        return made.get
+
+    def _are_alike(self, left: Term, kind: str, right: Term, other: str, position: int) -> bool:
+        """Say whether values of two kinds can be compared; note it if not."""
+        mark = (left.position + 1) << _PAIR | right.position
+        if family(kind) == family(other):
+            self._findings.fine.add(mark)
+            return True
+        reason = f"{left.text} is {kind_name(kind)} and {right.text} {kind_name(other)}"
+        problem = StatementError(position, f"{reason}: they cannot be compared")
+        self._findings.wrong.setdefault(mark, problem)
+        return False
+
+    def _hint_at_quotes(self, leaf: Relate, left: Optional[Computed]) -> None:
+        """Where text stands without quotes it is looked for as a field."""
+        other = leaf.other
+        problem = self._findings.wrong.get(other.position)
+        single = isinstance(other, Path) and len(other.parts) == 1
+        if problem and single and left is not None and left.kind == "string":
+            reason = f"{problem.reason}; text stands in quotes: '{other.text}'"
+            self._findings.wrong[other.position] = StatementError(problem.position, reason)
+
+    def fit(self, leaf: Comparison, literal: Literal) -> Optional[Comparable]:
+        """Fit a literal to its operand; None where they cannot be compared here."""
+        found = self._output(leaf.operand, wants_array(leaf))
+        return None if found is None else self._fitted(leaf, found, literal)
+
+    def _fitted(self, leaf: Comparison, found: Output, literal: Literal) -> Optional[Comparable]:
+        try:
+            fitted = _fitted(found, leaf, literal)
+        except StatementError as exc:
+            self._findings.wrong.setdefault(literal.position, exc)
+            return None
+        self._findings.fine.add(literal.position)
+        return fitted
+
+    # ---------------------------------------------------------------- fields
+
+    def _resolved(
+        self, path: Path, resolve: Callable[[Definition], list[FieldRef]]
+    ) -> list[FieldRef]:
+        try:
+            if self._definition is None:
+                raise StatementError(path.position, "the messages of this topic have no definition")
+            self._unnest_inside(path, fields_of(path, self._definition))
+            found = resolve(self._definition)
+        except StatementError as exc:
+            self._findings.wrong.setdefault(path.position, exc)
+            return []
+        self._findings.fine.add(path.position)
+        return found
+
+    def _unnest_inside(self, path: Path, refs: Sequence[FieldRef]) -> None:
+        """Make a row of each element of the arrays in which a path lies, however it is used."""
+        for ref in refs:
+            # Those whose elements the path names, not those that it names whole.
+            for array in ref.arrays:
+                if len(array) < len(path.parts) and array not in self.unnested:
+                    self._unnest(path, array)
+                    self._place(ref)  # its values are as many as the array has elements
+
+    def _unnest(self, path: Path, array: Array) -> None:
+        inner = self.unnested[-1] if self.unnested else ()
+        if array[: len(inner)] == inner:
+            self.unnested.append(array)
+            return
+        names = [".".join(step.name for step in a) for a in (inner, array)]
+        self._refuse(
+            path,
+            f"the statement names fields inside two arrays of messages, {names[0]} and "
+            f"{names[1]}; ask for them in two statements, or name an element: {names[1]}[0]",
+        )
+
+    def _refuse(self, path: Path, reason: str) -> None:
+        """Note that a path, although there is such a field, cannot stand where it does."""
+        self._findings.wrong.setdefault(
+            _BESIDE - path.position, StatementError(path.position, reason)
+        )
+
+    def _place(self, ref: FieldRef) -> int:
+        place = self._places.get(ref)
+        if place is None:
+            place = self._places[ref] = OWN_WIDTH + len(self.refs)
+            self.refs.append(ref)
+        return place
+
+
+def _fitted(found: Output, leaf: Comparison, literal: Literal) -> Comparable:
+    operand, sign = leaf.operand, leaf.operator if isinstance(leaf, Compare) else ""
+    if sign == "CONTAINS" and found.ref is None:
+        reason = f"{operand.text} is not an array; compare it with ="
+        raise StatementError(operand.position, reason)
+    if sign == "LIKE" and found.kind != "string":
+        reason = f"is {kind_name(found.kind)}, and LIKE is for text"
+        reason += "; compare it with = < > or BETWEEN"
+        raise StatementError(operand.position, f"{operand.text} {reason}")
+    if found.ref is not None:
+        return fit_to_field(literal, found.ref)
+    if found.compute is not None:
+        return fit_to_kind(literal, found.kind, operand.text, kind_name(found.kind))
+    return fit_to_text(literal, operand.text) if found.kind == "string" else fit_to_time(literal)

@@ -1,0 +1,278 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a statement makes of the rows of one table."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+from typing import Any, Iterable, Iterator, Optional, Sequence, Tuple, Union
+
+from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.rows.compiled_rows import CompiledRows, compile_rows, compile_wire_rows
+from cassandra_ros.query.rows.evaluate import Check, Values
+from cassandra_ros.query.rows.extract import Extractor, extractor_of
+from cassandra_ros.query.rows.name_resolution import COUNTED, KEY_PLACE, OWN_WIDTH, Names, Output
+from cassandra_ros.query.tree.expressions import Get
+from cassandra_ros.query.tree.field_names import Array, Findings
+from cassandra_ros.query.tree.syntax import Select
+
+_log = logging.getLogger(__name__)
+
+ResultRow = Tuple[Any, ...]
+"""A value for each column of the result."""
+Own = Tuple[Union[int, str], str, str, int]
+"""KEY, NODE and RUN of a row, and its time."""
+
+
+@dataclass(frozen=True)
+class Projection:
+    """Reads, filters and shows the rows of one table; made by ``compile``.
+
+    The values of a row are its KEY, NODE and RUN, and those of the fields that the statement names.
+    """
+
+    groups: tuple[tuple[Output, ...], ...]
+    """What each selected path gives: one column, or those of a whole message."""
+    check: Check
+    """The condition."""
+    columns: Optional[Sequence[str]]
+    """Columns of its table that are read, in their order; None = all."""
+    unnested: tuple[Array, ...]
+    """The arrays of messages each of whose elements is a row, outermost first."""
+    named: bool
+    """KEY is a name."""
+    extractor: Optional[Extractor]
+    width: int
+    """How many values a row has."""
+    runs: bool = False
+    """RUN is needed; else its value is ''."""
+    shown: tuple[tuple[Optional[int], Optional[Get]], ...] = ()
+    """For each column of the result its place (None: missing here), and how to show a value."""
+    checked: frozenset[int] = frozenset()
+    """Places of the values that the condition needs."""
+    stored: int = 0
+    """How many columns its table has."""
+    computed: tuple[Get, ...] = ()
+    """What gives the values that are computed of the others; they stand behind them."""
+
+    @classmethod
+    def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
+        """Find out what a statement means in a table; findings collect what it names in vain."""
+        names = Names(table, findings)
+        groups = [names.outputs(selected) for selected in select.visible]
+        groups += [names.single(selected) for selected in select.hidden]
+        checked, check = names.condition(select.condition)
+        names.check_lengths()
+        extractor = None
+        columns: Optional[Sequence[str]] = ()
+        if table.definition is not None and names.refs:
+            extractor = extractor_of(table.definition, tuple(names.refs), tuple(names.unnested))
+            columns = extractor.columns if table.by_field else None
+        unnested, width = tuple(names.unnested), OWN_WIDTH + len(names.refs)
+        placed, computed = _place_computed(groups, width)
+        made = cls(placed, check, columns, unnested, table.named, extractor, width, names.runs)
+        made = replace(made, computed=computed)
+        if table.by_field:
+            made = replace(made, checked=frozenset(checked), stored=len(table.columns))
+        return made.showing([[output.name for output in group] for group in groups])
+
+    def showing(self, names: Sequence[Sequence[str]]) -> Projection:
+        """Return one that shows these columns of each selected path, None where it lacks one."""
+        shown: list[tuple[Optional[int], Optional[Get]]] = []
+        for group, wanted in zip(self.groups, names):
+            known = {output.name: (output.place, _show_of(output)) for output in group}
+            shown += [known.get(name, (None, None)) for name in wanted]
+        return replace(self, shown=tuple(shown))
+
+    @cached_property
+    def compiled(self) -> Optional[CompiledRows]:
+        """What makes the rows of nearly all stored ones, and quickly."""
+        if self.extractor is None:
+            return None
+        if not self.stored:
+            read = self.extractor.whole()
+            if read is None:
+                return None
+            return compile_wire_rows(
+                read, self.own, self.check, self.shown, KEY_PLACE, self.computed
+            )
+        direct = self.extractor.direct()
+        if direct is None or self.columns is None:
+            return None
+        return compile_rows(
+            direct,
+            self.own,
+            self.check,
+            tuple(self.checked),
+            self.shown,
+            KEY_PLACE,
+            self.computed,
+            own_width=OWN_WIDTH,
+            asked=len(self.columns),
+            stored=self.stored,
+        )
+
+    def own(self, row: Row) -> Own:
+        """Return the values of a row that are of no field."""
+        t = row.t
+        return (row.name if self.named else t, row.node, row.run if self.runs else "", t)
+
+    def values(self, row: Row) -> Iterator[Values]:
+        """Yield the values of a row, once or for each unnested element; None = missing."""
+        own = self.own(row)
+        if self.extractor is None:
+            yield own
+            return
+        try:
+            for found in self.extractor.values(row):
+                yield (*own, *found)
+        except MessageNotFound:
+            return  # removed since its columns were read
+        except CorruptMessage as exc:
+            _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+            yield (*own, *[None] * (self.width - OWN_WIDTH))
+
+    def hits(self, row: Row) -> Iterator[bool]:
+        """Say of each unnested element of a stored row whether it satisfies the condition."""
+        return (self.check(values) is True for values in self.values(row))
+
+    def hit(self, row: Row) -> bool:
+        """Say whether a row, or one unnested element of it, satisfies the condition."""
+        found = None if self.compiled is None else self.compiled(row)
+        return any(self.hits(row)) if found is None else bool(found)
+
+    def rows(self, row: Row) -> Iterable[ResultRow]:
+        """Return the rows of the result that a stored row gives, of elements one by one."""
+        compiled = self.compiled
+        found = None if compiled is None else compiled(row)
+        if found is not None:
+            return found
+        return (self._row(row, v) for v in self.values(row) if self.check(v) is True)
+
+    def complete(self, values: Values) -> Values:
+        """Return the values of a row, also those that are computed for the result."""
+        return [*values, *[get(values) for get in self.computed]] if self.computed else values
+
+    def _row(self, row: Row, values: Values) -> ResultRow:
+        values = self.complete(values)
+        found: list[object] = []
+        made: dict[int, object] = {}
+        for place, show in self.shown:
+            if place is None:
+                found.append(None)
+            elif place == KEY_PLACE and show is None:
+                found.append(row.key)
+            elif show is None:
+                found.append(values[place])
+            else:
+                # A column that is named twice is made once.
+                if place not in made:
+                    made[place] = show(values[place])
+                found.append(made[place])
+        return tuple(found)
+
+
+class Projections:
+    """The projections of a statement, one for each table of a topic, also of those made since.
+
+    Attributes:
+        names: The columns of each selected path, over all tables, those that are hidden last.
+
+    Raises:
+        InvalidQuery: The statement names what no table has.
+    """
+
+    def __init__(self, select: Select, tables: Sequence[Table]) -> None:
+        self._select = select
+        findings = Findings(select.text)
+        made = {table.name: Projection.compile(select, table, findings) for table in tables}
+        findings.check()
+        self.names = [[selected.text] for selected in select.asked if selected is not None]
+        if made:
+            same = zip(*(projection.groups for projection in made.values()))
+            found = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
+            # What is computed of fields of several definitions may be missing in all tables.
+            self.names = [
+                names or ([] if selected is None or selected.is_path else [selected.text])
+                for names, selected in zip(found, select.asked)
+            ]
+        self._made = {name: each.showing(self.names) for name, each in made.items()}
+
+    def __iter__(self) -> Iterator[Projection]:
+        return iter(self._made.values())
+
+    def of(self, table: Table) -> Projection:
+        """Return the projection of a table; ``names`` are its columns, whatever it has."""
+        if table.name not in self._made:  # made since
+            projection = Projection.compile(self._select, table, Findings(self._select.text))
+            self._made[table.name] = projection.showing(self.names)
+        return self._made[table.name]
+
+    def columns(self, table: Table) -> Optional[Sequence[str]]:
+        """Return the columns of a table that are read, in their order; None = all."""
+        return self.of(table).columns
+
+    def hit(self, row: Row) -> bool:
+        """Say whether a row, or one unnested element of it, satisfies the condition."""
+        return self.of(row.table).hit(row)
+
+
+def _place_computed(
+    groups: Sequence[Sequence[Output]], width: int
+) -> tuple[tuple[tuple[Output, ...], ...], tuple[Get, ...]]:
+    """Give what is computed its places behind the other values."""
+    computed: list[Get] = []
+    placed: list[tuple[Output, ...]] = []
+    for group in groups:
+        found = []
+        for output in group:
+            if output.compute is not None:
+                computed.append(output.compute)
+                output = output._replace(place=width + len(computed) - 1)
+            found.append(output)
+        placed.append(tuple(found))
+    return tuple(placed), tuple(computed)
+
+
+def _shown_as(make: Get) -> Get:
+    def show(value: object) -> object:
+        if isinstance(value, list):
+            return [show(element) for element in value]
+        return None if value is None else make(value)
+
+    return show
+
+
+def _time(ns: int) -> Union[Stamp, int]:
+    try:
+        return Stamp.from_ns(ns)
+    except InvalidKey:
+        return ns  # nsecs beyond a second at the very end of time, or computed beyond it
+
+
+def _duration(ns: int) -> object:
+    try:
+        origin = Stamp.from_ns(0)
+        # genpy's Duration, without importing genpy here.
+        return Stamp.from_ns(ns) - origin if ns >= 0 else origin - Stamp.from_ns(-ns)
+    except InvalidKey:
+        return ns  # what was computed is longer than any
+
+
+_SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}
+
+
+def _show_of(output: Output) -> Optional[Get]:
+    """Return how to show a value; None = as it is, of KEY the row's key."""
+    if output.place == KEY_PLACE:
+        return _itself if output.kind == COUNTED else None
+    return _SHOWS.get(output.kind)
+
+
+def _itself(value: object) -> object:
+    return value

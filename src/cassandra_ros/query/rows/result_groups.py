@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows of a result that are made of several: GROUP BY, DISTINCT and ORDER BY.
+
+Values are equal as conditions compare them, but NaN equals NaN here, and what is missing is a value
+of its own. Groups and distinct rows come in the order of their first row; those of ``time(…)`` are
+given as soon as they are complete. What is ordered comes by value, rows of the same value by KEY;
+NaN and, behind it, what is missing come last, whether ASC or DESC.
+
+MEMORY_BYTES bound what is kept meanwhile: with LIMIT n about 2 n rows to be ordered, else all of
+them; one row of each group, one of all that are alike.
+"""
+
+from __future__ import annotations
+
+from itertools import accumulate
+from sys import getsizeof
+from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Tuple
+
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.rows.aggregates import Aggregation
+from cassandra_ros.query.rows.projection import ResultRow
+from cassandra_ros.query.tree.syntax import Call, Ordering, Select
+
+MEMORY_BYTES = 256 * 1024 * 1024
+"""So much a statement keeps at most, as Python counts it."""
+TOTAL_BYTES = 1024
+"""About what one aggregate takes."""
+LEAST_KEPT = 1000
+"""Fewer rows are not thinned out."""
+
+
+def gather(
+    select: Select, names: Sequence[Sequence[str]], rows: Iterable[ResultRow], most: Optional[int]
+) -> Iterator[ResultRow]:
+    """Make the rows of a result of those with all columns that a statement asks for.
+
+    Args:
+        select: The statement, settled.
+        names: The columns of each path that it asks for.
+        most: So many rows are taken; None = all.
+
+    Raises:
+        InvalidQuery: More than MEMORY_BYTES would have to be kept, or values that are to be ordered
+            are of different kinds.
+    """
+    starts = [0, *accumulate(map(len, names))]
+    shown = starts[len(select.visible)]
+    if select.group:
+        rows = _grouped(select, rows, shown)
+    elif select.aggregates:
+        rows = _total(select, rows)
+    if select.distinct:
+        rows = _distinct(select, rows, shown)
+    if select.order:
+        places = [starts[part.place] for part in select.order]
+        _check_single(select, names)
+        rows = _ordered(select, rows, places, most)
+    return (row[:shown] for row in rows)
+
+
+class _Memory:
+    """What is kept, within its bound."""
+
+    def __init__(self, select: Select, position: int, remedy: str) -> None:
+        self._text, self._position, self._remedy = select.text, position, remedy
+        self._bytes = 0
+
+    def take(self, row: ResultRow, more: int = 0) -> None:
+        """Count a row; InvalidQuery: it is one too many."""
+        self._bytes += _size(row) + more
+        if self._bytes > MEMORY_BYTES:
+            reason = f"more than {MEMORY_BYTES // 2**20} MiB would have to be kept"
+            raise InvalidQuery(self._text, self._position, f"{reason}; {self._remedy}")
+
+    def clear(self) -> None:
+        """Count from nothing."""
+        self._bytes = 0
+
+
+def _size(row: ResultRow) -> int:
+    found = getsizeof(row)
+    for value in row:
+        found += getsizeof(value) + (32 * len(value) if isinstance(value, list) else 0)
+    return found
+
+
+def _total(select: Select, rows: Iterable[ResultRow]) -> Iterator[ResultRow]:
+    totals = Aggregation(select)
+    totals.add(rows)
+    yield totals.values()
+
+
+def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[ResultRow]:
+    """Yield a row for each group, with what it is grouped by behind its columns."""
+    remedy = "group by less, or by time(1h), or choose fewer rows by WHERE KEY > …"
+    memory = _Memory(select, select.group[0].position, remedy)
+    widths = slice(shown, shown + len(select.group))
+    times = [n for n, t in enumerate(select.group) if isinstance(t, Call) and t.function == "time"]
+    groups: dict[Tuple[Any, ...], Tuple[Aggregation, ResultRow]] = {}
+    latest: Any = None
+    for row in rows:
+        by = row[widths]
+        key = tuple(map(_identity, by))
+        if times and groups and key[times[0]] != latest:  # rows come by KEY: these are complete
+            yield from _finished(groups)
+            groups.clear()
+            memory.clear()
+        latest = key[times[0]] if times else None
+        if key not in groups:
+            memory.take(row, TOTAL_BYTES * len(row))
+            groups[key] = (Aggregation(select), by)
+        groups[key][0].add((row,))
+    yield from _finished(groups)
+
+
+def _finished(
+    groups: dict[Tuple[Any, ...], Tuple[Aggregation, ResultRow]],
+) -> Iterator[ResultRow]:
+    return ((*totals.values(), *by) for totals, by in groups.values())
+
+
+def _distinct(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[ResultRow]:
+    remedy = "select fewer columns, or choose fewer rows by WHERE KEY > …"
+    memory = _Memory(select, len(select.text) - len(select.text.lstrip()), remedy)
+    seen = set()
+    for row in rows:
+        key = tuple(map(_identity, row[:shown]))
+        if key not in seen:
+            seen.add(key)
+            memory.take(row, getsizeof(key))
+            yield row
+
+
+def _identity(value: Any) -> Any:
+    """Return what is equal, and has the same hash, for values that are alike."""
+    if isinstance(value, list):
+        return tuple(map(_identity, value))
+    if hasattr(value, "to_nsec"):
+        return value.to_nsec()
+    return _NAN if value != value else value
+
+
+_NAN = object()
+
+
+def _check_single(select: Select, names: Sequence[Sequence[str]]) -> None:
+    for part in select.order:
+        if len(names[part.place]) != 1:
+            reason = f"{part.what.text} has {len(names[part.place])} fields; name one of them"
+            raise InvalidQuery(select.text, part.position, reason)
+
+
+Key = Tuple[Any, ...]
+
+
+def _ordered(
+    select: Select, rows: Iterable[ResultRow], places: Sequence[int], most: Optional[int]
+) -> Iterator[ResultRow]:
+    remedy = "choose fewer rows by WHERE KEY > …, select fewer columns, or add a LIMIT"
+    memory = _Memory(select, select.order[0].position, remedy)
+    key = _key_of(select.order, places)
+    enough = None if most is None else max(2 * most, LEAST_KEPT)
+    kept: list[Tuple[Key, ResultRow]] = []
+    try:
+        for row in rows:
+            kept.append((key(row), row))
+            if enough is not None and len(kept) > enough:
+                kept = _first(kept, most)
+                memory.clear()
+                for _, other in kept:
+                    memory.take(other)
+            else:
+                memory.take(row)
+        found = _first(kept, most)
+    except TypeError as exc:
+        reason = f"the definitions of this topic hold values of different kinds there ({exc})"
+        raise InvalidQuery(select.text, select.order[0].position, reason) from None
+    yield from (row for _, row in found)
+
+
+def _first(kept: list[Tuple[Key, ResultRow]], most: Optional[int]) -> list[Tuple[Key, ResultRow]]:
+    kept.sort(key=lambda pair: pair[0])  # which keeps the order of equals
+    return kept[:most]
+
+
+def _key_of(order: Sequence[Ordering], places: Sequence[int]) -> Callable[[ResultRow], Key]:
+    pairs = [(place, part.descending) for place, part in zip(places, order)]
+    return lambda row: tuple([_rank(row[place], down) for place, down in pairs])
+
+
+def _rank(value: Any, descending: bool) -> Tuple[int, Any]:
+    if value is None or value != value:
+        return (2 if value is None else 1), 0
+    value = _identity(value)
+    return 0, _Down(value) if descending else value
+
+
+class _Down:
+    """Orders values from the greatest to the least."""
+
+    __slots__ = ("_value",)
+
+    def __init__(self, value: Any) -> None:
+        self._value = value
+
+    def __lt__(self, other: _Down) -> bool:
+        return bool(other._value < self._value)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Down) and bool(other._value == self._value)
+
+    __hash__ = None  # type: ignore[assignment]

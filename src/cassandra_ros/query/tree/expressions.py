@@ -1,0 +1,325 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values that a statement computes: arithmetic, functions, and what is made of one array.
+
+What is missing makes the result missing. Integers (a bool is 0 or 1) are exact, and a product of
+more than MAX_BITS is missing; beside a float, and by ``/`` and ``sqrt``, numbers are float64 as in
+IEEE 754: x / 0 is infinite, 0 / 0 and the square root of what is negative are NaN, and what is too
+large is infinite.
+
+Times and durations are integer nanoseconds. A duration is the difference of two times, or times a
+number, which is rounded to a nanosecond, half to even, and missing where there is none (1s / 0). It
+is missing, too, from 10^29 ns on, where literals are not told apart (3 million million years). A
+plain number is neither: 5s is a duration, and ``field * 1s`` makes one of a number of seconds.
+
+Of an array, min, max, sum and avg are what they are of all rows (see ``totals``): of one without
+elements they are missing, and len is 0.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from fractions import Fraction
+from numbers import Integral, Real
+from operator import itemgetter
+from typing import Any, Callable, NamedTuple, Optional, Sequence, Union
+
+from cassandra_ros.messages.stamps import is_time
+from cassandra_ros.query.tree.accumulators import total_of
+from cassandra_ros.query.tree.literals import BEYOND_NS, fit_to_time, length_ns
+from cassandra_ros.query.tree.syntax import (
+    Call,
+    DurationNs,
+    Literal,
+    Operand,
+    Path,
+    StatementError,
+    Term,
+    TimeNs,
+)
+
+Get = Callable[[Any], Any]
+"""From the values of a row to one; None = missing."""
+INTEGER = "sum"
+"""Kind of an integer of any size."""
+MAX_BITS = 8192
+"""Of the integers that are computed with: Python refuses to write over 4300 digits as text."""
+NO_NUMBERS = ("string", "time", "duration")
+
+
+class Computed(NamedTuple):
+    """What is computed in the rows of one table."""
+
+    kind: str
+    """ROS type, or INTEGER."""
+    get: Get
+
+
+class Found(NamedTuple):
+    """Where an operand stands in the rows of one table."""
+
+    kind: str
+    """ROS type; of an array that of its elements."""
+    place: int
+    array: bool = False
+
+
+Find = Callable[[Operand, Optional[bool]], Optional[Found]]
+"""Finds an operand that is an array (True), is none, or either (None); None: the table lacks it.
+StatementError: It is of another kind."""
+
+
+def kind_name(kind: str) -> str:
+    """Return what people call a kind."""
+    named = {INTEGER: "an integer", "int64": "an int64"}
+    return named.get(kind, f"{'an' if kind[0] in 'aeiu' and kind[:2] != 'ui' else 'a'} {kind}")
+
+
+def family(kind: str) -> str:
+    """Return a kind as far as it matters to what it can be compared or computed with."""
+    return kind if kind in NO_NUMBERS else "number"
+
+
+def compile_term(term: Term, find: Find) -> Optional[Computed]:
+    """Make what gives the value of a term; None where the table lacks a field of it.
+
+    Raises:
+        StatementError: Nothing can be computed so of values of these kinds.
+    """
+    if isinstance(term, Literal):
+        return _constant(term)
+    if not isinstance(term, Call):
+        found = find(term, False)
+        return None if found is None else Computed(found.kind, itemgetter(found.place))
+    if term.function in _OF_ARRAYS:
+        return _of_array(term, find)
+    if term.function == "time":
+        _check_stretch(term.arguments[1])
+    parts = _compile_all(term.arguments, find)
+    known = [part for part in parts if part is not None]
+    if len(known) < len(parts):
+        return None
+    known = _as_times(term, known)
+    families = tuple(family(part.kind) for part in known)
+    made = _RULES.get((term.function, *families))
+    if made is None:
+        raise StatementError(term.position, _reason(term, known))
+    kind, compute = made
+    if not kind:  # of numbers
+        kinds = [part.kind for part in known]
+        kind = "float64" if any(k.startswith("float") for k in kinds) else INTEGER
+    gets = [part.get for part in known]
+    return Computed(kind, _unary(compute, *gets) if len(gets) == 1 else _binary(compute, *gets))
+
+
+def _compile_all(terms: Sequence[Term], find: Find) -> list[Optional[Computed]]:
+    """Compile terms, and find the fields of all of them before the first error is raised."""
+    parts: list[Optional[Computed]] = []
+    problems: list[StatementError] = []
+    for term in terms:
+        try:
+            parts.append(compile_term(term, find))
+        except StatementError as exc:
+            problems.append(exc)
+    if problems:
+        raise problems[0]
+    return parts
+
+
+def fold(call: Call) -> Union[Literal, Call]:
+    """Compute what is made of values alone; StatementError: there is nothing."""
+    made = compile_term(call, lambda operand, array: None)
+    value = None if made is None else made.get(())
+    if made is None or value is None:
+        raise StatementError(call.position, f"{call.text} cannot be computed")
+    marks: dict[str, Callable[[int], object]] = {"time": TimeNs, "duration": DurationNs}
+    return Literal(marks[made.kind](value) if made.kind in marks else value, call.position)
+
+
+def _constant(literal: Literal) -> Computed:
+    value, kind = literal.value, ""
+    length = length_ns(value)
+    if length is not None:
+        kind, value = "duration", length
+    elif isinstance(value, TimeNs):
+        kind, value = "time", int(value)
+    elif is_time(value):
+        kind, value = "time", fit_to_time(literal, literal.text)
+    elif isinstance(value, str):
+        kind = "string"
+    elif isinstance(value, Integral) and not isinstance(value, bool):
+        if int(value).bit_length() > MAX_BITS:
+            raise StatementError(literal.position, f"nothing is computed of over {MAX_BITS} bits")
+        kind, value = INTEGER, int(value)
+    elif isinstance(value, Real) and not isinstance(value, bool):
+        kind, value = "float64", float(value)
+    if not kind:
+        reason = f"{literal.text} is no number, time or duration: nothing is computed of it"
+        raise StatementError(literal.position, reason)
+    return Computed(kind, _always(value))
+
+
+def _as_times(call: Call, parts: list[Computed]) -> list[Computed]:
+    """Read a quoted time beside a time or a duration as such."""
+    if call.function not in ("+", "-") or not {p.kind for p in parts} & {"time", "duration"}:
+        return parts
+    return [
+        Computed("time", _always(fit_to_time(argument, argument.text)))
+        if isinstance(argument, Literal) and part.kind == "string"
+        else part
+        for argument, part in zip(call.arguments, parts)
+    ]
+
+
+def _always(value: object) -> Get:
+    return lambda values: value
+
+
+def _reason(call: Call, parts: list[Computed]) -> str:
+    kinds = " and ".join(kind_name(part.kind) for part in parts)
+    sign = {"neg": "-"}.get(call.function, call.function)
+    reason = f"{sign} cannot be computed of {kinds}"
+    families = {family(part.kind) for part in parts}
+    if call.function == "time":
+        return "the messages of this topic are kept under names, so KEY is no time"
+    if families & {"time", "duration"} and "number" in families:
+        return f"{reason}: a duration is written 5s or 500ms, and a number times 1s is one"
+    return reason
+
+
+def _unary(compute: Get, get: Get) -> Get:
+    def value(values: Any) -> Any:
+        found = get(values)
+        return None if found is None else compute(found)
+
+    return value
+
+
+def _binary(compute: Callable[[Any, Any], Any], left: Get, right: Get) -> Get:
+    def value(values: Any) -> Any:
+        x = left(values)
+        if x is None:
+            return None
+        y = right(values)
+        return None if y is None else compute(x, y)
+
+    return value
+
+
+def _number(compute: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """Compute with numbers, also where an integer beside a float is beyond all floats."""
+
+    def value(x: Any, y: Any) -> Any:
+        try:
+            return compute(x, y)
+        except OverflowError:
+            return compute(_float(x), _float(y))
+
+    return value
+
+
+def _float(value: Any) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def _divide(x: Any, y: Any) -> float:
+    if y == 0:
+        sign = math.copysign(1.0, y) * (1 if x > 0 else -1)
+        return math.nan if x == 0 or x != x else sign * math.inf
+    try:
+        return float(x / y)
+    except OverflowError:
+        if isinstance(x, int) and isinstance(y, int):
+            return math.inf if (x > 0) == (y > 0) else -math.inf
+        return _float(x) / _float(y)
+
+
+def _root(x: Any) -> float:
+    if x < 0:
+        return math.nan
+    try:
+        return math.sqrt(x)
+    except OverflowError:
+        return _float(math.isqrt(x))
+
+
+def _multiply(x: Any, y: Any) -> Any:
+    product = x * y
+    return None if isinstance(product, int) and product.bit_length() > MAX_BITS else product
+
+
+def _length(ns: int) -> Optional[int]:
+    return ns if abs(ns) < BEYOND_NS else None
+
+
+def _scaled(ns: int, factor: Any) -> Optional[int]:
+    if isinstance(factor, float) and not math.isfinite(factor):
+        return None
+    return _length(round(ns * Fraction(factor)))
+
+
+def _shared(ns: int, parts: Any) -> Optional[int]:
+    if parts == 0 or parts != parts:
+        return None
+    return 0 if abs(parts) == math.inf else _length(round(ns / Fraction(parts)))
+
+
+def _check_stretch(length: Term) -> None:
+    known = isinstance(length, Literal) and _constant(length)
+    if not known or known.kind != "duration" or known.get(()) <= 0:
+        reason = f"time takes a duration longer than 0, as time(10s), not {length.text}"
+        raise StatementError(length.position, reason)
+
+
+_ADD, _SUBTRACT = _number(operator.add), _number(operator.sub)
+_RULES: dict[tuple[str, ...], tuple[str, Callable[..., Any]]] = {
+    ("+", "number", "number"): ("", _ADD),
+    ("+", "time", "duration"): ("time", operator.add),
+    ("+", "duration", "time"): ("time", operator.add),
+    ("+", "duration", "duration"): ("duration", lambda a, b: _length(a + b)),
+    ("-", "number", "number"): ("", _SUBTRACT),
+    ("-", "time", "time"): ("duration", operator.sub),
+    ("-", "time", "duration"): ("time", operator.sub),
+    ("-", "duration", "duration"): ("duration", lambda a, b: _length(a - b)),
+    ("*", "number", "number"): ("", _number(_multiply)),
+    ("*", "duration", "number"): ("duration", _scaled),
+    ("*", "number", "duration"): ("duration", lambda factor, ns: _scaled(ns, factor)),
+    ("/", "number", "number"): ("float64", _divide),
+    ("/", "duration", "number"): ("duration", _shared),
+    ("/", "duration", "duration"): ("float64", _divide),
+    ("neg", "number"): ("", operator.neg),
+    ("neg", "duration"): ("duration", operator.neg),
+    ("abs", "number"): ("", abs),
+    ("abs", "duration"): ("duration", abs),
+    ("sqrt", "number"): ("float64", _root),
+    ("time", "time", "duration"): ("time", lambda t, length: t - t % length),
+}
+"""By function and what it is given: kind of the result ('' = float64 beside a float, else INTEGER)
+and what computes it."""
+_OF_ARRAYS = ("len", "min", "max", "sum", "avg")
+
+
+def _of_array(call: Call, find: Find) -> Optional[Computed]:
+    array, function = call.arguments[0], call.function
+    if not isinstance(array, Path):
+        reason = f"{function} stands here for that of an array, and {array.text} is none"
+        raise StatementError(array.position, reason)
+    found = find(array, None if function == "len" else True)
+    if found is None:
+        return None
+    if function == "len":
+        if not found.array and found.kind != "string":
+            reason = f"{array.text} is {kind_name(found.kind)}: len is for arrays and text"
+            raise StatementError(call.position, reason)
+        return Computed(INTEGER, _unary(len, itemgetter(found.place)))
+    if function in ("sum", "avg") and found.kind in NO_NUMBERS:
+        reason = f"{array.text} holds values of type {found.kind}, and {function} is for numbers"
+        raise StatementError(call.position, reason)
+    total = "float64" if found.kind.startswith("float") else INTEGER
+    kind = {"sum": total, "avg": "float64"}.get(function, found.kind)
+    get = itemgetter(found.place)
+    return Computed(kind, _unary(lambda values: total_of(function, values), get))

@@ -1,0 +1,203 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The fields that a statement names, found in a message definition.
+
+A topic may have several definitions. A field that one of them lacks is missing there, and only a
+field that all of them lack is an error; so problems are collected over all tables.
+"""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Iterator, Optional, Sequence, Tuple
+
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.spec import Field
+from cassandra_ros.query.tree.syntax import (
+    OWN_WORDS,
+    Part,
+    Path,
+    StatementError,
+    path_text,
+)
+
+_TIME_PARTS = {"time": "uint32", "duration": "int32"}
+"""Type of secs and nsecs."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One field on the way to a value."""
+
+    name: str
+    many: bool = False
+    """An array of messages."""
+    index: Optional[int] = None
+    """The one element of the array that was asked for."""
+
+
+Array = Tuple[Step, ...]
+"""The way to an array of messages."""
+
+
+@dataclass(frozen=True)
+class FieldRef:
+    """A field of primitive type, or an array of one."""
+
+    steps: tuple[Step, ...]
+    """From the message itself to the field."""
+    type: str
+    """Primitive type, aliases resolved."""
+    is_array: bool = False
+    """A primitive array as a whole."""
+    index: Optional[int] = None
+    """The element of a primitive array that was asked for."""
+    part: str = ""
+    """'secs' or 'nsecs' of a time or duration."""
+
+    @cached_property
+    def column(self) -> str:
+        """The dotted name without any index: the column of the format ``ros``."""
+        return ".".join(step.name for step in self.steps)
+
+    @cached_property
+    def name(self) -> str:
+        """The dotted name as a column of a result."""
+        names = [(step.name, step.index) for step in self.steps]
+        names[-1] = (names[-1][0], self.index)
+        return path_text(names) + (f".{self.part}" if self.part else "")
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """The arrays of messages without an index on the way, outermost first."""
+        steps = self.steps
+        whole = (n for n, step in enumerate(steps, 1) if step.many and step.index is None)
+        return tuple(steps[:n] for n in whole)
+
+
+class Findings:
+    """What was found wrong in some table, and what was found fine in another, by its position."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self.wrong: dict[int, StatementError] = {}
+        self.fine: set[int] = set()
+
+    def check(self) -> None:
+        """Raise InvalidQuery for the first thing that makes sense in no table."""
+        for position, problem in sorted(self.wrong.items()):
+            if position not in self.fine:
+                raise InvalidQuery(self._text, problem.position, problem.reason)
+
+
+@lru_cache(maxsize=256)
+def all_fields(definition: Definition) -> tuple[FieldRef, ...]:
+    """List every field of primitive type in the order of the wire."""
+    return tuple(_leaves(definition, definition.type, ()))
+
+
+def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
+    """Find what a path names: one field, or all of a message; StatementError: there is none."""
+    steps: tuple[Step, ...] = ()
+    msg_type = definition.type
+    for number, part in enumerate(path.parts):
+        field = _field(definition, msg_type, part, steps)
+        _check_index(part, field, path)
+        if field.is_primitive:
+            return [_primitive(path, number, steps, field)]
+        steps = (*steps, Step(field.name, field.is_array, part.index))
+        msg_type = field.type
+    return list(_leaves(definition, msg_type, steps))
+
+
+def field_of(path: Path, definition: Definition, array: Optional[bool] = False) -> FieldRef:
+    """Find the one field that a path names, for a condition; StatementError: there is none.
+
+    ``array`` says whether it is to be an array as a whole; None = either.
+    """
+    found = fields_of(path, definition)
+    if len(found) != 1 or len(found[0].steps) > len(path.parts):
+        inside = " or ".join(ref.name for ref in found[:3])
+        hint = f", like {inside}" if inside else " (it has none)"
+        reason = f"is a message; name one of its fields{hint}"
+    elif array is True and not found[0].is_array:
+        reason = f"is a {found[0].type}, not an array; compare it with ="
+    elif array is False and found[0].is_array:
+        reason = f"is an array; name an element, like {path.text}[0]"
+    else:
+        return found[0]
+    raise StatementError(path.position, f"{path.text} {reason}")
+
+
+def counted_field(path: Path, definition: Definition) -> FieldRef:
+    """Find a field with as many values as a path, an array or text, is long.
+
+    Of an array of messages the first field in them. StatementError: there is none.
+    """
+    found = fields_of(path, definition)
+    if found and len(found[0].steps) > len(path.parts):
+        step = found[0].steps[len(path.parts) - 1]
+        if not step.many or step.index is not None:
+            found = []
+    if not found:
+        reason = f"{path.text} is a message; len is for arrays and text"
+        raise StatementError(path.position, reason)
+    return found[0]
+
+
+def nearest(name: str, known: Sequence[str]) -> str:
+    """Return ' (did you mean …?)' with the names most like one, or '' where none is."""
+    lowered = {other.lower(): other for other in known}
+    close = difflib.get_close_matches(name.lower(), lowered, n=3, cutoff=0.6)
+    longer = [other for other in lowered if len(name) > 1 and other.startswith(name.lower())]
+    return _meant([lowered[other] for other in dict.fromkeys(close + longer)])
+
+
+def _meant(names: Sequence[str]) -> str:
+    return f" (did you mean {' or '.join(names[:3])}?)" if names else ""
+
+
+def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[Step]) -> Field:
+    fields = {field.name: field for field in definition.specs[msg_type].fields}
+    if part.name in fields:
+        return fields[part.name]
+    prefix, names = "".join(f"{step.name}." for step in steps), list(fields)
+    own = [word for word in OWN_WORDS if not steps and word == part.name.upper()]
+    deeper = [ref.name for ref in all_fields(definition) if ref.steps[-1].name == part.name]
+    hint = "" if own else nearest(part.name, names)
+    reason = f"{definition.type} has no field {prefix}{part.name}{hint or _meant(own + deeper)}; "
+    reason += f"{prefix[:-1] or 'its'} fields are {', '.join(names[:20]) or 'none'}"
+    raise StatementError(part.position, reason)
+
+
+def _check_index(part: Part, field: Field, path: Path) -> None:
+    if part.index is not None and not field.is_array:
+        raise StatementError(part.position, f"{part.name} in {path.text} is not an array")
+    if part.index is not None and field.length is not None and part.index >= field.length:
+        reason = f"has {field.length} elements, counted from 0; {path.text} asks for more"
+        raise StatementError(part.position, f"{part.name} {reason}")
+
+
+def _primitive(path: Path, number: int, steps: tuple[Step, ...], field: Field) -> FieldRef:
+    part, rest = path.parts[number], path.parts[number + 1 :]
+    whole = field.is_array and part.index is None
+    ref = FieldRef((*steps, Step(field.name)), field.base, whole, part.index)
+    if not rest:
+        return ref
+    if field.base in _TIME_PARTS and not whole and len(rest) == 1 and rest[0].index is None:
+        if rest[0].name in ("secs", "nsecs"):
+            return replace(ref, type=_TIME_PARTS[field.base], part=rest[0].name)
+    reason = f"{ref.name} is a {field.full_type}; it has no field {rest[0].name}"
+    raise StatementError(rest[0].position, reason)
+
+
+def _leaves(definition: Definition, msg_type: str, steps: tuple[Step, ...]) -> Iterator[FieldRef]:
+    for field in definition.specs[msg_type].fields:
+        here = (*steps, Step(field.name, field.is_array and not field.is_primitive))
+        if field.is_primitive:
+            yield FieldRef(here, field.base, field.is_array)
+        else:
+            yield from _leaves(definition, field.type, here)

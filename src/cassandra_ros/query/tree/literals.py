@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values of a statement, fitted to what they are compared with.
+
+Times are compared as integer nanoseconds: an int is nanoseconds, a decimal number seconds, text
+ISO 8601. Numbers stay as they are, for Python compares int and float exactly and NaN as IEEE says.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from decimal import Decimal
+from numbers import Integral, Real
+from typing import Any, Callable, Iterator, Optional, Union
+
+import numpy as np
+
+from cassandra_ros.errors import InvalidKey
+from cassandra_ros.messages.stamps import length_object_ns, seconds_to_ns, to_ns
+from cassandra_ros.query.tree.field_names import FieldRef
+from cassandra_ros.query.tree.syntax import (
+    DecimalText,
+    DurationNs,
+    Leaf,
+    Literal,
+    StatementError,
+    TimeNs,
+    given,
+    value_text,
+)
+
+Comparable = Union[int, float, str]
+
+BEYOND_NS = 10**29
+"""Later and earlier than any time, and longer than any length; also stands for the infinities."""
+
+
+def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
+    """Return what the values of a field can be compared with; StatementError: there is nothing."""
+    return fit_to_kind(literal, ref.type, ref.name, f"a {ref.type}{'[]' if ref.is_array else ''}")
+
+
+def fit_to_kind(literal: Literal, kind: str, name: str, is_a: str) -> Comparable:
+    """Return what values of a kind, which error texts call so, can be compared with.
+
+    StatementError: there is nothing.
+    """
+    if kind == "time":
+        return fit_to_time(literal, name)
+    fit, wanted = _FITS.get(kind, (_number, "a number"))
+    fitted = fit(literal.value)
+    if fitted is None:
+        reason = f"{name} is {is_a}; compare it with {wanted}, not with {_shown(literal.value)}"
+        raise StatementError(literal.position, reason)
+    return fitted
+
+
+def fitting(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
+    """Yield what the values of a field are compared with, as far as it is of their kind."""
+    for literal in given(leaf):
+        with suppress(StatementError):  # of another kind: it equals nothing here
+            yield fit_to_field(literal, ref)
+
+
+def fit_to_time(literal: Literal, name: str = "KEY") -> int:
+    """Return the nanoseconds of a value; StatementError: it is no time.
+
+    Numbers may lie outside of what ROS can express: the comparison is then simply true or false.
+    """
+    if length_ns(literal.value) is not None:
+        reason = f"{name} is a time, {literal.text} is none; now() - {literal.text} would be one"
+        raise StatementError(literal.position, reason)
+    ns = _number_to_ns(literal.value)
+    if ns is not None:
+        return ns
+    try:
+        return to_ns(literal.value)
+    except InvalidKey as exc:
+        raise StatementError(literal.position, f"{name} is a time, but {exc}") from None
+
+
+def fit_to_text(literal: Literal, name: str) -> str:
+    """Return the text that NODE, or a KEY that is a name, is compared with, or StatementError."""
+    if isinstance(literal.value, str):
+        return literal.value
+    reason = f"{name} is text; compare it with 'text', not {_shown(literal.value)}"
+    raise StatementError(literal.position, reason)
+
+
+def _number(value: object) -> Optional[Comparable]:
+    if isinstance(value, (bool, TimeNs, DurationNs, np.timedelta64)):
+        return None
+    if isinstance(value, Integral):
+        return int(value)
+    return float(value) if isinstance(value, Real) else None
+
+
+def _bool(value: object) -> Optional[Comparable]:
+    return value if isinstance(value, bool) else _number(value)
+
+
+def _text(value: object) -> Optional[Comparable]:
+    return value if isinstance(value, str) else None
+
+
+def _number_to_ns(value: object) -> Optional[int]:
+    """Nanoseconds of an int (nanoseconds) or another number (seconds), or None."""
+    if isinstance(value, bool) or not isinstance(value, (Real, Decimal)):
+        return None
+    if isinstance(value, Integral):
+        return int(value)
+    try:
+        rough = float(value)
+        if abs(rough) > BEYOND_NS / 10**9:
+            return int(math.copysign(1, rough)) * BEYOND_NS
+        # Seconds as they were written: a float keeps about 200 ns of a time of today.
+        exact = Decimal(value.text) if isinstance(value, DecimalText) else value
+        return seconds_to_ns(exact)
+    except (InvalidKey, ArithmeticError, TypeError):
+        return None  # NaN
+
+
+def length_ns(value: Any) -> Optional[int]:
+    """Return the nanoseconds of an object that is a length of time (no number), or None."""
+    if isinstance(value, DurationNs):
+        return int(value)
+    with suppress(InvalidKey):
+        return length_object_ns(value)
+    return None
+
+
+def _duration(value: Any) -> Optional[Comparable]:
+    ns = length_ns(value)
+    if ns is not None or isinstance(value, (TimeNs, np.timedelta64)):
+        return ns
+    return _number_to_ns(value)
+
+
+_FITS: dict[str, tuple[Callable[[object], Optional[Comparable]], str]] = {
+    "bool": (_bool, "true or false"),
+    "string": (_text, "'text'"),
+    "duration": (_duration, "500ms, say, or a number (integer nanoseconds, decimal seconds)"),
+}
+"""For the type of a field what fits a value to it (None: of another kind), and what it takes."""
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, str):
+        return f"text {value[:40]!r}"
+    return value_text(value) if isinstance(value, (bool, DurationNs)) else repr(value)[:60]

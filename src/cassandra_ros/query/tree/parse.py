@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Statements and conditions from text. Whatever the text: a tree, or InvalidQuery."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from functools import lru_cache
+from itertools import chain
+from numbers import Integral
+from typing import Any, Sequence, Union
+
+from lark import Lark, UnexpectedInput
+from lark.exceptions import UnexpectedCharacters, UnexpectedToken
+
+from cassandra_ros.arguments import MAX_LIMIT
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.query.tree.binding import Binding, terms_of_condition, terms_of_statement
+from cassandra_ros.query.tree.change_statements import Change, Delete
+from cassandra_ros.query.tree.field_names import nearest
+from cassandra_ros.query.tree.syntax import FUNCTIONS, Expression, Literal, Select, StatementError
+from cassandra_ros.query.tree.tree_builder import tree_builder
+
+SHORT_TEXT = 1000
+"""Texts up to here are not parsed twice."""
+MAX_STATEMENT = 1 << 20
+
+_WORDS = {
+    "NAME": "a field",
+    "TOPIC": "a topic",
+    "STAR": "*",
+    "OPERATOR": "one of = != < <= > >=",
+    "NUMBER": "a number",
+    "DURATION": "a duration",
+    "PLUS": "+",
+    "MINUS": "-",
+    "SLASH": "/",
+    "INTEGER": "a whole number",
+    "TEXT": "'text'",
+    "PLACEHOLDER": "?",
+    "LPAR": "'('",
+    "RPAR": "')'",
+    "LSQB": "'['",
+    "RSQB": "']'",
+    "COMMA": "','",
+    "DOT": "'.'",
+    "$END": "the end",
+}
+_KEPT_KEYWORDS = {"ASC", "DESC", "NOT", "LIKE", "CONTAINS"}
+"""Those that the grammar leaves in the tree; the names of the others begin with '_'."""
+_UNSAID = {"QUOTED", "_END", "FUNCTION", "NEAR", "TRUE", "FALSE"}
+_NEVER_CHANGED = (
+    "messages are never changed: addData and the recorder store new ones, DELETE removes them"
+)
+_INSTEAD = {
+    "INSERT": _NEVER_CHANGED,
+    "UPDATE": _NEVER_CHANGED,
+    "ALTER": "renameTopic and setMeta change what is known of a topic",
+    "USE": "connectToKeyspace chooses the keyspace",
+    "CREATE TABLE": "addTopic makes a topic",
+    "CREATE KEYSPACE": "connectToKeyspace makes a keyspace where it is missing",
+    "DROP TABLE": "removeTopic removes a topic, TRUNCATE its messages",
+}
+"""What does here what other words do in CQL."""
+
+
+@lru_cache(maxsize=1)
+def grammar() -> Lark:
+    """Return the grammar of statements and conditions, compiled once."""
+    return Lark.open(
+        "cql.lark",
+        rel_to=__file__,
+        parser="lalr",
+        start=["statement", "lone_condition"],
+        transformer=tree_builder(),
+    )
+
+
+def parse_statement(text: str, params: Sequence[object] = ()) -> Union[Select, Change]:
+    """Parse a statement and bind its parameters: a value for each ``?`` or ``%s``, in their order.
+
+    Raises:
+        InvalidQuery: The text is no statement, or the parameters do not fit.
+    """
+    found = _parse(text, "statement")
+    parsed, limit = found if isinstance(found, tuple) else (found, None)
+    terms = chain(terms_of_statement(parsed), [] if limit is None else [limit])
+    bound = Binding(text, params, terms)
+    try:
+        if isinstance(parsed, Select):
+            parsed = bound.select(parsed)
+        elif isinstance(parsed, Delete):
+            parsed = replace(parsed, condition=bound.expression(parsed.condition))
+    except StatementError as exc:
+        raise InvalidQuery(text, exc.position, exc.reason) from None
+    if limit is not None:
+        parsed = replace(parsed, limit=_limit(text, bound.value(limit)))
+    statement: Union[Select, Change] = replace(parsed, text=text)
+    return statement
+
+
+def parse_select(text: str, params: Sequence[object] = ()) -> Select:
+    """Parse a statement that gives rows and changes nothing, as parse_statement does.
+
+    Raises:
+        InvalidQuery: As there; or it is another statement than SELECT.
+    """
+    statement = parse_statement(text, params)
+    if isinstance(statement, Select):
+        return statement
+    reason = "this changes what is stored; here only SELECT can be asked, and executeCQL runs "
+    raise InvalidQuery(text, len(text) - len(text.lstrip()), f"{reason}the others")
+
+
+def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
+    """Parse a condition, what stands behind WHERE, and bind its parameters.
+
+    Raises:
+        InvalidQuery: The text is no condition, or the parameters do not fit.
+    """
+    found: Expression = _parse(text, "lone_condition")
+    try:
+        return Binding(text, params, terms_of_condition(found)).expression(found)
+    except StatementError as exc:
+        raise InvalidQuery(text, exc.position, exc.reason) from None
+
+
+def _limit(text: str, most: Literal) -> int:
+    whole = isinstance(most.value, Integral) and not isinstance(most.value, bool)
+    if not whole or not 1 <= most.value <= MAX_LIMIT:
+        reason = f"LIMIT takes a whole number of at least 1 and at most {MAX_LIMIT}"
+        raise InvalidQuery(text, most.position, reason)
+    return int(most.value)
+
+
+def _parse(text: str, start: str) -> Any:
+    if not isinstance(text, str):
+        raise InvalidQuery(f"{text!r:.200}", 0, f"a statement is text, not {type(text).__name__}")
+    if len(text) > MAX_STATEMENT:
+        raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_STATEMENT} characters")
+    try:
+        return (_parsed_before if len(text) <= SHORT_TEXT else _parsed)(text, start)
+    except StatementError as exc:
+        raise InvalidQuery(text, exc.position, exc.reason) from None
+    except UnexpectedInput as exc:
+        raise InvalidQuery(text, *_explain(text, exc)) from None
+
+
+def _parsed(text: str, start: str) -> Any:
+    return grammar().parse(text, start=start)
+
+
+_parsed_before = lru_cache(maxsize=256)(_parsed)  # a tree is never changed
+
+
+def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
+    """Return where a text went wrong, and what would have been right."""
+    expected: set[str] = set()
+    position = len(text)
+    if isinstance(error, UnexpectedCharacters):
+        position, expected = error.pos_in_stream or 0, set(error.allowed or ())
+    elif isinstance(error, UnexpectedToken):
+        expected = set(error.accepts or error.expected or ())
+        if error.token.type != "$END":
+            position = error.token.start_pos or 0
+    last = (getattr(error, "token_history", None) or [None])[-1]
+    previous = "" if last is None else last.type
+    found = _word(text[position:])
+    if found == "(" and previous == "NAME" and "DOT" in expected:
+        reason = f"there is no function {last}{nearest(str(last), FUNCTIONS)}; the functions are "
+        return last.start_pos or 0, f"{reason}{', '.join(FUNCTIONS)}"
+    if found[:1] in "'\"" and found and text.count(found[0], position) == 1:
+        return position, f"the quote {found[0]} is not closed"
+    if text.startswith("/*", position):
+        return position, "the comment /* is not closed"
+    keywords = [
+        name.lstrip("_")
+        for name in expected - {"_END"}
+        if name.startswith("_") or name in _KEPT_KEYWORDS
+    ]
+    shown = f"found {found!r}" if found else "the statement ends here"
+    words = {**_WORDS, "NAME": "a name"} if "_ON" in expected else _WORDS
+    wanted = ", ".join(sorted(words.get(name, name.lstrip("_")) for name in expected - _UNSAID))
+    hint = _hint(text[:position], found, expected, previous) or nearest(found, keywords)
+    return position, f"{shown}{hint}; expected {wanted or 'something else'}"
+
+
+def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
+    """Return ' (…)' about a mistake that is known, or ''.
+
+    ``found`` stands behind ``before`` and the token ``previous`` ('' = unknown), not ``expected``.
+    """
+    words = f"{before} {found}".upper().split()
+    instead = _INSTEAD.get(" ".join(words)) if expected & {"_SELECT", "_INDEX"} else None
+    if instead:
+        return f" ({instead})"
+    if previous == "_DELETE":
+        return " (messages are removed whole: DELETE FROM topic WHERE …)"
+    if previous == "STAR" and found == ",":
+        return " (* stands alone: it gives KEY and every field)"
+    if found.upper() == "NULL" and "NUMBER" in expected:
+        return " (what is missing is found by IS NULL)"
+    return ""
+
+
+def _word(text: str) -> str:
+    """The first word of a text, or its first sign; at most 40 characters."""
+    found = re.match(r"[\w/]{1,40}", text)
+    return found.group() if found else text[:1]

@@ -1,0 +1,364 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The runs of one recorder: begun, split where they get too large, ended, counted together."""
+
+from __future__ import annotations
+
+import bisect
+import itertools
+import logging
+import math
+import threading
+import time
+from contextlib import suppress
+from typing import Callable, Mapping, NamedTuple, Optional, Sequence
+
+from cassandra_ros.arguments import check_run_name
+from cassandra_ros.errors import CassandraRosError, TopicNotFound
+from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.recording.space import SpaceGuard
+from cassandra_ros.recording.store_future import Store, failure_of, store_future
+from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
+
+_log = logging.getLogger(__name__)
+
+MAX_ENDING = 2
+"""Runs that are still being stored; the current one is not split while there are so many."""
+SPACE_SEC = 20.0
+"""How often the free space is looked at; rosbag record does so, too."""
+PATIENCE_SEC = 3.0
+"""How long a store may take in the end before people are told that it does."""
+RETRY_SEC = 2.0
+"""How long a store that does not answer is left alone before the next run is tried."""
+BEGIN_SEC = 1.0
+"""How long the begin of the next run is waited for at a time: the end is not to wait for it."""
+_LAST_RUN = 10**9
+"""Number that no run of a recording reaches: its name is checked before the first run begins."""
+MAX_LATCHED = 4096
+"""Publishers whose latched message is repeated."""
+
+
+class _Making:
+    """A run that is being begun on a thread of its own, for the store may be away."""
+
+    def __init__(self, make: Callable[[], Recording]) -> None:
+        self._make = make
+        self._unwanted = False
+        self._mutex = threading.Lock()
+        self.made: Optional[Recording] = None
+        self.problem = ""
+        self._thread = threading.Thread(target=self._run, name="recorder-begin", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            made = self._make()
+        except CassandraRosError as exc:
+            self.problem = str(exc)
+            return
+        with self._mutex:
+            self.made, unwanted = made, self._unwanted
+        if unwanted:
+            made.close()
+
+    def done(self, timeout_sec: float) -> bool:
+        """Wait for so long; say whether it is made, or has failed."""
+        self._thread.join(timeout_sec)
+        return not self._thread.is_alive()
+
+    def drop(self) -> None:
+        """End the run, empty as it is, when it has begun; waits for nothing."""
+        with self._mutex:
+            made, self._unwanted = self.made, True
+        if made is not None:
+            threading.Thread(target=made.close, name="recorder-drop", daemon=True).start()
+
+
+class _Ended(NamedTuple):
+    """A run that is stored, or lost; they sort by when they were recorded."""
+
+    order: int
+    run: Recording
+    reports: Sequence[TopicReport]
+
+
+class Series:
+    """Stores what comes in one run after the other.
+
+    ``begin``, ``poll`` and ``end`` are called by one thread at a time, the others by any.
+
+    Args:
+        store: A RosCassandra connected to a keyspace, or a future of one; see Recording.
+        options: How to record.
+        clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
+        begun: Called with each run when it has begun.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        options: RecorderOptions,
+        clock: Callable[[], int],
+        begun: Callable[[Recording], None],
+    ) -> None:
+        self._store = store_future(store)
+        self._options, self._clock, self._begun = options, clock, begun
+        self._settings = options.settings
+        self._space = SpaceGuard(options.free_space, options.min_space)
+        self._look = 0.0
+        self.filters = Filters(self._settings, options.node_id)
+        self.current: Optional[Recording] = None
+        """The run that is being recorded."""
+        self._topics: set[str] = set()
+        self._number = 0
+        self._since = 0.0
+        self._retry = 0.0
+        self._making: Optional[_Making] = None
+        self._problem = ""
+        self._name, self._labels = "", dict(options.labels)
+        self._ending: list[threading.Thread] = []
+        self._closing: list[Recording] = []
+        """Runs that have ended and are still being stored."""
+        self._order = itertools.count()
+        self._kept: list[_Ended] = []
+        """The runs of this recording that have ended and are kept."""
+        self._removed: list[Sequence[TopicReport]] = []
+        self._latched: dict[tuple[str, str], tuple[Mapping[str, str], bytes]] = {}
+        self._latching = threading.Lock()
+        self._mutex = threading.RLock()
+
+    # ---------------------------------------------------------------- runs
+
+    def begin(self, name: str = "", labels: Optional[Mapping[str, str]] = None) -> Recording:
+        """Begin a run; '' = named as the options say. Raises what the store raises."""
+        check_run_name(self._options.run_name(_LAST_RUN, name))
+        self._name, self._number = name, 0
+        self._labels = {**self._options.labels, **(labels or {})}
+        current = self._new()
+        self._expect_all(current)
+        self._begun(current)
+        self.current = current
+        self._since = time.monotonic()
+        return current
+
+    def single(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
+        """Begin a run beside the series, of messages that were kept before."""
+        options = self._options
+        recording = Recording(
+            self._store,
+            clock=self._clock,
+            settings=self._settings,
+            filters=self.filters,
+            node=options.node_id,
+            buffer_bytes=options.buffsize,
+            block_sec=options.block_age,
+            places=options.places,
+            name=name or options.run_name(self._number),
+            labels={**options.labels, **labels},
+            restored=restored,
+        )
+        self._number += 1
+        self._begun(recording)
+        return recording
+
+    def _new(self) -> Recording:
+        options = self._options
+        name = options.run_name(self._number, self._name)
+        recording = Recording(
+            self._store,
+            clock=self._clock,
+            settings=self._settings,
+            filters=self.filters,
+            node=options.node_id,
+            buffer_bytes=options.buffsize,
+            block_sec=options.block_age,
+            places=options.places,
+            limit=options.limit,
+            name=name,
+            labels=self._labels,
+        )
+        self._number += 1
+        return recording
+
+    def _expect_all(self, recording: Recording) -> None:
+        for topic in self._topics:
+            recording.expect(topic)
+
+    def expect(self, topic: str) -> None:
+        """Let a topic appear in the reports even if nothing ever comes."""
+        self._topics.add(topic)
+        current = self.current
+        if current is not None:
+            current.expect(topic)
+
+    @property
+    def problem(self) -> str:
+        """Why nothing can be stored, now or any more; '' = it can, or may."""
+        current = self.current
+        return (current and current.problem) or self._problem or failure_of(self._store)
+
+    # ---------------------------------------------------------------- messages
+
+    def received(
+        self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
+    ) -> None:
+        """Take a message that has just arrived; paused: only count it."""
+        if self._options.repeat_latched and header.get("latching") == "1":
+            self._keep_latched(topic, header, wire)
+        recording = self.current
+        while recording is not None and not recording.received(topic, header, wire, paused=paused):
+            last, recording = recording, self.current
+            if recording is last:
+                return  # it is being ended
+
+    def _keep_latched(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
+        key = (topic, header.get("callerid", ""))
+        with self._latching:
+            if key in self._latched or len(self._latched) < MAX_LATCHED:
+                self._latched[key] = header, wire
+
+    # ---------------------------------------------------------------- split and end
+
+    def poll(self) -> bool:
+        """Split the current run where it is time; say whether it is complete instead."""
+        options, current = self._options, self.current
+        if current is None:
+            return False
+        if time.monotonic() >= self._look:
+            self._look = time.monotonic() + SPACE_SEC
+            current.refusal = self._space.refusal()
+        full = bool(options.size) and current.received_bytes >= options.size
+        late = bool(options.duration) and time.monotonic() >= self._since + options.duration
+        if not (full or late):
+            return False
+        if options.split:
+            self._split()
+        return not options.split
+
+    def _split(self) -> None:
+        # Not under the mutex: a store that is slow must not keep people from asking how it goes.
+        self._ending = [thread for thread in self._ending if thread.is_alive()]
+        old, now = self.current, time.monotonic()
+        if old is None or not old.opened or len(self._ending) >= MAX_ENDING or now < self._retry:
+            return
+        making = self._making = self._making or _Making(self._new)
+        if not making.done(BEGIN_SEC):
+            return
+        self._making, new = None, making.made
+        if new is None:
+            self._retry = time.monotonic() + RETRY_SEC
+            why = making.problem
+            _log.warning("the next run cannot begin yet, run %s goes on: %s", old.name, why)
+            return
+        self._expect_all(new)
+        self._begun(new)
+        with self._latching:
+            latched = list(self._latched.items())
+        for (topic, _), (header, wire) in latched:
+            new.received(topic, header, wire)
+        new.refusal = old.refusal
+
+        def switch() -> None:
+            with self._mutex:
+                self._closing.append(old)
+                self.current, self._since = new, now
+
+        old.hand_over(new, switch)
+        args, name = (next(self._order), old), "recorder-split"
+        thread = threading.Thread(target=self._close, args=args, name=name, daemon=True)
+        self._ending.append(thread)
+        thread.start()
+
+    def _close(self, order: int, recording: Recording) -> None:
+        reports = recording.close()
+        removed = []
+        with self._mutex:
+            self._closing.remove(recording)
+            # A run may be stored before one that was recorded earlier.
+            bisect.insort(self._kept, _Ended(order, recording, reports))
+            # The current one is kept, too.
+            most = self._options.max_splits - 1
+            while self._options.max_splits and len(self._kept) > most:
+                removed.append(self._kept.pop(0))
+            self._removed += [oldest.reports for oldest in removed]
+        # Not under the mutex: see _split.
+        for oldest in removed:
+            self._remove(oldest.run, oldest.reports)
+
+    def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
+        """Delete a run: its messages, then what is said of it."""
+        try:
+            ros_cas = self._store.result()
+            for report in reports:
+                if report.stored:
+                    with suppress(TopicNotFound):
+                        ros_cas.getTopic(report.topic).removeData(run=run.writer_id)
+            topics = [report.topic for report in reports]
+            ros_cas.parts.registry.forget_run(run.writer_id, run.node, topics)
+        except CassandraRosError as exc:
+            _log.error("run %s could not be removed (--max-splits): %s", run.name, exc)
+
+    def end(self, give_up: Callable[[], bool] = lambda: False) -> list[TopicReport]:
+        """End the current run when all is stored or lost, or given up; report on it.
+
+        Runs that were split before are waited for, too.
+        """
+        making, self._making = self._making, None
+        if making is not None:
+            making.drop()
+        recording = self.current
+        if recording is None:
+            return []
+        # On another thread: it waits for a store that may be away, and hears no signal.
+        closing = threading.Thread(target=recording.close, name="recorder-close", daemon=True)
+        closing.start()
+        tell_at: float = time.monotonic() + PATIENCE_SEC
+        while closing.is_alive() or any(thread.is_alive() for thread in self._ending):
+            closing.join(0.05) if closing.is_alive() else time.sleep(0.05)
+            if give_up():
+                _log.warning("interrupted again: what is not stored yet is lost")
+                with self._mutex:
+                    split = list(self._closing)
+                for run in split:
+                    run.abandon()
+                return self._ended(recording, recording.abandon())
+            if time.monotonic() > tell_at or recording.is_held_up:
+                messages, nbytes = recording.waiting()
+                if messages and tell_at < math.inf:
+                    tell_at = math.inf
+                    _log.warning(
+                        "%d messages (%.1f MB) wait for the store; they are dropped if this is "
+                        "interrupted again (a second Ctrl-C)",
+                        messages,
+                        nbytes / 1e6,
+                    )
+        # What it had returned, or raised, on that thread.
+        return self._ended(recording, recording.close())
+
+    def _ended(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
+        self._problem = recording.problem
+        with self._mutex:
+            self._kept.append(_Ended(next(self._order), recording, reports))
+            self.current = None
+        return reports
+
+    def is_complete(self, topic: str) -> bool:
+        """Say whether a topic has all the messages that the limit allows."""
+        current = self.current
+        return current is not None and current.is_complete(topic)
+
+    def count(self, topic: str) -> int:
+        """Return how many messages of a topic arrived in the current run."""
+        current = self.current
+        return 0 if current is None else current.count(topic)
+
+    def reports(self) -> list[TopicReport]:
+        """Describe what became of each topic in all runs together."""
+        with self._mutex:
+            parts = [*self._removed, *(kept.reports for kept in self._kept)]
+            parts += [recording.reports() for recording in self._closing]
+            if self.current is not None:
+                parts.append(self.current.reports())
+            return merge_reports(parts)

@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The buckets of a table from one end on: as much of the directory is read as is asked for.
+
+A topic that is recorded for a year has half a million buckets of a minute, and who asks for its
+last message needs one of them. So the directory is read in windows that grow, slot by slot; who
+wants every row is given a slot at once.
+"""
+
+from __future__ import annotations
+
+from itertools import chain, groupby
+from typing import Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple
+
+from cassandra_ros.connection.cassandra import AT_ONCE
+from cassandra_ros.connection.paging import sent_ahead
+from cassandra_ros.tables.directory import (
+    ALL_ROWS,
+    SLOT_BUCKETS,
+    BucketRow,
+    Directory,
+    slot_of,
+)
+
+FEW_BUCKETS = 8
+"""Rows of the first window of each node."""
+FEW_SLOTS = 64
+"""Rows of the first window of slots and their nodes."""
+MANY_SLOTS = 1024
+"""So many are remembered of a table."""
+WIDER = 4
+"""How many times more is read in the next window."""
+
+Group = List[BucketRow]
+"""What the writers of one bucket of one node say."""
+Found = Tuple[int, Group]
+"""A bucket and its group; an empty one says that from here on the directory was not read yet."""
+_Slot = Tuple[int, Tuple[str, ...]]
+"""A slot, and the nodes that have buckets in it."""
+_Answers = Iterator[Callable[[], List[BucketRow]]]
+"""Of each node of a slot, when it is waited for."""
+
+
+class Walk:
+    """The buckets of one table in [first, last], in the order of time, or newest first.
+
+    Args:
+        nodes: Only these nodeIDs; None = all.
+        ttl: Of the table's rows, seconds: what has expired is left out.
+        few: Few of the buckets are probably needed.
+
+    Attributes:
+        met: The nodes that are known to have buckets, as far as was looked.
+    """
+
+    def __init__(
+        self,
+        directory: Directory,
+        table: str,
+        first: int,
+        last: int,
+        nodes: Optional[Sequence[str]] = None,
+        ttl: int = 0,
+        *,
+        reverse: bool = False,
+        few: bool = False,
+    ) -> None:
+        self._directory = directory
+        self._table = table
+        self._ends = first, last
+        self._nodes = nodes
+        self._ttl = ttl
+        self._reverse = reverse
+        self._few = few
+        self.met: Set[str] = set()
+
+    def groups(self) -> Iterator[Found]:
+        """Yield the buckets, those of all nodes in the order of their time.
+
+        Where few are needed an empty group comes before each further request.
+        """
+        limit = FEW_BUCKETS if self._few else ALL_ROWS
+        slots = self._slots()
+        next(slots, None)  # they are asked for; of no stretch there are none
+        # The first is mostly the one that it was before: its buckets are asked for at once.
+        expected = self._expected()
+        early = None if expected is None else self._ask(expected, self._inside(expected), limit)
+        begun = False
+        for slot in slots:
+            if slot is None:
+                continue
+            low, high = self._inside(slot)
+            # Behind others it were too little: they ask for more and more.
+            asked = early if slot == expected and not begun else None
+            while low <= high:
+                if begun and self._few:
+                    yield (high if self._reverse else low), []
+                asked = self._ask(slot, (low, high), limit) if asked is None else asked
+                found, end = self._window(asked, low, high, limit)
+                yield from ((group[0].bucket, group) for group in found)
+                low, high = (low, end - 1) if self._reverse else (end + 1, high)
+                limit, asked, begun = min(ALL_ROWS, WIDER * limit), None, True
+
+    def _inside(self, slot: _Slot) -> Tuple[int, int]:
+        """Return the first and the last bucket of a slot that are wanted."""
+        begin = slot[0] * SLOT_BUCKETS
+        return max(self._ends[0], begin), min(self._ends[1], begin + SLOT_BUCKETS - 1)
+
+    def _slots(self) -> Iterator[Optional[_Slot]]:
+        """Yield None as soon as they are asked for, then the slots with buckets of the nodes."""
+        first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
+        limit = FEW_SLOTS if self._few else ALL_ROWS
+        while first <= last:
+            ask = self._directory.begin_nodes
+            answer = ask(self._table, (first, last), limit, reverse=self._reverse)
+            yield None
+            asked, listed = range(first, last + 1), answer()
+            slots = [(s, tuple(n for _, n in g)) for s, g in groupby(listed, lambda row: row[0])]
+            if len(listed) < limit:
+                first, last = 1, 0
+            else:
+                cut = slots.pop()[0]  # nodes of it may be missing
+                first, last = (first, cut) if self._reverse else (cut, last)
+                limit = min(ALL_ROWS, WIDER * limit)
+            if self._few:
+                note(self._directory, self._table, asked, slots)
+            yield from [kept for kept in map(self._kept, slots) if kept is not None]
+
+    def _kept(self, slot: _Slot) -> Optional[_Slot]:
+        """Leave nodes out that are not wanted; None where none is left."""
+        nodes = tuple(n for n in slot[1] if self._nodes is None or n in self._nodes)
+        self.met.update(nodes)
+        return (slot[0], nodes) if nodes else None
+
+    def _expected(self) -> Optional[_Slot]:
+        """Return the slot that is probably the first; None = unknown, or too many to try."""
+        first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
+        known = self._directory.seen.get(self._table, {}) if self._few else {}
+        inside = [(s, nodes) for s, nodes in known.items() if first <= s <= last]
+        if not inside:
+            return None
+        slot = self._kept(max(inside) if self._reverse else min(inside))
+        return slot if slot is not None and len(slot[1]) <= AT_ONCE else None
+
+    def _ask(self, slot: _Slot, ends: Tuple[int, int], limit: int) -> _Answers:
+        """Ask the nodes of a slot for their buckets, some at once."""
+        params = [(self._table, node, slot[0], *ends) for node in slot[1]]
+        asked = sent_ahead(
+            self._directory.begin_buckets(params, limit, reverse=self._reverse), AT_ONCE
+        )
+        first = next(asked, None)  # only then they are on their way
+        return iter(()) if first is None else chain((first,), asked)
+
+    def _window(self, asked: _Answers, low: int, high: int, limit: int) -> Tuple[List[Group], int]:
+        """Return the next buckets, and up to where, included, they are all that there are."""
+        end = low if self._reverse else high
+        found: List[BucketRow] = []
+        for answer in asked:
+            rows = answer()
+            found += rows
+            if len(rows) == limit:
+                cut = rows[-1].bucket  # writers of it may be missing
+                end = max(end, cut + 1) if self._reverse else min(end, cut - 1)
+        groups: Dict[Tuple[int, str], Group] = {}
+        for row in found:
+            inside = row.bucket >= end if self._reverse else row.bucket <= end
+            if inside and not (self._ttl and row.expired(self._ttl)):
+                groups.setdefault((row.bucket, row.node), []).append(row)
+        return [groups[key] for key in sorted(groups, reverse=self._reverse)], end
+
+
+def note(directory: Directory, table: str, asked: range, slots: Sequence[_Slot]) -> None:
+    """Keep what was listed of some slots for who asks next."""
+    kept = {s: n for s, n in directory.seen.get(table, {}).items() if s not in asked}
+    directory.seen[table] = {**(kept if len(kept) < MANY_SLOTS else {}), **dict(slots)}
+
+
+def begin_slot(
+    directory: Directory, table: str, slot: int
+) -> Tuple[Tuple[str, ...], Callable[[], Tuple[str, ...]]]:
+    """Ask for the nodes of a slot; return those seen there last, and what waits for the answer."""
+    answer = directory.begin_nodes(table, (slot, slot))
+
+    def nodes() -> Tuple[str, ...]:
+        found = tuple(node for _, node in answer())
+        note(directory, table, range(slot, slot + 1), [(slot, found)] if found else [])
+        return found
+
+    return directory.seen.get(table, {}).get(slot, ()), nodes

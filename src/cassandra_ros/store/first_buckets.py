@@ -1,0 +1,54 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Where a read probably begins: in the buckets in which the last one of its tables began.
+
+Who wants few rows asks for those in the same moment as the directory is asked where they are, and
+uses the answer only where the directory names the very same buckets: one round trip less, and
+never another answer.
+"""
+
+from __future__ import annotations
+
+from typing import Collection, Dict, Iterable, List, Sequence, Tuple
+
+from cassandra_ros.store.scan import Piece, Scan
+from cassandra_ros.tables.directory import BucketRow, Directory
+from cassandra_ros.tables.row_table import RowTable
+
+MOST = 8
+"""So many buckets are asked for at once; where more begin together the directory comes first."""
+
+
+def foresee(
+    directory: Directory, tables: Sequence[RowTable], scan: Scan
+) -> Tuple[List[Piece], int]:
+    """Return the buckets in which a scan probably begins, and how many nodes its tables have."""
+    found: List[Piece] = []
+    streams = 0
+    for table in tables:
+        known, groups = directory.first.get((table.name, scan.reverse), ((), ()))
+        nodes = [node for node in known if scan.nodes is None or node in scan.nodes]
+        streams += len(nodes)
+        low, high = scan.buckets(table)
+        found += [
+            Piece(0, table, group[0].node, group[0].bucket, group)
+            for group in groups
+            if group[0].node in nodes and low <= group[0].bucket <= high and scan.wants(group)
+        ]
+    return (found if len(found) <= MOST else []), streams
+
+
+def note_first(
+    directory: Directory,
+    walks: Iterable[Tuple[RowTable, Collection[str]]],
+    begun: Iterable[Piece],
+    scan: Scan,
+) -> None:
+    """Keep in which buckets a scan began, and the nodes that were met in each table."""
+    groups: Dict[str, List[Sequence[BucketRow]]] = {}
+    for piece in begun:
+        if piece.rows:
+            groups.setdefault(piece.table.name, []).append(piece.rows)
+    for table, met in walks:
+        if table.name in groups:
+            directory.first[table.name, scan.reverse] = tuple(met), groups[table.name]

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Counting rows: from the directory where it is closed, live where it is not."""
+
+from __future__ import annotations
+
+import logging
+from typing import FrozenSet, Iterator, Optional
+
+from cassandra_ros.blocks.block_counts import count_part as count_blocks
+from cassandra_ros.blocks.block_counts import measure
+from cassandra_ros.blocks.block_stream import stream
+from cassandra_ros.blocks.bucket_read import BucketRead
+from cassandra_ros.errors import AccessDenied, ConnectionFailed, StoreUnavailable
+from cassandra_ros.keys import split_seq, writer_of
+from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, Directory
+from cassandra_ros.tables.row_table import COUNTED, MAX_SEQ, MIN_SEQ, RowTable, decode_long
+
+_log = logging.getLogger(__name__)
+
+COUNT_PAGE_ROWS = 5000
+
+
+def scan_keys(
+    table: RowTable, node: str, bucket: int, low: int, high: int
+) -> Iterator[tuple[int, int, int, bool, bool]]:
+    """Read (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high].
+
+    Of a table of blocks those are the messages; all blocks that hold one are read.
+    """
+    if table.packed:
+        ends = (low, MIN_SEQ), (high, MAX_SEQ)
+        for message in stream(BucketRead(table, node, bucket, ends, bare=True)):
+            yield message.t, message.seq, message.size, message.nchunks > 0, message.odd
+        return
+    asked = table.stretch(
+        COUNTED,
+        table.place(node, bucket),
+        ((low, MIN_SEQ), (high, MAX_SEQ)),
+        page_rows=COUNT_PAGE_ROWS,
+        what="counting",
+    )
+    for row in asked.rows():
+        if not table.is_rest(row):
+            t, seq, size = map(decode_long, row[:3])
+            yield t, seq, size, row[3] is not None, row[4] is not None
+
+
+def scan_written(
+    table: RowTable, node: str, bucket: int, low: int, high: int
+) -> Iterator[tuple[int, int, bool, int]]:
+    """Read (t, seq, chunked, written) of the rows of a bucket with t in [low, high].
+
+    Written is when the server took the row, microseconds since 1970; no table of blocks.
+    """
+    asked = table.stretch(
+        f'{COUNTED}, WRITETIME("_size")',
+        table.place(node, bucket),
+        ((low, MIN_SEQ), (high, MAX_SEQ)),
+        page_rows=COUNT_PAGE_ROWS,
+        what="counting",
+    )
+    for row in asked.rows():
+        if not table.is_rest(row):
+            t, seq, written = map(decode_long, (row[0], row[1], row[5]))
+            yield t, seq, row[3] is not None, written
+
+
+def count_part(
+    table: RowTable,
+    node: str,
+    bucket: int,
+    ends: tuple[int, int],
+    writers: Optional[FrozenSet[int]] = None,
+) -> int:
+    """Count the messages of a bucket with a time in [low, high], of writers (None = of all)."""
+    if table.packed:
+        return count_blocks(table, node, bucket, *ends, writers)
+    found = scan_keys(table, node, bucket, *ends)
+    return sum(writers is None or writer_of(seq) in writers for _, seq, *_ in found)
+
+
+def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
+    """Count the rows of one bucket as they are now, by writer id."""
+    found: dict[int, BucketTotals] = {}
+    if table.packed:
+        for block, left in measure(table, node, bucket):
+            totals = found.setdefault(block.writer, BucketTotals())
+            totals.add(left.count, left.bytes, left.largest, (left.t_min, left.t_max), block.odd)
+        return found
+    for t, seq, size, chunked, odd in scan_keys(table, node, bucket, -(2**63), MAX_SEQ):
+        found.setdefault(split_seq(seq)[0], BucketTotals()).count(t, size, chunked, odd)
+    return found
+
+
+def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list[BucketRow]:
+    """Return directory rows of a table with counts of now in place of what is not closed.
+
+    A recount is written back where the bucket has no living writer any more.
+    """
+    by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
+    for row in rows:
+        by_bucket.setdefault((row.node, row.bucket), []).append(row)
+    settled: list[BucketRow] = []
+    for (node, bucket), group in by_bucket.items():
+        # Rows of a topic with a TTL go one by one, and nobody tells the directory.
+        if all(row.closed for row in group) and not table.metadata.ttl:
+            settled.extend(group)
+            continue
+        counted = recount(table, node, bucket)
+        for row in group:
+            totals = counted.get(row.writer, BucketTotals())
+            if not row.closed and row.age_sec > STALE_SEC:
+                _write_back(directory, table, row, totals)
+            settled.append(row._replace(**vars(totals)))
+    return settled
+
+
+def _write_back(
+    directory: Directory, table: RowTable, row: BucketRow, totals: BucketTotals
+) -> None:
+    try:
+        directory.put_recount(table.name, row, totals, table.metadata.ttl)
+    except (AccessDenied, StoreUnavailable, ConnectionFailed) as exc:
+        # A reader may lack the right to write, or meet another one: the count is true all the same.
+        _log.debug("the recount of topic %s was not kept: %s", table.metadata.topic, exc)

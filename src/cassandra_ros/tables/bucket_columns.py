@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What the directory says of many buckets, as columns of numbers: a timeline needs them by 100,000.
+
+As rows of Python objects they would take ten times as long to make as the server needs to send.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra
+from cassandra_ros.connection.paging import RawRow, answered, retried, sent_ahead
+
+Longs = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+Place = Tuple[str, str, int]
+"""Table, node and slot: a partition of the directory."""
+Wanted = Tuple[Place, Sequence[int], int]
+"""A partition; its buckets: the ends of a stretch, included, or single ones; and how many rows."""
+
+COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, t_min, t_max, toTimestamp(now())"
+PAGE_ROWS = 5000
+_NO_LONG = bytes(8)
+_NEVER = (-(2**63)).to_bytes(8, "big", signed=True)
+
+
+class BucketColumns(NamedTuple):
+    """Buckets of one partition of the directory, in order: an entry for each writer of one."""
+
+    bucket: Longs
+    writer: Longs
+    closed: Bools
+    """The counts hold. Of others they are estimates."""
+    writing: Bools
+    """The writer has not closed it."""
+    cut: Bools
+    """Messages were deleted since it was counted."""
+    age_ms: Longs
+    """Since the heartbeat, by the server's clock; large where there was none."""
+    rows: Longs
+    """0 where nothing is known yet, or all was deleted."""
+    bytes: Longs
+    t_min: Longs
+    t_max: Longs
+
+    def where(self, chosen: Bools) -> BucketColumns:
+        """Return those of which ``chosen`` says so."""
+        return BucketColumns._make(column[chosen] for column in self)
+
+
+def read_columns(
+    cassandra: Cassandra, table: str, wanted: Iterable[Wanted], *, single: bool = False
+) -> Iterator[BucketColumns]:
+    """Read some partitions of cr_bucket, several at once, in the order in which they are wanted.
+
+    Args:
+        table: Its qualified name.
+        wanted: What of which; taken as the answers are.
+        single: Buckets are single ones, of which those are given that there are; else the ends of
+            a stretch.
+    """
+    which = "bucket IN ?" if single else "bucket >= ? AND bucket <= ?"
+    cql = (
+        f"SELECT {COLUMNS} FROM {table} WHERE tbl = ? AND node = ? AND slot = ? AND {which} LIMIT ?"
+    )
+    asked = (_ask(cassandra, cql, each, single) for each in wanted)
+    return (answer() for answer in sent_ahead(asked, AT_ONCE))
+
+
+def _ask(
+    cassandra: Cassandra, cql: str, wanted: Wanted, single: bool
+) -> Callable[[], BucketColumns]:
+    place, buckets, limit = wanted
+    values = (*place, list(buckets), limit) if single else (*place, *buckets, limit)
+    bound = cassandra.prepare(cql).bind(values)
+    bound.fetch_size = PAGE_ROWS
+    sent = [cassandra.send_raw(bound)]
+
+    def run() -> BucketColumns:
+        future = sent.pop() if sent else cassandra.send_raw(bound)
+        return columns_of(list(answered(future, outage)))
+
+    outage = cassandra.outage
+    return partial(retried, "reading the directory of buckets", run, outage=outage)
+
+
+def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
+    """Make columns of rows of COLUMNS, as Cassandra stores their values."""
+    columns = list(zip(*rows)) or [()] * 10
+    bucket, writer, state, deleted, beat, count, size, t_min, t_max, now = columns
+    writing = np.array([text == b"open" for text in state], bool)
+    cut = np.array([flag == b"\1" for flag in deleted], bool)
+    closed = np.array([text == b"closed" for text in state], bool) & ~cut
+    beats = _longs(beat, _NEVER)
+    age = np.where(beats < 0, 2**62, _longs(now) - np.maximum(beats, 0))
+    counts = [_longs(column) for column in (count, size, t_min, t_max)]
+    return BucketColumns(_longs(bucket), _longs(writer), closed, writing, cut, age, *counts)
+
+
+def _longs(values: Sequence[Optional[bytes]], null: bytes = _NO_LONG) -> Longs:
+    joined = b"".join([null if value is None else value for value in values])
+    return np.frombuffer(joined, ">i8").astype(np.int64)

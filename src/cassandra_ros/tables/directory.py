@@ -1,0 +1,385 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The directory: which buckets a table has, by node, and what lies in each.
+
+A bucket is the partition of a stretch of key time. Its row in the directory is written *open*
+before its first data row, so the directory always lists a superset of what is there. The values
+of a row count only when it is *closed*; of an open one they are estimates. Heartbeats are the
+server's time: robots' clocks are wrong.
+"""
+
+from __future__ import annotations
+
+import time
+from copy import copy
+from dataclasses import dataclass
+from datetime import datetime
+from functools import partial
+from typing import (
+    Callable,
+    Dict,
+    FrozenSet,
+    Iterable,
+    Iterator,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Tuple,
+)
+
+from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
+from cassandra_ros.connection.paging import Seconds, sent_ahead
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.tables.block_limits import MAX_BYTES, MAX_MESSAGES
+from cassandra_ros.tables.bucket_columns import BucketColumns, Wanted, read_columns
+from cassandra_ros.tables.row_table import RowTable
+from cassandra_ros.tables.side_tables import SideTables
+
+BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
+MAX_BUCKET_BYTES = 64_000_000
+MAX_BUCKET_ROWS = 100_000
+MIN_SPAN_NS = 10_000_000
+UNKNOWN_SPAN_NS = 10 * SECOND_NS
+"""Of the time that a block covers: the least, and what it is where the rate is unknown."""
+BLOCKS_IN_SPAN = 4
+SLOT_BUCKETS = 4096
+"""Buckets per partition of the directory."""
+ALL_ROWS = 2**31 - 1
+STALE_SEC = 60.0
+"""An open bucket whose heartbeat is older than this has no living writer."""
+HEARTBEAT_SEC = 10.0
+TTL_MARGIN_SEC = 900
+"""How much longer than its rows a bucket is listed: so long a row may be tried."""
+CLOCKS_SEC = 2.0
+"""How far the clocks of two servers may be apart."""
+NOTE_SEC = 3600.0
+"""A note that expires with its rows is renewed after so long, while rows are written."""
+NOTE_MARGIN_SEC = 7200
+"""How much longer than a row written now a note must stay."""
+
+
+class Lengths(NamedTuple):
+    """Of a topic's table, chosen when it is made; times in ns, 0 = as where the rate is unknown."""
+
+    bucket_ns: int = 0
+    """Of its buckets."""
+    span_ns: int = 0
+    """Most time that a block covers."""
+    large: bool = False
+    """Its messages are too large for rows, going by those that were seen."""
+
+
+def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:
+    """Choose the length of a topic's buckets.
+
+    Args:
+        rate_hz: Messages a second, >= 0.
+        bytes_per_sec: Serialised bytes a second, >= 0.
+        longest_ns: Upper bound of the answer, ns; shorter where the rate may still grow.
+
+    Returns:
+        The longest of 1 s, 10 s, 1 min, 10 min, 1 h, 6 h, 1 day with at most 64 MB and
+        100,000 rows a bucket, in ns; 1 s where none fits.
+    """
+    for length in reversed(BUCKET_LENGTHS):
+        seconds = length / SECOND_NS
+        fits = rate_hz * seconds <= MAX_BUCKET_ROWS and bytes_per_sec * seconds <= MAX_BUCKET_BYTES
+        if length <= longest_ns and fits:
+            return length
+    return BUCKET_LENGTHS[0]
+
+
+def span_for(rate_hz: float, bytes_per_sec: float) -> int:
+    """Choose how much time a block of a connection covers at the most, ns.
+
+    That is what four full ones take at this rate of the connection, messages and serialised bytes
+    a second; at least 10 ms. Without a rate: 10 s.
+    """
+    if not rate_hz:
+        return UNKNOWN_SPAN_NS
+    seconds = BLOCKS_IN_SPAN * MAX_MESSAGES / rate_hz
+    if bytes_per_sec:
+        seconds = min(seconds, BLOCKS_IN_SPAN * MAX_BYTES / bytes_per_sec)
+    return int(max(min(seconds * SECOND_NS, BUCKET_LENGTHS[-1]), MIN_SPAN_NS))
+
+
+def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:
+    """Shorten a bucket so that at least 24 of them fit into a TTL (0 = none)."""
+    if not ttl_sec:
+        return bucket_ns
+    longest = min(bucket_ns, ttl_sec * SECOND_NS // 24)
+    return max((n for n in BUCKET_LENGTHS if n <= longest), default=BUCKET_LENGTHS[0])
+
+
+def slot_of(bucket: int) -> int:
+    """Return the directory partition in which a bucket is listed."""
+    return bucket // SLOT_BUCKETS
+
+
+_COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
+Place = Tuple[str, str, int, int]
+"""Table, node, bucket and writer."""
+
+
+class BucketRow(NamedTuple):
+    """What one writer put into one bucket."""
+
+    node: str
+    bucket: int
+    writer: int
+    closed: bool
+    """The values hold."""
+    heartbeat: Optional[datetime]
+    rows: int
+    bytes: int
+    largest: int
+    """Size of the largest message kept in its row, bytes."""
+    t_min: int
+    t_max: int
+    odd: int
+    """Messages of which the server cannot check every field: of blocks all of one that has any."""
+    age_sec: float
+    """Seconds since the heartbeat, by the server's clock."""
+    filled: FrozenSet[str] = frozenset()
+    """Shadow columns that are filled in all rows of this writer in the bucket."""
+    writing: bool = False
+    """The writer has not closed it. Without that it is not closed where rows were deleted."""
+    cut: bool = False
+    """Rows were deleted since it was counted."""
+
+    def expired(self, ttl: int) -> bool:
+        """Say whether all rows of this writer in the bucket have outlived their ttl, seconds."""
+        # A bucket is closed behind its last row; while it is open rows may come that were tried
+        # for minutes.
+        margin = CLOCKS_SEC if self.closed else TTL_MARGIN_SEC
+        return self.age_sec > ttl + margin
+
+
+@dataclass
+class BucketTotals:
+    """Values of a bucket that a writer closes."""
+
+    rows: int = 0
+    bytes: int = 0
+    largest: int = 0
+    t_min: int = 2**63 - 1
+    t_max: int = -1
+    odd: int = 0
+
+    def count(self, t: int, size: int, chunked: bool, odd: bool) -> None:
+        """Add one row."""
+        self.rows += 1
+        self.bytes += size
+        self.t_min = min(self.t_min, t)
+        self.t_max = max(self.t_max, t)
+        self.odd += odd
+        if not chunked:
+            self.largest = max(self.largest, size)
+
+    def add(self, rows: int, nbytes: int, largest: int, ends: Tuple[int, int], odd: bool) -> None:
+        """Add a block of messages: how many, their bytes, and the first and the last time."""
+        self.rows += rows
+        self.bytes += nbytes
+        self.largest = max(self.largest, largest)
+        self.t_min, self.t_max = min(self.t_min, ends[0]), max(self.t_max, ends[1])
+        self.odd += rows * odd
+
+    def columns(self) -> dict[str, int]:
+        """Return the columns of cr_bucket that hold them."""
+        return {"n": self.rows, **{name: v for name, v in vars(self).items() if name != "rows"}}
+
+
+class Directory:
+    """Reads and writes cr_node and cr_bucket of one keyspace."""
+
+    def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
+        self._cassandra = cassandra
+        self._tables = side_tables
+        self._noted: Dict[Tuple[str, int, str], float] = {}
+        self.seen: Dict[str, Dict[int, Tuple[str, ...]]] = {}
+        """Table -> slot -> nodes, as some were listed last: what it may be, not what it is."""
+        self.first: Dict[Tuple[str, bool], Tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
+        """Table and whether the newest come first -> nodes, and buckets in which the last read of
+        few rows began; see foreseen.py."""
+
+    def patient(self, retry_sec: Seconds) -> Directory:
+        """Return the directory for one writer, which guards it and tries for so long."""
+        directory, tables = copy(self), copy(self._tables)
+        tables.retry_sec = retry_sec
+        directory._tables, directory._noted = tables, {}
+        return directory
+
+    def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
+        """List the (slot, node) of a table in [first_slot, last_slot]."""
+        return self.begin_nodes(table, (first_slot, last_slot))()
+
+    def begin_nodes(
+        self, table: str, slots: tuple[int, int], limit: int = ALL_ROWS, *, reverse: bool = False
+    ) -> Callable[[], list[CqlRow]]:
+        """Ask for the first (slot, node) of a table in [first, last]; see Cassandra.begin."""
+        if not self._tables.has("cr_node"):
+            return list
+        cql = (
+            f"SELECT slot, node FROM {self._tables.qualified('cr_node')} "
+            f"WHERE tbl = ? AND slot >= ? AND slot <= ?{' ORDER BY slot DESC' * reverse} LIMIT ?"
+        )
+        what, retry_sec = "reading the directory of nodes", self._tables.retry_sec
+        return self._cassandra.begin(cql, (table, *slots, limit), what=what, retry_sec=retry_sec)
+
+    def buckets(
+        self, table: str, first: int, last: int, nodes: Sequence[str] | None = None, ttl: int = 0
+    ) -> list[BucketRow]:
+        """List the buckets of a table in [first, last], one row for each writer.
+
+        Args:
+            nodes: Only these nodeIDs; None = all.
+            ttl: Of the table's rows, seconds: buckets in which all have expired are left out.
+        """
+        listed = self.nodes(table, slot_of(first), slot_of(last))
+        found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
+        every = self._buckets([(table, node, slot, first, last) for slot, node in found])
+        return every if not ttl else [row for row in every if not row.expired(ttl)]
+
+    def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
+        """List the writers of one bucket."""
+        return self._buckets([(table, node, slot_of(bucket), bucket, bucket)])
+
+    def _buckets(
+        self,
+        params: Sequence[tuple[str, str, int, int, int]],
+        limit: int = ALL_ROWS,
+        *,
+        reverse: bool = False,
+    ) -> list[BucketRow]:
+        asked = self.begin_buckets(params, limit, reverse=reverse)
+        return [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
+
+    def begin_buckets(
+        self,
+        params: Iterable[tuple[str, str, int, int, int]],
+        limit: int = ALL_ROWS,
+        *,
+        reverse: bool = False,
+    ) -> Iterator[Callable[[], list[BucketRow]]]:
+        """Ask for buckets, each time one is taken: of (table, node, slot, first, last).
+
+        Each answer has so many rows at most, from the first bucket on or from the last.
+        """
+        if not self._tables.has("cr_bucket"):
+            return
+        cql = (
+            f"SELECT {_COLUMNS}, toTimestamp(now()) FROM {self._tables.qualified('cr_bucket')} "
+            "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
+            f"{' ORDER BY bucket DESC' * reverse} LIMIT ?"
+        )
+        what, retry_sec = "reading the directory of buckets", self._tables.retry_sec
+        for each in params:
+            asked = self._cassandra.begin(cql, (*each, limit), what=what, retry_sec=retry_sec)
+            yield partial(_bucket_rows, each[1], asked)
+
+    def columns(self, wanted: Iterable[Wanted], *, single: bool = False) -> Iterator[BucketColumns]:
+        """Read buckets by the hundred thousand, some partitions at once; see read_columns."""
+        if not self._tables.has("cr_bucket"):
+            return iter(())
+        table = self._tables.qualified("cr_bucket")
+        return read_columns(self._cassandra, table, wanted, single=single)
+
+    def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
+        """Note, before its first, that a node has buckets in a slot; for ttl seconds, 0 = ever."""
+        columns, what = {"tbl": table, "slot": slot, "node": node}, "writing the directory of nodes"
+        self._tables.insert("cr_node", columns, what, ttl=_ttl(ttl))
+
+    def note(self, table: RowTable, node: str, bucket: int) -> None:
+        """Add the slot of a bucket, unless that was done lately; before rows are written."""
+        slot = (table.name, slot_of(bucket), node)
+        # What is found by name is found by this note alone.
+        ttl = 0 if table.named else table.metadata.ttl
+        noted, now = self._noted.get(slot), time.monotonic()
+        if noted is None or (ttl and now - noted > NOTE_SEC):
+            self.add_node(*slot, ttl and ttl + NOTE_MARGIN_SEC)
+            self._noted[slot] = now
+
+    def mark(
+        self,
+        place: Place,
+        ttl: int,
+        filled: Iterable[str] = (),
+        totals: BucketTotals | None = None,
+        *,
+        closed: bool = False,
+        deleted: bool = False,
+    ) -> None:
+        """Write what a writer says of a bucket, with a fresh heartbeat.
+
+        Args:
+            ttl: Of the table's rows, seconds.
+            filled: Shadow columns that all of the writer's rows in it have, and will have.
+            totals: Final when closed, else estimates; None = as they were.
+            deleted: Only say that rows were deleted: no count holds until the next recount. A flag
+                of its own, for a living writer closes the bucket with what it wrote.
+        """
+        columns = _key(place)
+        if deleted:
+            columns["deleted"] = True
+        else:
+            columns.update(state="closed" if closed else "open", filled=set(filled))
+            columns.update(totals.columns() if totals is not None else {})
+        what = "writing the directory of buckets"
+        self._tables.insert("cr_bucket", columns, what, now=["heartbeat"], ttl=_ttl(ttl))
+
+    def put_recount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
+        """Close a bucket that has no living writer; return whether that was done.
+
+        It is not where something changed since its row was read, which must be before the rows are.
+        """
+        columns = {"filled": set(row.filled), **totals.columns()}
+        key = _key((table, row.node, row.bucket, row.writer))
+        answer = self._cassandra.execute_once(
+            f"UPDATE {self._tables.qualified('cr_bucket')} USING TTL ? SET state = 'closed', "
+            f"{''.join(f'{name} = ?, ' for name in columns)}deleted = false, "
+            "heartbeat = toTimestamp(now()) "
+            f"WHERE {' AND '.join(f'{name} = ?' for name in key)} IF heartbeat = ?",
+            (_ttl(ttl), *columns.values(), *key.values(), row.heartbeat),
+            what="closing a bucket in the directory",
+        )
+        return bool(answer[0][0])
+
+    def tables(self) -> set[str]:
+        """List the names of the tables that have buckets, also of those that are gone (a scan)."""
+        rows = self._tables.select("cr_node", "DISTINCT tbl", what="listing the directory")
+        return {table for (table,) in rows}
+
+    def forget(self, table: str) -> None:
+        """Remove all that is known of a table that was dropped."""
+        slots = [(table, node, slot) for slot, node in self.nodes(table, -(2**63), 2**63 - 1)]
+        key = ("tbl", "node", "slot")
+        self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
+        self.seen.pop(table, None)
+        for reverse in (False, True):
+            self.first.pop((table, reverse), None)
+        self._tables.delete("cr_node", ("tbl",), [(table,)], "clearing the directory")
+
+
+def _key(place: Place) -> dict[str, object]:
+    """Return the columns of cr_bucket that find a row."""
+    table, node, bucket, writer = place
+    slot = slot_of(bucket)
+    return {"tbl": table, "node": node, "slot": slot, "bucket": bucket, "writer": writer}
+
+
+def _ttl(ttl: int) -> int:
+    return ttl + TTL_MARGIN_SEC if ttl else 0
+
+
+def _bucket_rows(node: str, answer: Callable[[], list[CqlRow]]) -> list[BucketRow]:
+    return [_bucket_row(node, row) for row in answer()]
+
+
+def _bucket_row(node: str, row: CqlRow) -> BucketRow:
+    bucket, writer, state, deleted, beat, n, size, largest, t_min, t_max, odd, filled, now = row
+    closed = state == "closed" and not deleted
+    latest = -1 if t_max is None else t_max
+    counts = (n or 0, size or 0, largest or 0, t_min or 0, latest, odd or 0)
+    age_sec = STALE_SEC + 1 if beat is None else (now - beat).total_seconds()
+    said = node, bucket, writer, closed, beat, *counts, age_sec, frozenset(filled or ())
+    return BucketRow(*said, writing=state == "open", cut=bool(deleted))

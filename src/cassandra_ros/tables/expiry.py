@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How long stored rows stay, where they expire, and rows that are to stay as long."""
+
+from __future__ import annotations
+
+from typing import Iterable
+
+from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.keys import Position
+from cassandra_ros.tables.row_table import KEYS, RowTable, bind, decode_long
+from cassandra_ros.tables.schema import Schema
+
+STEPS = 100
+"""A lifetime is rounded up to a hundredth of the table's ttl."""
+_PAGE_ROWS = 5000
+_LEFT = 'TTL("_conn")'
+"""A column that each row has, and no writer changes later."""
+
+
+def rounded(left: int, ttl: int) -> int:
+    """Round what a row has left up to the next step, seconds; not beyond the ttl."""
+    step = max(1, ttl // STEPS)
+    return min(ttl, -(-max(1, left) // step) * step)
+
+
+def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:
+    """Return how many seconds the row of a bucket that stays longest has left; 0 = it is empty."""
+    names, place = f"{KEYS}, {_LEFT}", table.place(node, bucket)
+    rows = table.stretch(names, place, page_rows=_PAGE_ROWS).rows()
+    return max((decode_long(values[2]) for values in rows), default=0)
+
+
+def left_by_name(table: RowTable) -> dict[Position, int]:
+    """Return what each row of a table whose rows lie under names has left; in memory."""
+
+    def read(rows: Iterable[RawRow]) -> dict[Position, int]:
+        return {_position(values[:-1], table.name): decode_long(values[-1]) for values in rows}
+
+    return table.collect(bind(table.select_names(_LEFT), (), _PAGE_ROWS), read)
+
+
+def _position(values: RawRow, table: str) -> Position:
+    node, name, t, seq, _, _, _, *received = values
+    t, seq = received or (t, seq)
+    texts = (node or b"").decode(), (name or b"").decode()
+    return Position(decode_long(t), texts[0], decode_long(seq), table, texts[1])
+
+
+def set_lifetime(schema: Schema, table: str, seconds: int) -> None:
+    """Let rows that are written into a table from now on stay so long, 0 = for ever."""
+    with schema.lock() as lock:
+        lock.change(
+            f"ALTER TABLE {schema.qualified(table)} WITH default_time_to_live = {int(seconds)}",
+            what=f"setting how long the rows of table {table} stay",
+        )

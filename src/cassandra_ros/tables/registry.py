@@ -1,0 +1,319 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cr_connection, cr_definition, cr_run: what the rows refer to, written before them.
+
+Beside them cr_loss, what could not be stored, and cr_context, what stood around a run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import platform
+from dataclasses import dataclass, field, fields, replace
+from datetime import datetime
+from enum import Enum
+from typing import Container, Iterable, Iterator, Mapping, NamedTuple, Sequence
+
+from cassandra_ros.connection.cassandra import CqlRow
+from cassandra_ros.printable import shown
+from cassandra_ros.tables.context_blob import RunContext, decode_context, encode_context
+from cassandra_ros.tables.side_tables import SideTables
+
+_OWN_LABELS = ("content",)
+
+
+class StoredHeader(NamedTuple):
+    """A connection header as it is kept: the definition cut out, its place noted."""
+
+    topic: str
+    number: int
+    """-1, or of a bag: 0 to 2**32 - 1."""
+    header: bytes
+    def_offset: int
+    """Where the definition was cut out; -1 = the header has none."""
+    md5sum: str
+    definition: bytes
+
+
+@dataclass(frozen=True, repr=False)
+class Run:
+    """One recording or import."""
+
+    node: str
+    writer: int
+    kind: str
+    """'import', 'recording' or 'api'."""
+    name: str = ""
+    source: str = ""
+    format: str = ""
+    host: str = field(default_factory=platform.node)
+    started: datetime | None = None
+    ended: datetime | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+    stored: Mapping[str, int] = field(default_factory=dict)
+    lost: Mapping[str, int] = field(default_factory=dict)
+
+    state: str = "ended"
+    """'recording' (an import, too), 'ended', or 'interrupted': killed, or it failed."""
+
+    @property
+    def public_labels(self) -> dict[str, str]:
+        """The labels that people gave, without what an import notes to find itself again."""
+        return {name: text for name, text in self.labels.items() if name not in _OWN_LABELS}
+
+    def __repr__(self) -> str:
+        start, end = (f"{t:%Y-%m-%dT%H:%M:%SZ}" if t else "?" for t in (self.started, self.ended))
+        parts = [self.kind, f"of {shown(self.node)}" if self.node else "", self.state]
+        parts += [f"{start} to {end}", f"messages: {sum(self.stored.values())}"]
+        parts += [f"lost: {sum(self.lost.values())}"] if any(self.lost.values()) else []
+        parts += [shown(f"{name}={text}") for name, text in self.labels.items()]
+        return f"<Run {self.name!r} {self.writer}: {', '.join(filter(None, parts))}>"
+
+
+_RUN = tuple(each.name for each in fields(Run) if each.name != "state")
+
+
+class Sign(NamedTuple):
+    """What a run that has not ended told of itself last."""
+
+    age_sec: float
+    """Since it began or was seen alive, by the server's clock."""
+    interrupted: bool
+    """It ended with an error."""
+
+
+class LossKind(str, Enum):
+    """Why messages are missing."""
+
+    BUFFER_FULL = "buffer full"
+    TABLE_LATE = "buffer full before its table stood"
+    NO_TABLE = "no table"
+    NO_CLOCK = "no clock"
+    REFUSED = "refused by the store"
+    NOT_READ = "not read from the socket"
+    UNHEARD = "publisher not heard"
+    AT_END = "not stored at the end"
+    MISTAKE = "internal error"
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Messages of a topic that a run should hold and does not."""
+
+    topic: str
+    node: str
+    writer: int
+    kind: LossKind
+    first_ns: int
+    """When the first of them came, or the stretch began in which they were missed."""
+    last_ns: int
+    count: int
+    """0 = nobody knows how many."""
+
+
+_LOSS = "node, writer, kind, first, last, n"
+
+
+class Registry:
+    """Reads and writes connections, definitions and runs of one keyspace."""
+
+    def __init__(self, side_tables: SideTables) -> None:
+        self._tables = side_tables
+
+    def put_header(self, table: str, conn: int, row: StoredHeader) -> None:
+        """Store a connection header and its definition; the same values at each repeat."""
+        def_hash = hashlib.sha256(row.definition).digest()
+        definition = {"md5sum": row.md5sum, "hash": def_hash, "text": row.definition}
+        of = f"of topic {row.topic}"
+        self._tables.insert("cr_definition", definition, f"storing the definition {of}")
+        header = {"tbl": table, "conn": conn, "def_hash": def_hash, **row._asdict()}
+        header["number"] = _signed(row.number)
+        del header["definition"]
+        self._tables.insert("cr_connection", header, f"storing the connection header {of}")
+
+    def get_header(self, table: str, conn: int) -> StoredHeader | None:
+        """Read a connection header back; None when there is none with this number."""
+        names, where = "topic, number, header, def_offset, md5sum, def_hash", "tbl = ? AND conn = ?"
+        what = "reading a connection header"
+        rows = self._tables.select("cr_connection", names, where, (table, conn), what=what)
+        if not rows:
+            return None
+        topic, number, header, offset, *key = rows[0]
+        text = self._definition(key)
+        if text is None:
+            return None
+        return StoredHeader(topic, _unsigned(number), header, offset, key[0], text)
+
+    def headers(self, tables: Container[str]) -> Iterator[tuple[str, int, StoredHeader]]:
+        """Walk through the connection headers of some tables (a scan: connections are few).
+
+        Yields (table, number of the connection in it, header). A definition is read once,
+        however many connections have it.
+        """
+        names = "tbl, conn, topic, number, header, def_offset, md5sum, def_hash"
+        rows = self._tables.select("cr_connection", names, what="listing the connections")
+        texts: dict[tuple[str, bytes], bytes] = {}
+        for table, conn, topic, number, header, offset, md5sum, def_hash in rows:
+            if table not in tables:
+                continue
+            key = (md5sum, def_hash)
+            if key not in texts:
+                found = self._definition(key)
+                if found is None:
+                    continue  # as get_header takes it: changed by hand
+                texts[key] = found
+            yield (
+                table,
+                conn,
+                StoredHeader(topic, _unsigned(number), header, offset, md5sum, texts[key]),
+            )
+
+    def _definition(self, key: Sequence[object]) -> bytes | None:
+        what, where = "reading a message definition", "md5sum = ? AND hash = ?"
+        texts = self._tables.select("cr_definition", "text", where, key, what=what)
+        return bytes(texts[0][0]) if texts else None
+
+    def damaged_definitions(self) -> list[str]:
+        """List the md5sums under which a text lies that is not the one that was stored."""
+        rows = self._tables.select(
+            "cr_definition", "md5sum, hash, text", what="reading the message definitions"
+        )
+        return sorted(
+            md5sum
+            for md5sum, known, text in rows
+            if hashlib.sha256(bytes(text or b"")).digest() != bytes(known)
+        )
+
+    def tables(self) -> set[str]:
+        """List the names of the tables of which connections are kept (a scan)."""
+        rows = self._tables.select("cr_connection", "tbl", what="listing the connections")
+        return {table for (table,) in rows}
+
+    def forget(self, table: str) -> None:
+        """Remove the connections of a table that was dropped (a scan: connections are few)."""
+        rows = self._tables.select("cr_connection", "tbl, conn", what="listing the connections")
+        mine = [row for row in rows if row[0] == table]
+        self._tables.delete("cr_connection", ("tbl", "conn"), mine, "removing connection headers")
+
+    def put_run(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
+        """Store a run; the server notes the time when it starts and ends."""
+        columns = {name: getattr(run, name) for name in _RUN if name not in ("started", "ended")}
+        now = ["started"] * started + ["ended"] * ended
+        self._tables.insert("cr_run", columns, "storing the run", now=now)
+
+    def runs(self) -> list[Run]:
+        """List all runs of the keyspace (a scan: runs are few)."""
+        rows = self._tables.select("cr_run", ", ".join(_RUN), what="listing the runs")
+        return [_run(row) for row in rows]
+
+    def signs(self) -> dict[tuple[int, str], Sign]:
+        """Tell of each run, by writer and node, when it was last seen (scans: runs are few)."""
+        now, what = "toTimestamp(now())", "reading the state of the runs"
+        begun = self._tables.select("cr_run", f"writer, node, started, {now}", what=what)
+        names = f"writer, node, heartbeat, interrupted, {now}"
+        seen = self._tables.select("cr_context", names, what=what)
+        beats = {(writer, node): (beat, broken) for writer, node, beat, broken, _ in seen}
+        found: dict[tuple[int, str], Sign] = {}
+        for writer, node, started, asked in begun:
+            beat, broken = beats.get((writer, node), (None, None))
+            last = max(filter(None, (started, beat)), default=None)
+            age_sec = math.inf if last is None else (asked - last).total_seconds()
+            # An import that is made again is another try.
+            failed = broken is not None and (started is None or broken >= started)
+            found[writer, node] = Sign(age_sec, failed)
+        return found
+
+    def put_heartbeat(self, writer: int, node: str, *, interrupted: bool = False) -> None:
+        """Note that a run is alive, or that it ends with an error."""
+        self._tables.make("cr_context")
+        now = ["heartbeat"] + ["interrupted"] * interrupted
+        columns = {"writer": writer, "node": node}
+        self._tables.insert("cr_context", columns, "noting that the run goes on", now=now)
+
+    def forget_run(self, writer: int, node: str, topics: Iterable[str]) -> None:
+        """Remove a run whose messages were removed, with its context and losses of some topics."""
+        what, place = "removing a run", [(writer, node)]
+        if self._tables.has("cr_loss"):
+            losses = [(topic, node, writer) for topic in topics]
+            self._tables.delete("cr_loss", ("topic", "node", "writer"), losses, what)
+        for table in ("cr_context", "cr_sent", "cr_run"):
+            if self._tables.has(table):
+                self._tables.delete(table, ("writer", "node"), place, what)
+
+    def put_loss(self, loss: Loss) -> None:
+        """Store a loss; one of the same topic, node, writer, kind and first_ns is replaced."""
+        self._tables.make("cr_loss")
+        columns = {"topic": loss.topic, "node": loss.node, "writer": loss.writer}
+        columns.update(kind=loss.kind.value, first=loss.first_ns, last=loss.last_ns, n=loss.count)
+        self._tables.insert("cr_loss", columns, f"storing a loss of topic {loss.topic}")
+
+    def losses(self, topics: Sequence[str] | None = None) -> list[Loss]:
+        """List the losses of some topics, None = all (a scan: losses are few), by time."""
+        what, names = "listing the losses", f"topic, {_LOSS}"
+        if topics is None:
+            rows = self._tables.select("cr_loss", names, what=what)
+        else:
+            select = self._tables.select
+            every = (select("cr_loss", names, "topic = ?", (t,), what=what) for t in set(topics))
+            rows = [row for found in every for row in found]
+        return sorted(map(_loss, rows), key=lambda loss: (loss.first_ns, loss.topic, loss.writer))
+
+    def forget_losses(self, topic: str) -> None:
+        """Remove the losses of a topic whose messages were removed."""
+        if self._tables.has("cr_loss"):
+            self._tables.delete("cr_loss", ("topic",), [(topic,)], "removing losses")
+
+    def rename_losses(self, topic: str, new_name: str) -> None:
+        """Let the losses of a topic follow it to its new name."""
+        losses = self.losses([topic])
+        for loss in losses:
+            self.put_loss(replace(loss, topic=new_name))
+        if losses:
+            self.forget_losses(topic)
+
+    def put_context(self, writer: int, node: str, context: RunContext) -> None:
+        """Store the parameters and the node graph of a run; InvalidOption where they cannot be."""
+        blob = encode_context(context)
+        self._tables.make("cr_context")
+        columns = {"writer": writer, "node": node, "context": blob}
+        what = "storing the parameters of the run"
+        self._tables.insert("cr_context", columns, what, now=["heartbeat"])
+
+    def get_context(self, writer: int, node: str) -> RunContext | None:
+        """Read the parameters and the node graph of a run back; None where none were kept."""
+        where, what = "writer = ? AND node = ?", "reading the parameters of a run"
+        rows = self._tables.select("cr_context", "context", where, (writer, node), what=what)
+        return None if not rows or rows[0][0] is None else decode_context(rows[0][0])
+
+
+# The column is an int of CQL, the numbers of bags go to 2**32 - 1: those from 2**31 on are kept as
+# the negative int of the same 32 bits. The last one would be -1, which is live; it is null.
+
+
+def _signed(number: int) -> int | None:
+    if number < 2**31:
+        return number
+    return number - 2**32 if number < 2**32 - 1 else None
+
+
+def _unsigned(column: int | None) -> int:
+    if column is None:
+        return 2**32 - 1
+    return column if column >= -1 else column + 2**32
+
+
+def _loss(row: CqlRow) -> Loss:
+    topic, node, writer, kind, first, last, count = row
+    try:
+        known = LossKind(kind)
+    except ValueError:  # a newer release knows more of them
+        known = LossKind.MISTAKE
+    return Loss(topic, node, writer, known, first, last or first, count or 0)
+
+
+def _run(row: CqlRow) -> Run:
+    node, writer, kind, name, source, format_name, host, started, ended, *maps = row
+    labels, stored, lost = (dict(m or {}) for m in maps)
+    texts = (kind or "", name or "", source or "", format_name or "", host or "")
+    return Run(node, writer, *texts, started, ended, labels, stored, lost)

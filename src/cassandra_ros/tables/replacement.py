@@ -1,0 +1,81 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A table is made and filled unseen, then takes the place of others; see ``succession``."""
+
+from __future__ import annotations
+
+from typing import Sequence
+
+from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.tables.schema import CACHE_SEC, Planner, Schema
+
+SETTLE_SEC = CACHE_SEC + 1.0
+"""After so long every client has read the comments anew that were changed."""
+
+
+def clear(schema: Schema, topic: str) -> list[str]:
+    """Drop what conversions of a topic that were killed left behind; return the names."""
+    with schema.lock() as lock:
+        listing = schema.listing(fresh=True)
+        mine = {name for name, m in listing.every.items() if m.topic == topic}
+        left = sorted(mine.difference(listing.visible))
+        schema.drop(left, lock)
+    schema.tables(fresh=True)
+    return left
+
+
+def begin(
+    schema: Schema, plan: Planner, topic: str, olds: Sequence[str]
+) -> tuple[str, TopicMetadata]:
+    """Make the table that is to replace others; return its name and metadata.
+
+    From SETTLE_SEC on no client begins to write into the others, or to delete in them.
+
+    Args:
+        plan: Given what the comments of those say, under the lock.
+
+    Raises:
+        SchemaConflict: One of them is not read any more, or is being replaced already.
+    """
+    with schema.lock() as lock:
+        listing = schema.listing(fresh=True)
+        for old in olds:
+            if old not in listing.visible or old in listing.leaving:
+                raise SchemaConflict(
+                    f"the tables of topic {topic} were removed or replaced by another "
+                    "client just now; nothing was converted. Convert it again"
+                )
+        metadata, columns, shadows = plan([listing.visible[old] for old in olds])
+        earlier = (name for old in olds for name in listing.visible[old].replaces)
+        replaces = tuple(dict.fromkeys([*olds, *earlier]))
+        metadata = metadata.with_(filling=True, replaces=replaces)
+        name = schema.create((metadata, columns, shadows), lock)
+    return name, schema.listing().every[name]
+
+
+def finish(schema: Schema, name: str, olds: Sequence[str]) -> None:
+    """Let a table take the place of others, for all who read: the one change that does it.
+
+    Raises:
+        SchemaConflict: It, or one of the others, was dropped or replaced meanwhile.
+    """
+    with schema.lock() as lock:
+        listing = schema.listing(fresh=True)
+        metadata = listing.every.get(name)
+        if metadata is None or not all(listing.leaving.get(old) == name for old in olds):
+            topic = "the topic" if metadata is None else f"topic {metadata.topic}"
+            raise SchemaConflict(
+                f"{topic} was removed, or its tables changed by another client, while it was "
+                "converted; nothing was lost by that. Convert it again"
+            )
+        schema.set_comment(name, metadata.with_(filling=False), lock)
+    schema.tables(fresh=True)
+
+
+def drop(schema: Schema, names: Sequence[str]) -> None:
+    """Drop tables that are not read."""
+    with schema.lock() as lock:
+        visible = schema.tables(fresh=True)
+        schema.drop([name for name in names if name not in visible], lock)
+    schema.tables(fresh=True)

@@ -1,0 +1,503 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""One topic table as rows: its statements, and our own columns in Cassandra's encoding."""
+
+from __future__ import annotations
+
+import struct
+from functools import partial
+from typing import Callable, Iterable, NamedTuple, Optional, Sequence, Tuple, TypeVar
+
+from cassandra.cluster import ResponseFuture, ResultSet
+from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Statement
+
+from cassandra_ros.connection.cassandra import Cassandra
+from cassandra_ros.connection.cql_names import chunk_table_name, qualified, quote_name
+from cassandra_ros.connection.paging import Asked, OnPage, RawRow, Refused, answered, retried
+from cassandra_ros.connection.raw_page import Places
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.keys import Position
+from cassandra_ros.metadata import TopicMetadata
+
+UNSET = UNSET_VALUE
+CHUNK_BYTES = 512 * 1024
+"""Messages above this go to the chunk table in pieces of this size (schema version 1)."""
+INLINE_COLUMN_BYTES = 64 * 1024
+"""Columns above this are left unset in the row of a chunked message."""
+ODD = b"\x01"
+"""Encoded value of ``_odd``."""
+MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
+_PACK = struct.Struct(">qqqi")
+_SPLIT = struct.Struct("8s8s8s4s")
+_LONG = struct.Struct(">q")
+_INT = struct.Struct(">i")
+_OWN = ("_t", "_seq", "_conn", "_size", "_nchunks", "_crc", "_odd", "_raw")
+_BLOCK = ("_last", "_n", "_data", "_crc", "_nchunks", "_odd", "_gone", "_nan")
+KEYS = '"_t", "_seq"'
+COUNTED = '"_t", "_seq", "_size", "_nchunks", "_odd"'
+_RANGE = 'AND ("_t", "_seq") >= (?, ?) AND ("_t", "_seq") <= (?, ?)'
+_ROW = 'AND "_t" = ? AND "_seq" = ?'
+_OLDER = "USING TIMESTAMP ? "
+_NEWEST = ' ORDER BY "_t" DESC, "_seq" DESC'
+_T = TypeVar("_T")
+
+Indexed = Tuple[Sequence[Optional[bytes]], bool]
+"""Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
+Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
+"""Encoded values of the zone columns (None = unset), the fields of which a value is NaN (sorted),
+and whether the block must be marked odd."""
+Terms = Tuple[Tuple[str, str, bytes], ...]
+"""Column, operator and encoded value; all of them hold."""
+Order = Tuple[int, int]
+"""``_t`` and ``_seq``: where a row lies in its partition."""
+FIRST: Order = (-(2**63), MIN_SEQ)
+LAST: Order = (2**63 - 1, MAX_SEQ)
+ALL = (FIRST, LAST)
+"""Ends of a whole partition."""
+
+
+class NewRow(NamedTuple):
+    """A message on its way into a table."""
+
+    t: int
+    """Key time, ns; 0 where equal messages are kept once."""
+    seq: int
+    """Writer id << 32 | counter, fixed before the first attempt; 0 as above."""
+    conn: int
+    wire: bytes
+    columns: Optional[Sequence[Optional[bytes]]]
+    """Encoded values of the format's columns, and of those that say when it was received; None =
+    unset. None for all: they are made of the message when its batch is sent."""
+    odd: bool = False
+    raw: Optional[bytes] = None
+    name: str = ""
+
+
+class Shadows(NamedTuple):
+    """The columns that carry a table's indexes."""
+
+    names: Tuple[str, ...]
+    values: Callable[[bytes], Indexed]
+    """From the serialised message."""
+
+
+class Sent(NamedTuple):
+    """A request that is on its way."""
+
+    future: ResponseFuture
+
+
+class BlockKey(NamedTuple):
+    """A row that holds several messages."""
+
+    t: int
+    """Key time of its first message, ns."""
+    seq: int
+    messages: int
+    """How many there were at first."""
+
+
+class TableRow(NamedTuple):
+    """A row as it lies in its table, columns undecoded."""
+
+    t: int
+    node: str
+    seq: int
+    table: str
+    conn: int
+    size: int
+    nchunks: int
+    """0 = the message is in the row."""
+    crc: int
+    odd: bool
+    raw: bytes | None
+    columns: tuple[bytes | None, ...]
+    name: str = ""
+    """Key of a row that is found by name."""
+    received: int = -1
+    """When the message was received, ns; -1 = that is its key time."""
+    block: BlockKey | None = None
+    """The block in which it lies; None where it has a row of its own."""
+    place: int = 0
+    """Its position in the block."""
+
+    @property
+    def position(self) -> Position:
+        """Its place in the order of all reads."""
+        return Position(self.t, self.node, self.seq, self.table, self.name)
+
+
+_new_row = partial(tuple.__new__, TableRow)
+
+
+class RowTable:
+    """One topic table: its statements, prepared when first needed, and its rows.
+
+    Args:
+        columns: Names of the format's columns, in the format's order.
+
+    Attributes:
+        named: Rows are found by a name, not by their time.
+        partition: Name of the second column of the partition key.
+        packed: A row of the table is a block of messages, each of which is a row to the readers.
+        zone_columns: The columns that bound the values in a block.
+        longest_text: A longer text of a large message is in no column; bytes of UTF-8.
+    """
+
+    longest_text = INLINE_COLUMN_BYTES
+    zone_columns: Tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        cassandra: Cassandra,
+        keyspace: str,
+        name: str,
+        metadata: TopicMetadata,
+        columns: Sequence[str],
+    ) -> None:
+        self._cassandra = cassandra
+        self.name = name
+        self.qualified = qualified(keyspace, name)
+        self._chunks = qualified(keyspace, chunk_table_name(name))
+        self.metadata = metadata
+        self.columns = tuple(columns)
+        self.named = metadata.named
+        self.partition = metadata.partition
+        self.packed = metadata.packed
+        self._where = f'WHERE "_node" = ? AND "{self.partition}" = ?'
+        self._once = metadata.key_format == "hash"
+        self._received = tuple(metadata.received_columns)
+        self._plain = not (self._received or self.named)
+        self._every = self.listing(self.columns)
+        self.known_nodes: set[str] = set()
+        """nodeIDs that have been seen to write the table; more may."""
+        self.has_chunks = False
+        """Whether the chunk table is known to exist."""
+
+    def bucket_of(self, t_ns: int) -> int:
+        """Return the bucket of a key time."""
+        return t_ns // self.metadata.bucket_ns
+
+    def place(self, node: str, where: int | str) -> tuple[bytes, bytes]:
+        """Encode the partition key of a bucket, or of the rows of a name."""
+        part = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
+        return node.encode("utf-8"), part
+
+    def place_of(self, node: str, t_ns: int, name: str) -> tuple[bytes, bytes]:
+        """Encode the partition key of a row."""
+        return self.place(node, name if self.named else self.bucket_of(t_ns))
+
+    def stored_order(self, t: int, seq: int) -> Order:
+        """Return ``_t`` and ``_seq`` of a row; where equal messages are kept once they are 0."""
+        return (0, 0) if self._once else (t, seq)
+
+    def key_of(self, row: TableRow) -> tuple[bytes, ...]:
+        """Encode the primary key of a stored row."""
+        place = self.place_of(row.node, row.t, row.name)
+        return (*place, *map(encode_long, self.stored_order(row.t, row.seq)))
+
+    def shadows(self) -> Shadows | None:
+        """Return the indexes that a bucket which is opened now is filled with; None = none."""
+        return None
+
+    def zones(self, wires: Sequence[bytes]) -> Zones:
+        """Find the bounds of the values in serialised messages; any bytes will do."""
+        return (), (), False
+
+    def encode(self, row: NewRow) -> NewRow:
+        """Return a row with its columns made of its message."""
+        raise NotImplementedError
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
+        """Return the columns of messages, each behind its size; None = encode is to be asked."""
+        return [None] * len(wires)
+
+    def decode_together(
+        self, data: bytes, starts: Places, ends: Places, sizes: Places
+    ) -> Sequence[bytes | None]:
+        """Return the messages, of these sizes, of columns that lie from place to place in data.
+
+        Each column is behind its size; None = they are to be looked at by themselves.
+        """
+        return [None] * len(starts)
+
+    # ---------------------------------------------------------------- statements
+
+    def insert(self, shadows: Sequence[str] = (), *, full: bool = True) -> PreparedStatement:
+        """INSERT of a row; not full: of one without chunks and ``_raw``, as nearly all are."""
+        own = _OWN if full else _OWN[:4]
+        names = ["_node", self.partition, *own, *self.columns, *self._received, *shadows]
+        marks = ", ".join("?" * len(names))
+        return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
+
+    def insert_block(self) -> PreparedStatement:
+        """INSERT of a block: its key, what OpenBucket says of it in _BLOCK, and its zones."""
+        names = ["_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns]
+        marks = ", ".join("?" * len(names))
+        return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
+
+    def insert_chunk(self) -> PreparedStatement:
+        """INSERT of one piece of a large message."""
+        names = _listed(["_node", self.partition, "_t", "_seq", "_chunk", "_data"])
+        return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
+
+    def select_chunks(self) -> PreparedStatement:
+        """SELECT of all pieces of one large message, in order."""
+        return self._prepare(f'SELECT "_chunk", "_data" FROM {self._chunks} {self._where} {_ROW}')
+
+    def select_partitions(self) -> PreparedStatement:
+        """SELECT of the partition keys under which there are rows; in no order."""
+        return self._prepare(f'SELECT DISTINCT "_node", "{self.partition}" FROM {self.qualified}')
+
+    def select_chunked(self) -> PreparedStatement:
+        """SELECT of the keys of messages that have pieces, and when one was written, us."""
+        names = f'"_node", "{self.partition}", {KEYS}, WRITETIME("_data")'
+        return self._prepare(f"SELECT {names} FROM {self._chunks} PER PARTITION LIMIT 1")
+
+    def _select(self, names: str, rest: str) -> PreparedStatement:
+        return self._prepare(f"SELECT {names} FROM {self.qualified} {self._where} {rest}")
+
+    def select_these(self, columns: Sequence[str], *, reverse: bool) -> PreparedStatement:
+        """SELECT of rows of one partition by a list of (t, seq)."""
+        rest = f'AND ("_t", "_seq") IN ?{_NEWEST if reverse else ""}'
+        return self._select(self.listing(columns), rest)
+
+    def select_listed(self, names: str) -> PreparedStatement:
+        """SELECT of columns, as CQL, of rows of one partition by a list of (t, seq)."""
+        return self._select(names, 'AND ("_t", "_seq") IN ?')
+
+    def select_over(self, names: str) -> PreparedStatement:
+        """SELECT of columns, as CQL, of the blocks that may hold a message.
+
+        Parameters are the place, bounds of ``_t`` and of ``_seq``, and the key time that their
+        last message does not lie before.
+        """
+        return self._select(
+            names,
+            'AND "_t" >= ? AND "_t" <= ? AND "_seq" >= ? AND "_seq" <= ? AND "_last" >= ? '
+            "ALLOW FILTERING",
+        )
+
+    def select_names(self, *more: str) -> PreparedStatement:
+        """SELECT of the keys of all rows of a table that is read by name; in no order.
+
+        Args:
+            more: What else to read, as CQL.
+        """
+        names = ", ".join(['"_node", "_key"', COUNTED, *map(quote_name, self._received), *more])
+        return self._prepare(f"SELECT {names} FROM {self.qualified}")
+
+    def select_shadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
+        """SELECT of the keys of rows by an indexed column, in one bucket (in order) or in all."""
+        where = f"{self._where} AND" if bucket else "WHERE"
+        return self._prepare(
+            f'SELECT "_node", "_t", "_seq" FROM {self.qualified} '
+            # It is filtered only where the index is missing: somebody died before making it.
+            f"{where} {quote_name(shadow)} = ? ALLOW FILTERING"
+        )
+
+    def update(self, column: str) -> PreparedStatement:
+        """UPDATE of one column of a row, with the timestamp and time to live that are given."""
+        return self._prepare(
+            f"UPDATE {self.qualified} USING TIMESTAMP ? AND TTL ? "
+            f"SET {quote_name(column)} = ? {self._where} {_ROW}"
+        )
+
+    def delete_range(self, *, older: bool = False) -> str:
+        """DELETE of a stretch of one partition, both ends included.
+
+        Args:
+            older: Only of what was written up to a timestamp, which is the first parameter.
+        """
+        return f"DELETE FROM {self.qualified} {_OLDER if older else ''}{self._where} {_RANGE}"
+
+    def delete_one(self, *, chunks: bool = False, older: bool = False) -> str:
+        """DELETE of one row, or of the pieces of its message; for older see delete_range."""
+        table = self._chunks if chunks else self.qualified
+        return f"DELETE FROM {table} {_OLDER if older else ''}{self._where} {_ROW}"
+
+    def mark_gone(self) -> str:
+        """UPDATE that adds to the positions of a block whose messages were deleted."""
+        return f'UPDATE {self.qualified} SET "_gone" = "_gone" + ? {self._where} {_ROW}'
+
+    def unmark_gone(self) -> str:
+        """DELETE of those positions alone."""
+        return f'DELETE "_gone" FROM {self.qualified} {self._where} {_ROW}'
+
+    def _prepare(self, cql: str) -> PreparedStatement:
+        return self._cassandra.prepare(cql)
+
+    def listing(self, columns: Sequence[str] | None = None) -> str:
+        """List what row_from_values reads, with these of the format's columns, None = all."""
+        if columns is None:
+            return self._every
+        return _listed([*_OWN, *self._received, *columns])
+
+    # ---------------------------------------------------------------- requests
+
+    def stretch(
+        self,
+        names: str,
+        place: tuple[bytes, bytes],
+        ends: tuple[Order, Order] = ALL,
+        *,
+        terms: Terms = (),
+        page_rows: int | None = None,
+        first_rows: int = 0,
+        reverse: bool = False,
+        last: RawRow | None = None,
+        what: str = "reading",
+        refused: Refused | None = None,
+        on_page: OnPage | None = None,
+    ) -> Asked:
+        """Ask for the rows from end to end of one partition, or for those behind the last one.
+
+        Args:
+            names: What to read, as CQL; begins with KEYS where there are many pages.
+            terms: What the server is to check.
+            first_rows: Rows of the first page, where fewer are wanted than page_rows; see Asked.
+        """
+        checks = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator, _ in terms)
+        order, allow = _NEWEST if reverse else "", " ALLOW FILTERING" if terms else ""
+        statement = self._select(names, f"{_RANGE}{checks}{order}{allow}")
+        values = [value for *_, value in terms]
+
+        def rest(read: RawRow | None) -> BoundStatement:
+            left = _encode_ends(ends, read or last, reverse)
+            return bind(statement, (*place, *left, *values), page_rows)
+
+        return self._asked(rest, what, refused, on_page, first_rows)
+
+    def ask_row(self, place: tuple[bytes, bytes], t: int, seq: int | None) -> Asked:
+        """Ask for all of a row; seq None = of the first with its time.
+
+        A server finds equal keys sooner than the stretch from one to the same: by 60 us.
+        """
+        if seq is None:
+            statement = self._select(self._every, 'AND "_t" = ?')
+            return self.send(bind(statement, (*place, encode_long(t)), 1))
+        statement = self._select(self._every, _ROW)
+        return self.send(bind(statement, (*place, encode_long(t), encode_long(seq))))
+
+    def send(self, statement: Statement, what: str = "reading") -> Asked:
+        """Send a statement whose answer is one page, or of which only one is wanted."""
+        return self._asked(lambda last: statement, what)
+
+    def _asked(
+        self,
+        statement_from: Callable[[RawRow | None], Statement],
+        what: str,
+        refused: Refused | None = None,
+        on_page: OnPage | None = None,
+        first_rows: int = 0,
+    ) -> Asked:
+        send, outage = self._cassandra.ask_raw, self._cassandra.outage
+        return Asked(send, statement_from, self._doing(what), refused, on_page, first_rows, outage)
+
+    def collect(
+        self,
+        statement: BoundStatement,
+        make: Callable[[ResultSet], _T],
+        what: str = "reading",
+        *,
+        sent: Sent | None = None,
+    ) -> _T:
+        """Give all rows of a statement to make; anew where one of its pages fails.
+
+        Args:
+            sent: What begin gave for the statement, where it was called.
+        """
+        begun = [sent] if sent is not None else []
+
+        def run() -> _T:
+            future = (begun.pop() if begun else self.begin(statement)).future
+            return make(answered(future, outage))
+
+        outage = self._cassandra.outage
+        return retried(self._doing(what), run, outage=outage)
+
+    def begin(self, statement: BoundStatement) -> Sent:
+        """Send a statement whose rows collect is to give."""
+        return Sent(self._cassandra.send_raw(statement))
+
+    def _doing(self, what: str) -> str:
+        return f"{what} topic {self.metadata.topic}"
+
+    # ---------------------------------------------------------------- values
+
+    def is_rest(self, values: RawRow) -> bool:
+        """Say whether a row has expired but for the value of an index."""
+        return values[2] is None and bool(self.metadata.ttl)
+
+    def row_from_values(self, node: str, values: RawRow, name: str = "") -> TableRow:
+        """Read the values of a listing; raises CorruptMessage where one that all have is null."""
+        try:
+            t, seq, conn, size = _PACK.unpack(b"".join(values[:4]))  # type: ignore[arg-type]
+        except TypeError as exc:
+            raise CorruptMessage(
+                f"a row of topic {self.metadata.topic} in table {self.name} has no connection or "
+                "size: something else than this package wrote or updated it"
+            ) from exc
+        nchunks, crc, odd, raw = values[4:8]
+        if nchunks is None and odd is None and self._plain:
+            own = t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:]
+            return _new_row((*own, "", -1, None, 0))  # a third of the time, of every row
+        received = decode_long(values[8]) if self._received else -1
+        if self._once:
+            t, seq = received, decode_long(values[9])
+        columns = values[8 + len(self._received) :]
+        flags = decode_long(nchunks), decode_long(crc), odd == ODD, raw
+        return TableRow(t, node, seq, self.name, conn, size, *flags, columns, name, received)
+
+
+def encode_own(t: int, seq: int, conn: int, size: int) -> tuple[bytes, ...]:
+    """Encode ``_t``, ``_seq``, ``_conn`` and ``_size`` as Cassandra stores them."""
+    return _SPLIT.unpack(_PACK.pack(t, seq, conn, size))
+
+
+def encode_long(value: int) -> bytes:
+    """Encode a bigint."""
+    return _LONG.pack(value)
+
+
+def decode_long(raw: bytes | None) -> int:
+    """Decode a bigint or int; null is 0."""
+    return int.from_bytes(raw or b"", "big", signed=True)
+
+
+def encode_int(value: int) -> bytes:
+    """Encode an int."""
+    return _INT.pack(value)
+
+
+def encode_texts(values: Iterable[str]) -> bytes:
+    """Encode a set of texts."""
+    every = sorted(value.encode("utf-8") for value in values)
+    return encode_int(len(every)) + b"".join(encode_int(len(raw)) + raw for raw in every)
+
+
+def _encode_ends(
+    ends: tuple[Order, Order], last: RawRow | None, reverse: bool
+) -> tuple[bytes, ...]:
+    """Encode the ends of what lies behind the last row that was read, in the order of reading."""
+    low, high = ends
+    if last is not None and reverse:
+        high = (decode_long(last[0]), decode_long(last[1]) - 1)
+    elif last is not None:
+        low = (decode_long(last[0]), decode_long(last[1]) + 1)
+    return tuple(map(encode_long, (*low, *high)))
+
+
+def _listed(names: Iterable[str]) -> str:
+    return ", ".join(quote_name(name) for name in names)
+
+
+def bind(
+    statement: PreparedStatement, values: Iterable[bytes | memoryview], page_rows: int | None = None
+) -> BoundStatement:
+    """Bind values that are encoded already; the answer has pages of so many rows."""
+    bound = BoundStatement(statement)
+    bound.values = list(values)
+    if page_rows is not None:
+        bound.fetch_size = page_rows
+    return bound

@@ -1,0 +1,366 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The topics' tables: made under the lock, found by reading comments, dropped for good."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from typing import Callable, Iterable, Mapping, Sequence, Tuple
+
+from cassandra_ros.connection.cassandra import Cassandra, CqlRow
+from cassandra_ros.connection.cql_names import (
+    chunk_table_name,
+    qualified,
+    quote_name,
+    quote_text,
+    table_name,
+)
+from cassandra_ros.connection.schema_changes import Mark
+from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
+from cassandra_ros.metadata import SHADOW, TopicMetadata, from_comment
+from cassandra_ros.tables.row_table import RowTable
+from cassandra_ros.tables.side_tables import SchemaLock, SideTables
+from cassandra_ros.tables.succession import Listing
+from cassandra_ros.tables.table_files import TableFiles
+
+_log = logging.getLogger(__name__)
+
+CACHE_SEC = 2.0
+"""How old the list of tables may be: other clients add definitions and drop topics."""
+BUILD_SEC = 2.0
+"""How long messages wait until Cassandra begins to build the indexes of their new table."""
+
+OWN_COLUMNS = {
+    "_conn": "bigint",
+    "_size": "int",
+    "_nchunks": "int",
+    "_crc": "bigint",
+    "_odd": "boolean",
+    "_raw": "blob",
+}
+KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
+"""Second part of the partition key: a stretch of time, or the name of a message."""
+_WINDOWS = 25
+_CHUNK_TTL_MARGIN_SEC = 86_400
+_ROWS = "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
+_PACKED = (  # what is compressed already stays as it is, with its checksum
+    "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, 'min_compress_ratio': 1.1}"
+)
+_UNFINISHED = (
+    "cassandra_ros makes the indexes of this table; one that stays like this was left by a "
+    "client that died, is empty, and may be dropped"
+)
+
+Planned = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
+"""What a comment will say (the generation is chosen here), the columns of the format, and the
+columns with an index, both name → CQL type."""
+Planner = Callable[[Sequence[TopicMetadata]], Planned]
+
+
+class Schema:
+    """Topic tables of one keyspace. Thread-safe; what it lists is cached until it changes."""
+
+    def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
+        self._cassandra = cassandra
+        self.keyspace = side_tables.keyspace
+        self._side_tables = side_tables
+        self._listing: Listing | None = None
+        self._read_at = 0.0
+        self._mark: Mark | None = None
+        self.seen: set[tuple[str, str]] = set()
+        """(topic, format) of every table that was ever listed here."""
+        self._mutex = threading.Lock()
+
+    def lock(self) -> SchemaLock:
+        """Return the lock under which the schema is changed; side tables are made before."""
+        self._side_tables.make()
+        return SchemaLock(self._cassandra, self.keyspace)
+
+    def qualified(self, table: str) -> str:
+        """Return the quoted name of a table with its keyspace."""
+        return qualified(self.keyspace, table)
+
+    def tables(self, *, fresh: bool = False) -> Mapping[str, TopicMetadata]:
+        """List the tables that are read: name → metadata, from comments up to 2 s old, or fresh."""
+        return self.listing(fresh=fresh).visible
+
+    def listing(self, *, fresh: bool = False) -> Listing:
+        """List all topic tables, and which take the place of others, as ``tables`` does."""
+        self._cassandra.require_open()
+        with self._mutex:
+            now, mark = time.monotonic(), self._cassandra.schema_changes.mark(self.keyspace)
+            old = mark != self._mark or now - self._read_at > CACHE_SEC
+            if self._listing is None or fresh or old:
+                self._listing = Listing(self._read())
+                self._read_at, self._mark = now, mark
+            return self._listing
+
+    def latest(self, table: str, known: TopicMetadata) -> TopicMetadata:
+        """Return the metadata of a table, those known where they cannot be read now."""
+        try:
+            return self.tables().get(table, known)
+        except CassandraRosError as exc:
+            # No reason to lose a message: the directory is told which indexes its row is given.
+            _log.warning("topic %s keeps the indexes it had: %s", known.topic, exc)
+            return known
+
+    def takes_rows(self, table: str) -> bool:
+        """Say whether new messages may go into a table; also where that cannot be read now."""
+        try:
+            return self.listing().takes_rows(table)
+        except CassandraRosError as exc:
+            _log.debug("table %s is written to as before: %s", table, exc)
+            return True
+
+    def format_after(self, table: str, format_name: str) -> str:
+        """Return in which format the messages of a table go on: another, where it is replaced."""
+        listing = self.listing()
+        heir = listing.leaving.get(table) or listing.heirs.get(table)
+        return format_name if heir is None else listing.every[heir].format
+
+    def _comments(self, table: str = "") -> list[CqlRow]:
+        """Read (name, comment) of one table, where it is there, or of all."""
+        return self._cassandra.system_schema("tables", "table_name, comment", self.keyspace, table)
+
+    def _read(self, table: str = "") -> dict[str, TopicMetadata]:
+        found = {}
+        for name, comment in self._comments(table):
+            metadata = from_comment(comment or "", f"{self.keyspace}.{name}")
+            if metadata is not None:
+                found[name] = metadata
+                if not metadata.filling:
+                    self.seen.add((metadata.topic, metadata.format))
+        return found
+
+    def find(self, topic: str, kind: tuple[str, str], format_name: str) -> str | None:
+        """Return the table for new messages of one kind and format, as far as it is cached."""
+        listing = self.listing()
+        for name, m in listing.visible.items():
+            if (m.topic, m.kind, m.format) == (topic, kind, format_name):
+                if name not in listing.leaving:
+                    return name
+        return None
+
+    def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
+        """Read the tables of a topic anew, under the lock.
+
+        Raises:
+            TopicNotFound: It is gone.
+            SchemaConflict: It is being converted.
+        """
+        listing = self.listing(fresh=True)
+        mine = {name: m for name, m in listing.visible.items() if m.topic == topic}
+        if not mine:
+            raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
+        for name in mine:
+            listing.check_staying(name)
+        return mine
+
+    def ensure_table(self, key: tuple[str, tuple[str, str], str], plan: Planner) -> str:
+        """Make the table of a topic, or find the one that somebody made before; return its name.
+
+        Args:
+            key: Topic, kind and format.
+            plan: Called where the table is to be made, under the lock, with what the comments of
+                the topic's other tables say.
+        """
+        name = self.find(*key)
+        if name is not None:
+            return name
+        with self.lock() as lock:
+            self.tables(fresh=True)
+            name = self.find(*key)
+            if name is not None:
+                return name
+            others = [m for _, m in sorted(self.tables().items()) if m.topic == key[0]]
+            name = self.create(plan(others), lock)
+        return name
+
+    def create(self, planned: Planned, lock: SchemaLock) -> str:
+        """Make a table as planned, under the lock, and check it; return its name."""
+        metadata, columns, shadows = planned
+        columns = {**_own_columns(metadata), **columns, **shadows}
+        name, wanted = self._create(metadata, columns, lock)
+        self._check(name, wanted, columns)
+        return name
+
+    def _create(
+        self, metadata: TopicMetadata, columns: Mapping[str, str], lock: SchemaLock
+    ) -> tuple[str, TopicMetadata]:
+        """Make a table with its indexes; return its name, and its metadata with the generation."""
+        wanted, shadows = metadata.with_(generation=time.time_ns()), metadata.indexes.values()
+        name = table_name(wanted.topic, wanted.md5sum, wanted.format, wanted.generation)
+        listing = ", ".join(f"{quote_name(c)} {cql}" for c, cql in columns.items())
+        # Without indexes nothing is to be done before it is found and its files are merged.
+        comment = _UNFINISHED if shadows else wanted.to_comment()
+        lock.change(
+            f"CREATE TABLE {self.qualified(name)} ({listing}, "
+            f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
+            f"WITH comment = {quote_text(comment)} AND {_storage(wanted.ttl, merged=not shadows)} "
+            f"AND {_PACKED if wanted.packed else _ROWS}",
+            what=f"making the table of topic {wanted.topic}",
+        )
+        for shadow in shadows:
+            lock.renew()
+            self.create_sai_index(name, shadow)
+        if shadows:
+            self._finish(name, wanted, lock)
+        return name, wanted
+
+    def _finish(self, name: str, wanted: TopicMetadata, lock: SchemaLock) -> None:
+        """Let a table be found, by its comment, and its files be merged, with its indexes built."""
+        merged, files = True, self.files(name, lock)
+        try:
+            files.await_builds({name + shadow for shadow in wanted.indexes.values()}, BUILD_SEC)
+        except CassandraRosError as exc:
+            # No reason to lose the messages that are waiting for it.
+            merged = False
+            _log.warning("topic %s: %s", wanted.topic, exc)
+            files.tell()
+        lock.change(
+            f"ALTER TABLE {self.qualified(name)} WITH comment = {quote_text(wanted.to_comment())} "
+            f"AND {_storage(wanted.ttl, merged=merged)}",
+            what=f"finishing the table of topic {wanted.topic}",
+        )
+
+    def files(self, table: str, lock: SchemaLock) -> TableFiles:
+        """Return the files of a table, as the nodes have them."""
+        return TableFiles(self._cassandra, self.keyspace, table, lock)
+
+    def create_sai_index(self, table: str, shadow: str) -> None:
+        """Make the index that a shadow column carries, where it is missing; under the lock."""
+        self._cassandra.schema_change(
+            f"CREATE INDEX IF NOT EXISTS {quote_name(table + shadow)} ON {self.qualified(table)} "
+            f"({quote_name(shadow)}) USING 'sai'",
+            what=f"making an index of table {table}",
+        )
+
+    def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
+        made = self._read(name)
+        with self._mutex:
+            self._listing = Listing({**(self._listing.every if self._listing else {}), **made})
+        if self.columns(name) != dict(columns) or made.get(name) != wanted:
+            raise SchemaConflict(
+                f"table {self.keyspace}.{name} of topic {wanted.topic} is not what was asked "
+                "for (columns or comment differ): another client changed it at the same time; "
+                "remove the topic and try again"
+            )
+
+    def columns(self, table: str) -> dict[str, str]:
+        """Read the columns of a table: name → CQL type."""
+        names = "column_name, type"
+        return dict(self._cassandra.system_schema("columns", names, self.keyspace, table))
+
+    def ensure_chunk_table(self, table: RowTable) -> None:
+        """Make the table for a topic's large messages where it is missing."""
+        if not table.has_chunks and not self._comments(chunk_table_name(table.name)):
+            with self.lock() as lock:
+                self._make_chunk_table(table.name, table.metadata, lock)
+        table.has_chunks = True
+
+    def _make_chunk_table(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+        if not self._comments(table):
+            raise TopicNotFound(
+                f"table {table} was removed by another client; messages of its topic need "
+                "a new one: connect again"
+            )
+        name, partition = chunk_table_name(table), metadata.partition
+        if not self._comments(name):
+            lock.change(
+                f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
+                f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
+                f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
+                f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
+                f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
+                "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
+                "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
+                what=f"making the table for large messages {name}",
+            )
+
+    def change_topic(
+        self,
+        topic: str,
+        change: Callable[[TopicMetadata], TopicMetadata],
+        check: Callable[[Mapping[str, TopicMetadata]], None] = lambda tables: None,
+    ) -> None:
+        """Change what the comments of a topic's tables say; check sees all first, and may raise."""
+        with self.lock() as lock:
+            every = self.listing(fresh=True).every
+            if not any(metadata.topic == topic for metadata in self.tables().values()):
+                raise TopicNotFound(f"topic {topic} is not stored in {self.keyspace} any more")
+            check(self.tables())
+            for name, metadata in every.items():
+                if metadata.topic == topic:
+                    self.set_comment(name, change(metadata), lock)
+        self.tables(fresh=True)
+
+    def set_comment(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
+        """Change what the comment of a table says."""
+        comment = quote_text(metadata.to_comment())
+        lock.change(
+            f"ALTER TABLE {self.qualified(table)} WITH comment = {comment}",
+            what=f"changing the metadata of topic {metadata.topic}",
+        )
+
+    def drop_topic(self, topic: str, *, renew: bool = False) -> list[str]:
+        """Drop all tables of a topic, or renew them: make empty ones first; return their names.
+
+        With them are those of the tables that they replaced.
+        """
+        with self.lock() as lock:
+            listing = self.listing(fresh=True)
+            tables = {name: m for name, m in listing.every.items() if m.topic == topic}
+            if renew:
+                # Made anew under other names: a writer that has not heard of it must not go on.
+                read = [name for name in tables if name in listing.visible]
+                one_each = {
+                    (m.kind, m.format): (name, m.with_(replaces=(), cut=False))
+                    for name, m in tables.items()
+                    if name in read
+                }
+                for name, metadata in one_each.values():
+                    columns, kept = self.columns(name), metadata.indexes.values()
+                    for left in [c for c in columns if c.startswith(SHADOW) and c not in kept]:
+                        del columns[left]
+                    self._create(metadata, columns, lock)
+            self.drop(tables, lock)
+        self.tables(fresh=True)
+        return [*tables, *{old for m in tables.values() for old in m.replaces}.difference(tables)]
+
+    def drop(self, tables: Iterable[str], lock: SchemaLock) -> None:
+        """Drop some tables, under the lock."""
+        for table in tables:
+            for name in (table, chunk_table_name(table)):
+                lock.change(
+                    f"DROP TABLE IF EXISTS {self.qualified(name)}",
+                    what=f"dropping table {name}",
+                )
+            self._cassandra.forget(table)
+
+
+def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
+    """Return the options of a table for CQL; its rows stay ttl + margin seconds, 0 = for ever."""
+    enabled = "" if merged else ", 'enabled': 'false'"
+    if not ttl:
+        return (
+            "compaction = {'class': 'UnifiedCompactionStrategy', 'scaling_parameters': 'T4'"
+            f"{enabled}}} AND default_time_to_live = 0"
+        )
+    minutes = max(1, ttl // _WINDOWS // 60)
+    return (
+        "compaction = {'class': 'TimeWindowCompactionStrategy', "
+        f"'compaction_window_unit': 'MINUTES', 'compaction_window_size': {minutes}{enabled}}} "
+        f"AND default_time_to_live = {ttl + margin} AND gc_grace_seconds = 10800"
+    )
+
+
+def _own_columns(metadata: TopicMetadata) -> dict[str, str]:
+    """Return the columns that the table of a topic has in every format: name → CQL type."""
+    partition = metadata.partition
+    return {
+        **{"_node": "text", partition: KEY_TYPES[partition], "_t": "bigint", "_seq": "bigint"},
+        **OWN_COLUMNS,
+        **metadata.received_columns,
+    }

@@ -1,0 +1,74 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cr_sent: what an MCAP says of its messages beside what a row holds.
+
+That is when each was sent, where that was not when it was received, and its sequence number. Both
+are kept by the place of the message in its file, STRIPE messages a row, only where there is some.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import zstandard
+from numpy.typing import NDArray
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.tables.side_tables import SideTables
+
+STRIPE = 4096
+_TABLE = "cr_sent"
+_NUMBER = np.dtype("<i8")
+_BYTES = 2 * STRIPE * _NUMBER.itemsize
+Longs = NDArray[np.int64]
+
+
+class Sent(NamedTuple):
+    """Of STRIPE consecutive messages."""
+
+    delays: Longs
+    """publish_time minus log_time of each, ns."""
+    sequences: Longs
+
+
+class SentTimes:
+    """Reads and writes them in one keyspace."""
+
+    def __init__(self, side_tables: SideTables) -> None:
+        self._tables = side_tables
+
+    def any(self) -> bool:
+        """Say whether there may be some."""
+        return self._tables.has(_TABLE)
+
+    def put(self, writer: int, node: str, stripe: int, sent: Sent) -> None:
+        """Store those of the messages from number ``stripe * STRIPE`` on of an import."""
+        self._tables.make(_TABLE)
+        # Differences, and like bytes side by side: running numbers become nothing.
+        columns = np.array([sent.delays, np.diff(sent.sequences, prepend=0)], _NUMBER)
+        raw = columns.view(np.uint8).reshape(-1, _NUMBER.itemsize).T.tobytes()
+        row = {"writer": writer, "node": node, "stripe": stripe, "sent": zstandard.compress(raw)}
+        self._tables.insert(_TABLE, row, "storing when messages were sent")
+
+    def get(self, writer: int, node: str, stripe: int) -> Sent | None:
+        """Read them back; None = nothing is known of these messages.
+
+        Raises:
+            CorruptMessage: put did not write what is stored.
+        """
+        where, key = "writer = ? AND node = ? AND stripe = ?", (writer, node, stripe)
+        what = "reading when messages were sent"
+        rows = self._tables.select(_TABLE, "sent", where, key, what=what)
+        if not rows:
+            return None
+        try:
+            raw = zstandard.ZstdDecompressor().decompress(rows[0][0], _BYTES)
+            columns = np.frombuffer(raw, np.uint8).reshape(_NUMBER.itemsize, -1).T.copy()
+            delays, steps = columns.view(_NUMBER).reshape(2, STRIPE)
+        except (zstandard.ZstdError, ValueError, MemoryError) as exc:
+            raise CorruptMessage(
+                f"when messages of run {writer} were sent cannot be read: row {stripe} of {_TABLE} "
+                f"is damaged ({exc}); import the file again"
+            ) from exc
+        return Sent(delays, np.cumsum(steps))

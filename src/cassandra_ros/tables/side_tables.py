@@ -1,0 +1,361 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keyspaces, the tables that stand beside the topics' own in each of them, and the schema lock.
+
+``IF NOT EXISTS`` on two coordinators gives the union of the columns, and two ALTERs can lose a
+comment: Cassandra 4 and 5 change the schema without consensus. So every DDL statement is sent
+by the holder of a row in ``cr_lock``, taken with a lightweight transaction.
+"""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import re
+import threading
+import time
+import uuid
+from typing import Mapping, Sequence
+
+from cassandra_ros.connection.cassandra import Cassandra, CqlRow
+from cassandra_ros.connection.cql_names import qualified, quote_name, quote_text
+from cassandra_ros.connection.paging import RETRY_SEC, Seconds
+from cassandra_ros.errors import (
+    CassandraRosError,
+    InvalidName,
+    KeyspaceNotFound,
+    SchemaConflict,
+    StoreUnavailable,
+)
+
+_log = logging.getLogger(__name__)
+
+LOCK_TTL_SEC = 120
+WAIT_SEC = 150.0
+_TRIES = 8
+_SCHEMA = "schema"
+_LOCK = "cr_lock"
+_LOCK_COLUMNS = "name text PRIMARY KEY, owner uuid"
+
+SIDE_TABLES = {
+    # Connection headers: the definition is cut out of the header and its place kept.
+    "cr_connection": (
+        "tbl text, conn bigint, topic text, number int, header blob, def_offset int, "
+        "md5sum text, def_hash blob, PRIMARY KEY ((tbl, conn))"
+    ),
+    # md5sum does not tell one text from another (comments), so the hash of the text does.
+    "cr_definition": "md5sum text, hash blob, text blob, PRIMARY KEY ((md5sum, hash))",
+    # Directory: which (slot, node) a table has, and every bucket of each of them by writer.
+    "cr_node": "tbl text, slot bigint, node text, PRIMARY KEY ((tbl), slot, node)",
+    "cr_bucket": (
+        "tbl text, node text, slot bigint, bucket bigint, writer bigint, state text, "
+        "heartbeat timestamp, n bigint, bytes bigint, largest bigint, t_min bigint, "
+        "t_max bigint, odd bigint, deleted boolean, filled frozen<set<text>>, "
+        "PRIMARY KEY ((tbl, node, slot), bucket, writer)"
+    ),
+    # Each recording or import; its writer id is the upper half of the _seq of its rows.
+    "cr_run": (
+        "node text, writer bigint, kind text, name text, source text, format text, "
+        "host text, started timestamp, ended timestamp, labels frozen<map<text, text>>, "
+        "stored frozen<map<text, bigint>>, lost frozen<map<text, bigint>>, "
+        "PRIMARY KEY ((writer), node)"
+    ),
+}
+LATER_TABLES = {
+    # Keyspaces of earlier releases lack these, and many never need them: each is made by what
+    # first writes to it. What could not be recorded, beside the data:
+    "cr_loss": (
+        "topic text, node text, writer bigint, kind text, first bigint, last bigint, n bigint, "
+        "PRIMARY KEY ((topic), node, writer, kind, first)"
+    ),
+    # Parameters and node graph at the start of a run, and when it was last seen alive.
+    "cr_context": (
+        "writer bigint, node text, heartbeat timestamp, interrupted timestamp, context blob, "
+        "PRIMARY KEY ((writer), node)"
+    ),
+    # When messages of an MCAP were sent, and their sequence numbers; see tables/sent_times.py.
+    "cr_sent": (
+        "writer bigint, node text, stripe bigint, sent blob, PRIMARY KEY ((writer, node), stripe)"
+    ),
+    # When robots were in which squares of the ground, and of which of their poses that is noted;
+    # see tables/place_index.py.
+    "cr_place": (
+        "frame text, robot text, size int, x int, y int, node text, t_in bigint, writer bigint, "
+        "t_out bigint, PRIMARY KEY ((frame, robot, size, x, y), node, t_in, writer)"
+    ),
+    "cr_placed": (
+        "tbl text, node text, writer bigint, robot text, low bigint, high bigint, "
+        "frames frozen<set<text>>, above frozen<map<text, text>>, "
+        "PRIMARY KEY ((tbl), node, writer, robot)"
+    ),
+}
+_COMMENT = "cassandra_ros side table, schema version 1"
+
+
+class SchemaLock:
+    """Context manager that holds the schema lock; raises SchemaConflict after waiting for 150 s."""
+
+    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+        self._cassandra = cassandra
+        self._table = qualified(keyspace, _LOCK)
+        self._owner = uuid.uuid4()
+
+    def __enter__(self) -> SchemaLock:
+        deadline = time.monotonic() + WAIT_SEC
+        pause = 0.02
+        while not self._take():
+            if time.monotonic() > deadline:
+                raise SchemaConflict(
+                    f"another client holds the schema lock in {self._table} for over "
+                    f"{WAIT_SEC:.0f} s; try again when it has finished"
+                )
+            time.sleep(pause)
+            pause = min(pause * 1.5, 0.5)
+        return self
+
+    def __exit__(self, failure: object, *exc_info: object) -> None:
+        try:
+            self._lwt(
+                f"DELETE FROM {self._table} WHERE name = ? IF owner = ?", (_SCHEMA, self._owner)
+            )
+        except CassandraRosError as exc:
+            if failure is None:
+                raise
+            # What went wrong under the lock says more.
+            _log.warning("the schema lock runs out by itself within %d s: %s", LOCK_TTL_SEC, exc)
+
+    def _take(self) -> bool:
+        applied, owner = self._lwt(
+            f"INSERT INTO {self._table} (name, owner) VALUES (?, ?) IF NOT EXISTS "
+            f"USING TTL {LOCK_TTL_SEC}",
+            (_SCHEMA, self._owner),
+        )
+        # A first try that timed out on its way back may have taken it.
+        return applied or owner == self._owner
+
+    def change(self, cql: str, *, what: str) -> None:
+        """Run one DDL statement, as schema_change does, while the lock is ours.
+
+        Raises:
+            SchemaConflict: The lock ran out and somebody else may be changing the schema.
+        """
+        self.renew()
+        self._cassandra.schema_change(cql, what=what)
+
+    def renew(self) -> None:
+        """Prove that the lock is still ours and start its time anew; raises as change does."""
+        applied, _ = self._lwt(
+            f"UPDATE {self._table} USING TTL {LOCK_TTL_SEC} SET owner = ? WHERE name = ? "
+            "IF owner = ?",
+            (self._owner, _SCHEMA, self._owner),
+        )
+        if not applied:
+            raise SchemaConflict(
+                f"the schema lock in {self._table} ran out while it was held; try again"
+            )
+
+    def _lwt(self, cql: str, params: tuple[object, ...]) -> tuple[bool, object]:
+        # Under contention a transaction may time out with its outcome unknown. All three of ours
+        # name the owner, so asking again is safe.
+        for left in reversed(range(_TRIES)):
+            try:
+                row = self._cassandra.execute_once(cql, params, what="taking the schema lock")[0]
+                # [applied] and, where refused, the columns of the row that stands in the way.
+                return bool(row[0]), row[-1] if len(row) > 1 else None
+            except StoreUnavailable as exc:
+                if not left:
+                    raise
+                _log.debug("%s; asking again", exc)
+                time.sleep(0.2)
+        raise AssertionError("the loop above returns or raises")
+
+
+class SideTables:
+    """The side tables of one keyspace, and the keyspace itself, which need not exist.
+
+    Who writes makes them before; to who only reads a missing table is an empty one. Thread-safe.
+
+    Raises:
+        InvalidName: The name is not 1 to 48 letters, digits and underscores.
+    """
+
+    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+        if not isinstance(keyspace, str) or not re.match(r"[A-Za-z0-9_]{1,48}\Z", keyspace):
+            raise InvalidName(
+                f"{keyspace!r} is not a keyspace name: use 1 to 48 letters, digits and underscores"
+            )
+        self._cassandra = cassandra
+        self.keyspace = keyspace
+        self.retry_sec: Seconds = RETRY_SEC
+        """How long one request is tried."""
+        self._there: frozenset[str] = frozenset()
+        self._keyspace_made = self._made = False
+        self._mutex = threading.Lock()
+
+    def has(self, name: str) -> bool:
+        """Say whether a table exists; the server is asked until it does."""
+        if name not in self._there:
+            self._there = self._list()
+        return name in self._there
+
+    def select(
+        self, table: str, names: str, where: str = "", params: Sequence[object] = (), *, what: str
+    ) -> list[CqlRow]:
+        """Read columns of the rows of a table for which a condition holds; '' = of all."""
+        if not self.has(table):
+            return []
+        condition = f" WHERE {where}" if where else ""
+        return self._run(f"SELECT {names} FROM {self.qualified(table)}{condition}", params, what)
+
+    def insert(
+        self,
+        table: str,
+        columns: Mapping[str, object],
+        what: str,
+        *,
+        now: Sequence[str] = (),
+        ttl: int = 0,
+    ) -> None:
+        """Write a row, for ttl seconds, 0 = ever; of some columns the server fills in the time."""
+        names = ", ".join([*columns, *now])
+        marks = ", ".join(["?"] * len(columns) + ["toTimestamp(now())"] * len(now))
+        cql = f"INSERT INTO {self.qualified(table)} ({names}) VALUES ({marks}) USING TTL ?"
+        self._run(cql, (*columns.values(), ttl), what)
+
+    def insert_many(
+        self, table: str, names: Sequence[str], rows: Sequence[CqlRow], what: str, *, ttl: int = 0
+    ) -> None:
+        """Write rows with these columns, for ttl seconds, 0 = ever."""
+        marks = ", ".join("?" for _ in names)
+        cql = (
+            f"INSERT INTO {self.qualified(table)} ({', '.join(names)}) VALUES ({marks}) USING TTL ?"
+        )
+        values = [(*row, ttl) for row in rows]
+        self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
+
+    def select_many(
+        self, table: str, names: str, where: str, params: Sequence[CqlRow], what: str
+    ) -> list[list[CqlRow]]:
+        """Read columns of the rows for which a condition holds, with each of some parameters."""
+        if not self.has(table):
+            return []
+        cql = f"SELECT {names} FROM {self.qualified(table)} WHERE {where}"
+        return self._cassandra.execute_many(cql, params, what=what, retry_sec=self.retry_sec)
+
+    def delete(self, table: str, key: Sequence[str], values: Sequence[CqlRow], what: str) -> None:
+        """Delete the rows in which the columns of a key have one of some values."""
+        where = " AND ".join(f"{name} = ?" for name in key)
+        cql = f"DELETE FROM {self.qualified(table)} WHERE {where}"
+        self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
+
+    def qualified(self, table: str) -> str:
+        """Return the quoted name of a table with its keyspace."""
+        return qualified(self.keyspace, table)
+
+    def _run(self, cql: str, params: Sequence[object], what: str) -> list[CqlRow]:
+        return self._cassandra.execute(cql, params, what=what, retry_sec=self.retry_sec)
+
+    def absence(self) -> str:
+        """Return a sentence where the keyspace is missing, with the nearest names; else ''."""
+        rows = self._cassandra.execute(
+            "SELECT keyspace_name FROM system_schema.keyspaces", what="listing the keyspaces"
+        )
+        names = sorted(name for (name,) in rows if not name.startswith("system"))
+        if self.keyspace in names:
+            return ""
+        near = difflib.get_close_matches(self.keyspace, names, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else "give the name of another,"
+        where = f"{','.join(self._cassandra.hosts)}:{self._cassandra.port}"
+        return (
+            f"there is no keyspace {self.keyspace!r} at {where}; {hint} or make it: by a "
+            f"recording, an import, or connectToKeyspace({self.keyspace!r})"
+        )
+
+    def require_keyspace(self) -> None:
+        """Check that the keyspace exists; else KeyspaceNotFound gives the nearest names."""
+        absence = self.absence()
+        if absence:
+            raise KeyspaceNotFound(absence)
+
+    def make_keyspace(self) -> None:
+        """Make the keyspace with min(3, nodes) copies; warn where an existing one has fewer."""
+        if self._keyspace_made:
+            return
+        wanted = min(3, self._cassandra.live_nodes())
+        rows = self._cassandra.system_schema("keyspaces", "replication", self.keyspace)
+        if rows:
+            _warn_of_factor(self.keyspace, rows[0][0], wanted)
+        else:
+            datacenter = quote_text(self._cassandra.local_datacenter())
+            if wanted > 1:
+                _log.warning(
+                    "making keyspace %s: %d nodes have to agree on it and on each of its tables, "
+                    "which may take up to a minute",
+                    self.keyspace,
+                    self._cassandra.live_nodes(),
+                )
+            self._cassandra.schema_change(
+                f"CREATE KEYSPACE IF NOT EXISTS {quote_name(self.keyspace)} WITH replication = "
+                f"{{'class': 'NetworkTopologyStrategy', {datacenter}: {wanted}}}",
+                what=f"making keyspace {self.keyspace}",
+            )
+        self._keyspace_made = True
+
+    def change_rights(self, statement: str) -> None:
+        """Run a statement that makes a role or gives it a right; it changes no schema."""
+        self._cassandra.execute_text(statement, what=statement)
+
+    def make(self, *later: str) -> None:
+        """Make the keyspace and the tables where they are missing; before the first write.
+
+        Args:
+            later: Which of LATER_TABLES are about to be written, too.
+        """
+        with self._mutex:
+            if self._made and self._there.issuperset(later):
+                return
+            self.make_keyspace()
+            wanted = {**SIDE_TABLES, **{name: LATER_TABLES[name] for name in later}}
+            there = self._list()
+            if _LOCK not in there:
+                self._make_lock_table()
+            if not there.issuperset(wanted):
+                with SchemaLock(self._cassandra, self.keyspace) as lock:
+                    for name in sorted(set(wanted) - self._list()):
+                        lock.change(
+                            f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
+                            f"({wanted[name]}) WITH comment = {quote_text(_COMMENT)}",
+                            what=f"making table {name}",
+                        )
+                self._there = self._list()
+            else:
+                self._there = there
+            self._made = True
+
+    def _make_lock_table(self) -> None:
+        # The lock cannot guard its own making. A fixed id lets racing clients make the same table,
+        # and its columns never change; it is never dropped while the keyspace stands.
+        table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{self.keyspace}/{_LOCK}")
+        self._cassandra.schema_change(
+            f"CREATE TABLE IF NOT EXISTS {self.qualified(_LOCK)} ({_LOCK_COLUMNS}) "
+            f"WITH id = {table_id} AND gc_grace_seconds = 3600",
+            what=f"making table {_LOCK}",
+        )
+
+    def _list(self) -> frozenset[str]:
+        # Whoever asks for a table is about to use the keyspace.
+        self._cassandra.use_keyspace(self.keyspace)
+        rows = self._cassandra.system_schema("tables", "table_name", self.keyspace)
+        return frozenset(name for (name,) in rows)
+
+
+def _warn_of_factor(keyspace: str, replication: Mapping[str, str], wanted: int) -> None:
+    factors = [int(v) for k, v in replication.items() if k != "class" and str(v).isdigit()]
+    if factors and min(factors) < wanted:
+        _log.warning(
+            "keyspace %s keeps %d copies of each row where this cluster could keep %d; "
+            "a lost node loses data: ALTER KEYSPACE … WITH replication, then repair",
+            keyspace,
+            min(factors),
+            wanted,
+        )

@@ -1,0 +1,366 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows of a topic by its keys and conditions: found, walked through, counted, removed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import islice
+from numbers import Integral
+from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
+
+from cassandra_ros.arguments import check_limit, check_message_name
+from cassandra_ros.arrays.gather import ReadBlocks, ReadRows
+from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
+from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
+from cassandra_ros.messages.key_part import KeyPart
+from cassandra_ros.messages.stamps import (
+    SECONDS_BELOW,
+    Stamp,
+    Time,
+    is_iso_text,
+    is_time,
+    iso_time,
+    to_ns,
+)
+from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.run import Condition
+from cassandra_ros.query.source import Source, Writers
+from cassandra_ros.topics.key_selection import (
+    EVERYBODY,
+    LAST_NS,
+    AnyKey,
+    Named,
+    Selection,
+    Stretch,
+    Valued,
+    Whose,
+)
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.removal import delete_rows, delete_stretch
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_totals import count_rows
+from cassandra_ros.topics.topic_table import TopicTable
+
+NEAREST = ("before", "after", "either")
+_NEAR_NS = 256
+"""Nanoseconds that a time of today may lose on its way through a float."""
+
+
+def _is_ours(key: AnyKey) -> bool:
+    """Say whether the store gave a key: of one message."""
+    return isinstance(key, (RowName, Stamp)) and bool(key.table)
+
+
+@dataclass(frozen=True)
+class Finder:
+    """Finds the rows of one topic that keys mean."""
+
+    keyspace: Keyspace
+    topic: str
+    """Its name."""
+    key_format: str
+    tables: Sequence[TopicTable]
+    whose: Whose = EVERYBODY
+    where: Optional[Filter] = None
+    """Only messages that pass it; None = all."""
+
+    def many(
+        self, key: AnyKey, to_key: AnyKey, *, limit: Optional[int] = None, reverse: bool = False
+    ) -> Iterator[StoredRow]:
+        """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
+        limit = check_limit(limit)
+        rows = self._select(self.several(key, to_key), reverse=reverse, few=limit)
+        return islice(rows, limit)
+
+    def _select(
+        self,
+        wanted: Selection,
+        *,
+        reverse: bool = False,
+        bare: bool = False,
+        few: Optional[int] = None,
+    ) -> Iterator[StoredRow]:
+        """Walk through what is meant; few: so many are probably taken, None = all."""
+        if self.where is not None and isinstance(wanted, Stretch):
+            return self.where.rows(wanted, reverse=reverse, bare=bare, wanted=few)
+        rows = self.keyspace.rows.select(self.tables, wanted, self.whose, reverse, few)
+        return rows if self.where is None else filter(self.where.test, rows)
+
+    def columns(
+        self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
+    ) -> Iterator[StoredRow]:
+        """Walk through the rows of ``many``; of a stretch of time only these columns are read."""
+        wanted = self.several(key, to_key)
+        if self.where is not None or not isinstance(wanted, Stretch):
+            return self._select(wanted)
+        return self.keyspace.rows.read(self.tables, wanted, whose=self.whose, columns=columns)
+
+    def reads(self, key: AnyKey, to_key: AnyKey) -> Tuple[ReadRows, Optional[ReadBlocks]]:
+        """Return how the rows of ``many`` are read for arrays: one by one, or (None) as blocks."""
+        wanted, blocks = self.several(key, to_key), None
+        if self.where is None and isinstance(wanted, Stretch):
+            blocks = partial(self.keyspace.rows.blocks, self.tables, wanted, whose=self.whose)
+        return partial(self.columns, key, to_key), blocks
+
+    def count(self, key: AnyKey, to_key: AnyKey) -> int:
+        """Count the rows of ``many``, of a whole stretch of time without reading them."""
+        wanted = self.several(key, to_key)
+        if isinstance(wanted, Stretch) and self.where is None:
+            return count_rows(self.keyspace.directory, self.tables, *wanted, self.whose)
+        return sum(1 for _ in self._select(wanted, bare=True))
+
+    def remove(self, key: AnyKey, to_key: AnyKey) -> int:
+        """Delete the rows at key, or those of ``many``; see CassandraTopic.removeData."""
+        if key is None and to_key is None and self.where is None and self.whose.writers is None:
+            raise InvalidKey(
+                "removeData needs a key (and to_key for a stretch of time), where= or run=; "
+                f"truncateTopic removes all messages of topic {self.topic}"
+            )
+        if key is None or to_key is not None:
+            return self._remove(self.several(key, to_key))
+        if _is_ours(key):
+            # It and no other of the same time, whosever that is.
+            row = self._exact(key, self._table_of(key)) if self.whose.has(key) else None
+            count = 0 if row is None else delete_rows(self.keyspace, [row])
+        else:
+            count = self._remove(self.one(key))
+        if not count:
+            raise MessageNotFound(self.absent(key, None))
+        return count
+
+    def _remove(self, wanted: Selection) -> int:
+        if isinstance(wanted, Stretch) and self.where is None and not self._named:
+            return delete_stretch(self.keyspace, self.tables, *wanted, self.whose)
+        return delete_rows(self.keyspace, self._select(wanted, bare=True))
+
+    def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
+        """Find the one row that getData means by a key; None where there is none."""
+        if nearest is not None:
+            return self._near(key, nearest)
+        table = self._table_of(key) if self._is_exact(key) else None
+        if table is not None:
+            return self._exact(key, table)
+        wanted = self.one(key)
+        if isinstance(wanted, Stretch):
+            return self._at(wanted.low)
+        newest = isinstance(wanted, Named)  # of several versions; of equal values the first
+        return next(self._select(wanted, reverse=newest), None)
+
+    def _at(self, t: int) -> Optional[StoredRow]:
+        """Find the row at a time, ns: of several the first in the order of all reads."""
+        if self.where is None:
+            return self.keyspace.rows.at(self.tables, t, self.whose)
+        return next(self._select(Stretch(t, t), few=1), None)
+
+    def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
+        """Return the table in which a key of ours lies; None where it is gone."""
+        table = self.keyspace.tables.holding(key.table)
+        return table if table is not None and table.metadata.topic == self.topic else None
+
+    def _exact(self, key: AnyKey, table: Optional[TopicTable]) -> Optional[StoredRow]:
+        row = None if table is None else self.keyspace.rows.exact(table, key)
+        passes = row is None or self.where is None or self.where.test(row)
+        return row if passes else None
+
+    def _is_exact(self, key: AnyKey) -> bool:
+        """Say whether a key is one that the store gave: it knows its row."""
+        return _is_ours(key) and self.whose.has(key)
+
+    def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
+        if nearest not in NEAREST:
+            raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
+        wanted = self.one(key)
+        if not isinstance(wanted, Stretch):
+            kind = "names" if isinstance(wanted, Named) else "values of a field"
+            raise InvalidKey(
+                f"the keys of topic {self.topic} are {kind}, which have no order: none is "
+                "nearest; leave nearest out"
+            )
+        refuse_seconds(self.keyspace, self.tables, key)
+        return self._nearest(wanted.low, nearest)
+
+    def _nearest(self, t: int, nearest: str) -> Optional[StoredRow]:
+        ways = {"before": [True], "after": [False], "either": [True, False]}[nearest]
+        if self.where is None:
+            near = self.keyspace.rows.beside(self.tables, t, self.whose, ways)
+            if near is not None:
+                return min(near, key=lambda row: abs(row.t - t))
+        before = after = None
+        low = 0
+        if nearest != "before":
+            after = next(self._select(Stretch(t, LAST_NS), few=1), None)
+            if after is not None and nearest == "either":
+                low = max(0, t - (after.t - t))  # what lies before that is further away
+        if nearest != "after":
+            for row in self._select(Stretch(low, t), reverse=True, few=2):
+                if before is not None and row.t != before.t:
+                    break
+                before = row  # backwards the last of equal stamps comes first
+        return before or after
+
+    def absent(self, key: AnyKey, nearest: Optional[str]) -> str:
+        """Say that there is no message at a key, what lies near, and what was probably meant."""
+        wanted = self.one(key)
+        none = f"topic {self.topic} has no message"
+        if self.whose.nodes is not None:
+            none += f" of node {self.whose.nodes[0]}"
+        if self.whose.writers is not None:
+            none += " of this run"
+        if self.where is not None:
+            none += f" that satisfies {self.where.text!r:.200}"
+        if isinstance(wanted, Named):
+            name = str(key)[:80]
+            return f"{none} under the name {name!r}; items() lists the names that there are"
+        if not isinstance(wanted, Stretch):
+            return f"{none} whose key field is {key!r:.80}"
+        t = wanted.low
+        none += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
+        if isinstance(key, int) and 0 < t < SECONDS_BELOW:
+            return none + "; integers are nanoseconds; did you mean seconds (a float)?"
+        # The nearest that satisfies a condition may be far, and long to look for.
+        look = nearest is None and self.where is None
+        near = self._nearest(t, "either") if look else None
+        if near is None:
+            return none
+        if abs(near.t - t) > _NEAR_NS:
+            return none + f"; the nearest lies at {iso_time(near.t)} ({near.t} ns)"
+        secs, nsecs = divmod(near.t, SECOND_NS)
+        return none + (
+            f"; one lies {abs(near.t - t)} ns away: write the time as "
+            f"{{secs: {secs}, nsecs: {nsecs}}}, for a number goes through a float"
+        )
+
+    @property
+    def _named(self) -> bool:
+        return self.key_format in NAMED_FORMATS
+
+    @cached_property
+    def _parts(self) -> List[KeyPart]:
+        return [t.value_part for t in self.tables if t.value_part is not None]
+
+    def several(self, key: AnyKey, to_key: AnyKey) -> Selection:
+        """Say what key and to_key mean as the ends of a stretch, or what key alone means."""
+        if key is None and to_key is None:
+            return Stretch()
+        if self._named and to_key is not None:
+            raise InvalidKey(
+                f"messages of topic {self.topic} are kept under names (key_format "
+                f"{self.key_format}), and names have no order: there is no stretch between two of "
+                "them; give one key, or none for all"
+            )
+        if to_key is None and (self._named or self._is_value(key)):
+            return self.one(key)
+        if self._is_value(key) or self._is_value(to_key):
+            raise InvalidKey(
+                f"the key of topic {self.topic} is its field {self._parts[0].field}, and its "
+                "messages lie in the order of time: a stretch goes from one genpy.Time to "
+                "another; ask for a range of values with executeCQL"
+            )
+        return stretch_between(self.keyspace, self.tables, key, to_key)
+
+    def one(self, key: AnyKey) -> Selection:
+        """Say what a single key means: one time, one name, or one value."""
+        if self._named:
+            return Named(check_message_name(self.topic, key))
+        if self._is_value(key):
+            return Valued(key)
+        t = to_ns(key)
+        return Stretch(t, t)
+
+    def _is_value(self, key: AnyKey) -> bool:
+        return bool(self._parts) and key is not None and not is_time(key)
+
+    def of_text(self, text: str) -> AnyKey:
+        """Read a key that a person typed; see CassandraTopic.keyOfText."""
+        if self._named or any(table.named for table in self.tables):
+            return text
+        if self._parts:
+            return Stamp.from_ns(to_ns(text)) if is_iso_text(text) else self._value(text)
+        text = text.strip()
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
+
+    def _value(self, text: str) -> AnyKey:
+        """Read a value as the first table that can takes it: texts last, they take anything."""
+        problem: Optional[InvalidKey] = None
+        for part in sorted(self._parts, key=lambda part: part.is_text):
+            try:
+                return part.from_text(text)
+            except InvalidKey as exc:
+                problem = problem or exc
+        raise problem or InvalidKey(f"{text!r:.80} is no key")
+
+
+def seconds_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:
+    """Say why a key in nanoseconds was meant in seconds; '' where it was not, or nobody knows."""
+    if not isinstance(key, Integral) or not 0 < int(key) < SECONDS_BELOW:
+        return ""
+    timed = [table for table in tables if not table.named]
+    first = next(keyspace.rows.read(timed, Stretch(), wanted=1), None)
+    if first is None or first.t < SECONDS_BELOW:  # the times of a simulation are small
+        return ""
+    return (
+        f"{key} means nanoseconds since 1970, long before the first message of topic "
+        f"{first.topic}; seconds are written {key}.0"
+    )
+
+
+def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
+    """Raise InvalidKey for ints that were meant as seconds: they find everything, or nothing."""
+    for key in keys:
+        reason = seconds_meant(keyspace, tables, key)
+        if reason:
+            raise InvalidKey(reason)
+
+
+def stretch_between(
+    keyspace: Keyspace, tables: Sequence[TopicTable], key: Optional[Time], to_key: Optional[Time]
+) -> Stretch:
+    """Return the stretch of some tables between two times, None = open; refuses seconds."""
+    stretch = Stretch.between(key, to_key)
+    refuse_seconds(keyspace, tables, key, to_key)
+    return stretch
+
+
+Where = Union[str, Tuple[str, Sequence[Any]]]
+"""A condition: what stands behind WHERE in CQL, or that and the values of its ``?``."""
+
+
+class Filter:
+    """The rows of one topic that satisfy a condition.
+
+    Attributes:
+        text: The condition as it was given.
+        test: Tells whether a row of the topic satisfies it, whatever its node.
+    """
+
+    def __init__(
+        self,
+        topic: Source[StoredRow],
+        where: Where,
+        node: Optional[str] = None,
+        run: Writers = None,
+    ) -> None:
+        given = (where, ()) if isinstance(where, str) else where
+        pair = isinstance(given, (tuple, list)) and len(given) == 2
+        if not (pair and isinstance(given[0], str)):
+            wanted = "where= takes a condition as text, or a pair (text, parameters)"
+            raise InvalidQuery(repr(where)[:200], 0, wanted)
+        self.text, params = given
+        self._topic = topic
+        self._condition = Condition(self.text, params, node, run)
+        self.test = self._condition.test(topic.tables)
+
+    def rows(
+        self,
+        stretch: Stretch,
+        *,
+        reverse: bool = False,
+        bare: bool = False,
+        wanted: Optional[int] = None,
+    ) -> Iterator[StoredRow]:
+        """Walk through those in a stretch, in order of time; see Condition.rows."""
+        low, high = stretch
+        rows = self._condition.rows
+        return rows(self._topic, low, high, reverse=reverse, bare=bare, wanted=wanted)

@@ -1,0 +1,143 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The recordings and imports of a keyspace: found by name, what they lost, how they began."""
+
+from __future__ import annotations
+
+import difflib
+import threading
+import time
+from datetime import datetime
+from typing import Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
+
+from cassandra_ros.arguments import check_run
+from cassandra_ros.errors import RunNotFound
+from cassandra_ros.keys import MAX_WRITER
+from cassandra_ros.tables.context_blob import RunContext
+from cassandra_ros.tables.registry import Loss, Registry, Run
+from cassandra_ros.topics.key_selection import Stretch, Whose, spellings
+
+Writers = Optional[FrozenSet[int]]
+"""Writer ids whose messages are meant; None = all."""
+RunName = Union[None, str, int, FrozenSet[int]]
+"""A run's name, or its writer id as a number or text; writer ids that were found already; None =
+all runs."""
+FRESH_SEC = 5.0
+"""So long it is not looked again what a writer's run is called."""
+
+
+class Runs:
+    """Finds the runs of one keyspace. Thread-safe.
+
+    Args:
+        keyspace: Its name.
+        has_written: Says whether messages of a writer id are stored: clients without a run have
+            one, too.
+    """
+
+    def __init__(
+        self, keyspace: str, registry: Registry, has_written: Callable[[int], bool]
+    ) -> None:
+        self._name = keyspace
+        self._registry = registry
+        self._has_written = has_written
+        self._texts: Dict[int, Tuple[str, float]] = {}
+        """By writer, and until when it holds."""
+        self._mutex = threading.Lock()
+
+    def find(self, run: Union[str, int]) -> list[Run]:
+        """Find the runs of a name, or those of a writer id; the newest first.
+
+        Raises:
+            RunNotFound: There is none; the text gives the nearest names.
+            InvalidName: It is no text, and no writer id.
+        """
+        found = self._known(check_run(run))
+        if not found:
+            raise RunNotFound(self._absent(run))
+        return found
+
+    def _known(self, run: RunName) -> list[Run]:
+        every = sorted(self._registry.runs(), key=_began, reverse=True)
+        found = [each for each in every if each.name == run and run]
+        return found or [each for each in every if str(each.writer) == str(run)]
+
+    def writers(self, run: RunName) -> Writers:
+        """Return the writer ids of a run, or of all of its name; raises as find does."""
+        if run is None or isinstance(run, frozenset):
+            return run
+        found = frozenset(each.writer for each in self._known(check_run(run)))
+        writer = _writer(str(run))
+        if not found and writer is not None and self._has_written(writer):
+            found = frozenset([writer])
+        if not found:
+            raise RunNotFound(self._absent(run))
+        return found
+
+    def called(self, text: str) -> FrozenSet[int]:
+        """Return the writer ids of which ``text`` says so."""
+        with self._mutex:
+            every = self._learn()  # what is then said of single rows agrees with this
+        found = {writer for writer, known in every.items() if known == text}
+        writer = _writer(text)
+        return frozenset(found if writer is None or writer in every else found | {writer})
+
+    def text(self, writer: int) -> str:
+        """Return the name of a writer's run, or its id where it has no run or that no name."""
+        with self._mutex:
+            text, until = self._texts.get(writer, ("", 0.0))
+            if time.monotonic() > until:
+                text = self._learn().get(writer, str(writer))
+                # A run is noted before its first message: this is none, or of a single client.
+                self._texts[writer] = text, time.monotonic() + FRESH_SEC
+            return text
+
+    def _learn(self) -> Dict[int, str]:
+        """Read what the writers' runs are called; one that is imported again may change it."""
+        found = {each.writer: each.name or str(each.writer) for each in self._registry.runs()}
+        until = time.monotonic() + FRESH_SEC
+        self._texts.update((writer, (text, until)) for writer, text in found.items())
+        return found
+
+    def _absent(self, run: RunName) -> str:
+        every = self._registry.runs()
+        names = sorted({each.name or str(each.writer) for each in every})
+        near = difflib.get_close_matches(str(run), names, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(every)} runs"
+        return f"there is no run {run!r:.80} in keyspace {self._name}; {hint}"
+
+    def nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
+        """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
+        found = [run for run in self._registry.runs() if run.writer in writers]
+        known = {run.writer for run in found} == writers
+        return frozenset(run.node for run in found) if known and writers else None
+
+    def context(self, run: RunName) -> Optional[RunContext]:
+        """Return what stood around a run at its start; None where that was not kept."""
+        for each in self.find("" if run is None or isinstance(run, frozenset) else run):
+            found = self._registry.get_context(each.writer, each.node)
+            if found is not None:
+                return found
+        return None
+
+    def losses(self, topics: Optional[Sequence[str]], stretch: Stretch, whose: Whose) -> list[Loss]:
+        """List losses that touch a stretch of time; of topics None = of all."""
+        if topics is not None:
+            topics = [name for topic in topics for name in spellings(topic)]
+        return [
+            loss
+            for loss in self._registry.losses(topics)
+            if loss.first_ns <= stretch.high and stretch.low <= loss.last_ns
+            if whose.nodes is None or loss.node in whose.nodes
+            if whose.writers is None or loss.writer in whose.writers
+        ]
+
+
+def _began(run: Run) -> datetime:
+    return run.started or datetime.min
+
+
+def _writer(text: str) -> Optional[int]:
+    """Return the writer id that a text is, as ``text`` of a run writes it; None: it is none."""
+    digits = text.isascii() and text.isdigit() and len(text) < 20
+    return int(text) if digits and str(int(text)) == text and 0 < int(text) <= MAX_WRITER else None

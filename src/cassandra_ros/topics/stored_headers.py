@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Connection headers: from the store and into it, each kept once."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from typing import Callable, Container, Iterator
+
+from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.messages.connection_header import Connection, cut_definition, join_definition
+from cassandra_ros.tables.registry import Registry, StoredHeader
+
+MAX_KNOWN = 1024
+
+
+class ConnectionCache:
+    """Stores and reads connection headers once each. Thread-safe."""
+
+    def __init__(self, registry: Registry) -> None:
+        self._registry = registry
+        self.put: Callable[[str, Connection], int] = lru_cache(MAX_KNOWN)(self._store)
+        """Store a connection of a table, by its name, before its first row; return its number."""
+        self.get: Callable[[str, int], Connection] = lru_cache(MAX_KNOWN)(self._read)
+        """Read a connection of a table by its number, or raise CorruptMessage."""
+
+    def _store(self, table: str, connection: Connection) -> int:
+        topic, number, md5sum = connection.topic, connection.number, connection.md5sum
+        conn = _conn(connection)
+        header, offset, definition = cut_definition(connection.header)
+        row = StoredHeader(topic, number, header, offset, md5sum, definition)
+        self._registry.put_header(table, conn, row)
+        return conn
+
+    def has(self, table: str, connection: Connection) -> bool:
+        """Say whether a connection of a table, by its name, is stored."""
+        return self._registry.get_header(table, _conn(connection)) is not None
+
+    def _read(self, table: str, conn: int) -> Connection:
+        row = self._registry.get_header(table, conn)
+        if row is None:
+            raise CorruptMessage(
+                f"connection header {conn} of table {table} is missing: the side tables "
+                "cr_connection and cr_definition were changed by hand; import or record again"
+            )
+        return _joined(row)
+
+    def of_tables(self, tables: Container[str]) -> Iterator[tuple[str, int, Connection]]:
+        """Walk through the connections of some tables, by their names: (table, number, it)."""
+        for table, conn, row in self._registry.headers(tables):
+            yield table, conn, _joined(row)
+
+
+def _conn(connection: Connection) -> int:
+    # Identical headers under two numbers of a bag stay two connections.
+    text = f"{connection.topic}\0{connection.number}\0".encode("utf-8", "surrogateescape")
+    digest = hashlib.md5(text + connection.header).digest()
+    return int.from_bytes(digest[:8], "big", signed=True)
+
+
+def _joined(row: StoredHeader) -> Connection:
+    header = join_definition(row.header, row.def_offset, row.definition)
+    return Connection(row.topic, header, row.number)

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""How much is stored: from the directory where that can be, else counted."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Optional, Sequence
+
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.printable import shown
+from cassandra_ros.store.fetch import list_names
+from cassandra_ros.store.row_counts import count_part, settle
+from cassandra_ros.tables.directory import BucketRow, BucketTotals, Directory
+from cassandra_ros.tables.registry import Loss
+from cassandra_ros.topics.key_selection import EVERYBODY, Whose
+from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.topic_table import TopicTable
+
+
+@dataclass(frozen=True, repr=False)
+class TopicInfo:
+    """What is stored of one topic, in one table, by one node."""
+
+    topic: str
+    type: str
+    md5sum: str
+    format: str
+    node: str
+    count: int
+    bytes: int
+    """Serialised bytes of the messages."""
+    first_ns: Optional[int]
+    last_ns: Optional[int]
+    odd: int
+    """Messages with a field that is not held exactly in its column."""
+    buckets: int
+    """Stretches of time, or names."""
+    bucket_ns: int
+    ttl: int
+    table: str
+    largest_bucket: int
+    """Messages in the fullest bucket, or under one name."""
+    lost: int
+    """Messages of the topic by this node that are known to be lost, whatever their table."""
+    key: str
+    """What finds a message: 'time', 'hash', 'manual', or the field that is the key."""
+    rate_hz: Optional[float]
+    """Mean rate while messages came: gaps of more than a bucket do not count, as between two
+    recordings. None where no bucket holds two of one writer."""
+
+    def __repr__(self) -> str:
+        node = f" of {shown(self.node)}" if self.node else ""
+        text = f"{self.type} in format {self.format}, messages: {self.count}, bytes: {self.bytes}"
+        if self.first_ns is not None and self.last_ns is not None:
+            text += f", from {iso_time(self.first_ns)} to {iso_time(self.last_ns)}"
+        lost = f", lost: {self.lost}" if self.lost else ""
+        return f"<TopicInfo {shown(self.topic)}{node}: {text}{lost}>"
+
+
+def count_rows(
+    directory: Directory, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
+) -> int:
+    """Count rows with t in [low, high]: whole closed buckets by the directory."""
+
+    def count(now: Sequence[TopicTable]) -> int:
+        return sum(_count(directory, table, low, high, whose) for table in now)
+
+    return followed(tables, count)
+
+
+def _count(directory: Directory, table: TopicTable, low: int, high: int, whose: Whose) -> int:
+    if table.named:
+        keys = (k for k in list_names(table, whose.nodes) if whose.wrote(k.position.seq))
+        return sum(low <= key.position.t <= high for key in keys)
+    length, ends = table.metadata.bucket_ns, (table.bucket_of(low), table.bucket_of(high))
+    rows = buckets_of(directory, table, whose, ends)
+    inner = [r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high]
+    edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
+    return sum(row.rows for row in settle(directory, table, inner)) + sum(
+        count_part(table, node, bucket, (low, high), whose.writers) for node, bucket in edges
+    )
+
+
+def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:
+    """Say whether some tables may hold messages of somebody; without reading those."""
+
+    def holds(now: Sequence[TopicTable]) -> bool:
+        timed = (t for t in now if not t.named)
+        names = (key for t in now if t.named for key in list_names(t, whose.nodes))
+        return any(buckets_of(directory, t, whose) for t in timed) or any(
+            whose.wrote(key.position.seq) for key in names
+        )
+
+    return followed(tables, holds)
+
+
+def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
+    """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
+
+    def count(now: Sequence[TopicTable]) -> int:
+        every = ((t.name, row) for t in now for row in buckets_of(directory, t))
+        return len({(name, row.node, row.bucket) for name, row in every})
+
+    return followed(tables, count)
+
+
+def describe(
+    directory: Directory,
+    tables: Sequence[TopicTable],
+    whose: Whose = EVERYBODY,
+    losses: Sequence[Loss] = (),
+) -> list[TopicInfo]:
+    """Describe what is stored, by table and node; counts come from the directory.
+
+    Of a run and a node there are only the tables in which they have messages.
+    """
+    return followed(tables, lambda now: _described(directory, now, whose, losses))
+
+
+def _described(
+    directory: Directory, tables: Sequence[TopicTable], whose: Whose, losses: Sequence[Loss]
+) -> list[TopicInfo]:
+    found: list[TopicInfo] = []
+    lost: Counter[tuple[str, str]] = Counter()
+    for loss in losses:
+        lost[loss.topic, loss.node] += loss.count
+    for table in tables:
+        if table.named:
+            rows = _names_as_buckets(table, whose)
+        else:
+            rows = settle(directory, table, buckets_of(directory, table, whose))
+        nodes = sorted({row.node for row in rows})
+        for node in nodes or [table.metadata.nodeID] * (whose == EVERYBODY):
+            missing = lost[table.metadata.topic, node]
+            found.append(_describe(table, node, [r for r in rows if r.node == node], missing))
+    return found
+
+
+def buckets_of(
+    directory: Directory,
+    table: TopicTable,
+    whose: Whose = EVERYBODY,
+    ends: tuple[int, int] = (-(2**63), 2**63 - 1),
+) -> list[BucketRow]:
+    """List the buckets of a table in which somebody wrote, one row for each writer."""
+    rows = directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
+    return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
+
+
+def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:
+    """Describe the messages of a node under a name as if that were a bucket."""
+    counted: dict[tuple[str, str], BucketTotals] = {}
+    for (t, node, seq, _, name), size, chunked, odd in list_names(table, whose.nodes):
+        if not whose.wrote(seq):
+            continue
+        counted.setdefault((node, name), BucketTotals()).count(t, size, chunked, odd)
+    return [
+        BucketRow(node, number, 0, True, None, age_sec=0.0, **vars(totals))
+        for number, ((node, _), totals) in enumerate(counted.items())
+    ]
+
+
+def _describe(table: TopicTable, node: str, rows: list[BucketRow], lost: int) -> TopicInfo:
+    filled = [row for row in rows if row.rows]
+    metadata = table.metadata
+    by_bucket: Counter[int] = Counter()
+    for row in filled:
+        by_bucket[row.bucket] += row.rows
+    return TopicInfo(
+        topic=metadata.topic,
+        type=metadata.msg_type,
+        md5sum=metadata.md5sum,
+        format=metadata.format,
+        node=node,
+        count=sum(row.rows for row in filled),
+        bytes=sum(row.bytes for row in filled),
+        first_ns=min((row.t_min for row in filled), default=None),
+        last_ns=max((row.t_max for row in filled), default=None),
+        odd=sum(row.odd for row in filled),
+        buckets=len(by_bucket),
+        bucket_ns=metadata.bucket_ns,
+        ttl=metadata.ttl,
+        table=table.name,
+        largest_bucket=max(by_bucket.values(), default=0),
+        lost=lost,
+        key=metadata.key_part or metadata.key_format,
+        rate_hz=_rate(filled),
+    )
+
+
+def _rate(filled: Sequence[BucketRow]) -> Optional[float]:
+    covered_ns = sum(row.t_max - row.t_min for row in filled)
+    return sum(row.rows - 1 for row in filled) * SECOND_NS / covered_ns if covered_ns else None

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""tf2's own buffer, for the maths of one lookup.
+
+Stamps over 2**31 s end the process in tf2_py, and times go through a double on their way, so the
+buffer gets times around a small base: near it a double is exact to the nanosecond.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Callable, Iterable, Optional, Sequence, Type
+
+from geometry_msgs.msg import TransformStamped
+
+from cassandra_ros.errors import (
+    ConnectivityException,
+    ExtrapolationException,
+    LookupException,
+    MissingDependency,
+    TransformException,
+)
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.transforms.transform_samples import Sample
+
+try:
+    import tf2_py
+except ImportError as exc:
+    raise MissingDependency(
+        "transforms are looked up with tf2's own buffer, and tf2_py is not installed: install "
+        "ros-noetic-tf2-py, or python3-tf2 on Debian"
+    ) from exc
+
+REACH_NS = 100_000 * SECOND_NS
+"""No transform is given to tf2 further from the base than this, a day."""
+_BASE_NS = 2 * REACH_NS
+_AUTHORITY = "cassandra_ros"
+_ERRORS = {
+    tf2_py.LookupException: LookupException,
+    tf2_py.ConnectivityException: ConnectivityException,
+    tf2_py.ExtrapolationException: ExtrapolationException,
+}
+
+
+def look_up(
+    target: str,
+    source: str,
+    time: Optional[int],
+    moving: Sequence[Sample],
+    fixed: Iterable[Sample],
+    explain: Callable[[Type[TransformException]], str],
+) -> TransformStamped:
+    """Return the transform that takes points of source to target. Its stamp means nothing.
+
+    Args:
+        time: ns; None = all transforms hold at the time that is looked up.
+        moving: The nearest before and after the time of each frame.
+        fixed: Transforms that hold at every time.
+        explain: Gives the text of an error, for tf2's has other times.
+    """
+    core = tf2_py.BufferCore(Stamp.from_ns(2 * REACH_NS + SECOND_NS) - Stamp.from_ns(0))
+    distances = [0 if time is None else sample.stamp - time for sample in moving]
+    longest: Counter[str] = Counter()
+    for sample, distance in zip(moving, distances):
+        longest[sample.child] = max(longest[sample.child], abs(distance))
+    for sample, distance in zip(moving, distances):
+        near = _BASE_NS + _shortened(distance, longest[sample.child])
+        core.set_transform(_message(sample, near), _AUTHORITY)
+    for sample in fixed:
+        core.set_transform_static(_message(sample, _BASE_NS), _AUTHORITY)
+    try:
+        return core.lookup_transform_core(target, source, Stamp.from_ns(_BASE_NS))
+    except tf2_py.TransformException as exc:
+        kind = _ERRORS.get(type(exc), TransformException)
+        raise kind(explain(kind)) from exc
+
+
+def _shortened(distance: int, longest: int) -> int:
+    """Scale a distance so that the longest one of its frame is within reach."""
+    if longest <= REACH_NS or not distance:
+        return distance
+    # Interpolation asks only how the distances of the two transforms of a frame compare.
+    near = max(1, round(abs(distance) * (REACH_NS / longest)))
+    return near if distance > 0 else -near
+
+
+def _message(sample: Sample, ns: int) -> TransformStamped:
+    message = TransformStamped()
+    message.header.stamp = Stamp.from_ns(ns)
+    message.header.frame_id = sample.parent
+    message.child_frame_id = sample.child
+    moved, turned = message.transform.translation, message.transform.rotation
+    moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w = sample.numbers
+    return message

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Messages of several topics are deleted: of a stretch of time, a robot, a run, by conditions."""
+
+from __future__ import annotations
+
+from typing import Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence
+
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.key_selection import EVERYBODY, Stretch, Whose
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.removal import delete_rows, delete_stretch
+from cassandra_ros.topics.row_finder import Filter
+from cassandra_ros.topics.run_finder import RunName
+from cassandra_ros.topics.run_list import list_runs
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_totals import count_rows
+from cassandra_ros.topics.topic_table import TopicTable
+
+
+def delete_messages(
+    catalog: Catalog,
+    topics: Optional[Iterable[str]],
+    stretch: Stretch,
+    node: Optional[str],
+    run: RunName,
+    where: Conditions,
+    dry_run: bool = False,
+) -> Dict[str, int]:
+    """Delete messages of several topics; see Upkeep.delete."""
+    whose, space = catalog.whose(node, run), catalog.keyspace
+    if where is None and whose == EVERYBODY and stretch == Stretch():
+        raise InvalidOption(
+            "nothing says which messages are to be deleted: give times, a node, a run or a "
+            "condition; removeTopic and truncateTopic remove all of a topic"
+        )
+    ending: List[Run] = []
+    if run is not None:
+        # Only a run of which all goes is not listed any more.
+        all_of_it = topics is None and where is None and stretch == Stretch()
+        ending = _ended_runs(catalog, whose) if all_of_it else []
+    catalog.adder.close()  # what it holds open is written to, too
+    found: Dict[str, int] = {}
+    if where is not None:
+        for name, passing in _filters(catalog, topics, where, whose).items():
+            rows = passing.rows(stretch, bare=True)
+            found[name] = sum(1 for _ in rows) if dry_run else delete_rows(space, rows)
+        return found
+    for table in catalog.tables(topics):
+        part = delete_of_table(space, table, stretch, whose, dry_run)
+        found[table.metadata.topic] = found.get(table.metadata.topic, 0) + part
+    if not dry_run:
+        _forget(space, ending)
+    return found
+
+
+def delete_of_table(
+    space: Keyspace, table: TopicTable, stretch: Stretch, whose: Whose, dry_run: bool = False
+) -> int:
+    """Delete the messages of a stretch of time out of one table, or only count them."""
+    if dry_run:
+        return count_rows(space.directory, [table], stretch.low, stretch.high, whose)
+    if not table.named:
+        return delete_stretch(space, [table], stretch.low, stretch.high, whose)
+    return delete_rows(space, _rows_of_names(space, table, stretch, whose))
+
+
+def _rows_of_names(
+    space: Keyspace, table: TopicTable, stretch: Stretch, whose: Whose
+) -> Iterator[StoredRow]:
+    return space.rows.read([table], stretch, whose=whose, columns=lambda table: ())
+
+
+def _filters(
+    catalog: Catalog, topics: Optional[Iterable[str]], where: Conditions, whose: Whose
+) -> Dict[str, Filter]:
+    """Return the filters by topic: of no other topic something is deleted."""
+    node = None if whose.nodes is None else whose.nodes[0]
+    named: Optional[Sequence[str]] = None if topics is None else list(topics)
+    filters = catalog.filters(where, named, node, whose.writers)
+    for name in named or ():
+        if catalog.get(name).name not in filters:
+            raise InvalidOption(
+                f"there is no condition for topic {name}, of which all messages would go: give "
+                "it one, or delete them by themselves"
+            )
+    return filters
+
+
+def _ended_runs(catalog: Catalog, whose: Whose) -> List[Run]:
+    """Return the runs of some writers, none of which may go on."""
+    writers: FrozenSet[int] = whose.writers or frozenset()
+    runs = list_runs(catalog.keyspace, catalog.tables(None))
+    mine = [r for r in runs if r.writer in writers]
+    mine = [r for r in mine if whose.nodes is None or r.node in whose.nodes]
+    for run in mine:
+        if run.state == "recording":
+            raise InvalidOption(
+                f"run {run.name or run.writer} goes on: what it records meanwhile would stay; end "
+                "it first"
+            )
+    return mine
+
+
+def _forget(space: Keyspace, runs: Sequence[Run]) -> None:
+    losses = space.registry.losses() if runs else []
+    for run in runs:
+        topics = sorted({loss.topic for loss in losses if loss.writer == run.writer})
+        space.registry.forget_run(run.writer, run.node, topics)

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The index of places of runs that have ended, made or looked at."""
+
+from __future__ import annotations
+
+from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
+
+from cassandra_ros.arguments import check_nodes
+from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.places.frame_poses import TF, Frames
+from cassandra_ros.places.indexing import RunIndex, Whose
+from cassandra_ros.places.pose_topic import tells_poses
+from cassandra_ros.places.robots import fixed_frames
+from cassandra_ros.tables.place_index import Placed
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.run_finder import RunName
+from cassandra_ros.topics.run_list import list_runs
+from cassandra_ros.topics.stored_places import StoredPlaces
+
+Progress = Optional[Callable[[int, int], None]]
+
+
+class PlacesOfRun(NamedTuple):
+    """What the index of places knows of a run."""
+
+    run: str
+    """Its name, or its writer id where it has none."""
+    node: str
+    writer: int
+    state: str
+    """'indexed'; 'not indexed'; 'no poses'; 'goes on': it may store poses of any time yet."""
+    first_ns: Optional[int] = None
+    last_ns: Optional[int] = None
+    """Keys of its first and last pose that are in the index."""
+    visits: int = 0
+    """Of cells, that were noted now."""
+
+
+def index_places(
+    catalog: Catalog, node: Optional[str], run: RunName, progress: Progress
+) -> List[PlacesOfRun]:
+    """Note where the robots of runs were; of one node, or some runs, None = of all.
+
+    What is noted already is left as it is, unless frames are fixed to one another in another way
+    since. Runs that go on, and imports that were interrupted and may be made again, are left out.
+    """
+    found: List[PlacesOfRun] = []
+    stored = StoredPlaces(catalog)
+    ttls = [t.metadata.ttl for topic in _tell_poses(stored) for t in topic.tables]
+    ttl = 0 if 0 in ttls else max(ttls, default=0)
+    for each, state in _states(catalog, node, run):
+        if state.state != "not indexed":
+            found.append(state)
+            continue
+        whose = Whose(each.node, each.writer)
+        made = RunIndex(stored, catalog.keyspace.place_index, whose, ttl).make(progress)
+        if made is not None:
+            state = state._replace(state="indexed", first_ns=made.poses_from)
+            state = state._replace(last_ns=made.poses_to, visits=made.visits)
+        found.append(state)
+    return found
+
+
+def places_of_runs(catalog: Catalog, node: Optional[str], run: RunName) -> List[PlacesOfRun]:
+    """Say of runs whether the index of places knows their poses; of one node, None = of all."""
+    return [state for _, state in _states(catalog, node, run)]
+
+
+def _states(catalog: Catalog, node: Optional[str], run: RunName) -> List[Tuple[Run, PlacesOfRun]]:
+    check_nodes(node)
+    writers = catalog.keyspace.runs.writers(run)
+    runs = [
+        each
+        for each in list_runs(catalog.keyspace, catalog.tables(None))
+        if node in (None, each.node) and (writers is None or each.writer in writers)
+    ]
+    look = _Look(catalog)
+    return [(each, look.at(each)) for each in runs]
+
+
+def _tell_poses(stored: StoredPlaces) -> List[CassandraTopic]:
+    return [t for t in stored.topics() if t.name == TF or tells_poses(t)]
+
+
+class _Look:
+    """Looks what is noted, and what would have to be."""
+
+    def __init__(self, catalog: Catalog) -> None:
+        self._stored = StoredPlaces(catalog)
+        self._topics = _tell_poses(self._stored)
+        names = [table.name for topic in self._topics for table in topic.tables]
+        self._noted: Dict[Tuple[str, int], List[Placed]] = {}
+        for each in catalog.keyspace.place_index.placed(names):
+            self._noted.setdefault((each.node, each.writer), []).append(each)
+
+    def at(self, run: Run) -> PlacesOfRun:
+        found = PlacesOfRun(run.name or str(run.writer), run.node, run.writer, "no poses")
+        noted = self._noted.get((run.node, run.writer), [])
+        extents = [
+            extent
+            for topic in self._topics
+            for extent in self._stored.extents(topic, run.node, 0, MAX_NS)
+            if extent.writer == run.writer
+        ]
+        if not extents:
+            return found
+        if run.state == "recording" or (run.kind == "import" and run.state != "ended"):
+            return found._replace(state="goes on")
+        tables = {each.table for each in noted}
+        known = all(
+            extent.table in tables
+            and any(
+                n.low <= extent.low and extent.high <= n.high
+                for n in noted
+                if n.table == extent.table
+            )
+            for extent in extents
+        )
+        if not known:
+            return found._replace(state="not indexed")
+        fixed = self._fixed(run.node)
+        frames = [n.above for n in noted if n.robot != n.table]
+        if any(fixed.get(name, "") != how for above in frames for name, how in above.items()):
+            return found._replace(state="not indexed")
+        first, last = min(n.low for n in noted), max(n.high for n in noted)
+        return found._replace(state="indexed", first_ns=first, last_ns=last)
+
+    def _fixed(self, node: str) -> Mapping[str, str]:
+        try:
+            return fixed_frames(Frames(self._stored.find, node))
+        except TopicNotFound:
+            return {}

@@ -1,0 +1,502 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Everything that is stored is read back and compared with what is known of it.
+
+Read are the messages of each bucket, with the checksums of blocks and of large messages, what rows
+of blocks say of the values in them, and the connections and definitions that they name. Counts and
+times are compared with the directory where no client is writing. A row that no message can have
+given is damage. A number that was changed in a column of formats ``ros``, ``json`` or ``yaml``
+cannot be told from a stored one.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Counter as Counts
+from typing import Dict, List, Optional, Sequence, Set, Tuple
+
+from cassandra_ros.blocks.block_row import WHOLE, Block, BlockRow, read_block
+from cassandra_ros.connection.cql_names import quote_name
+from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound, TopicNotFound
+from cassandra_ros.store.fetch import fetch_row, list_names
+from cassandra_ros.store.orphans import old_us, orphans, partitions, remove_orphans, rows_at
+from cassandra_ros.store.row_counts import recount
+from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
+from cassandra_ros.tables.row_table import (
+    ALL,
+    TableRow,
+    Zones,
+    decode_long,
+    encode_texts,
+)
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.stored_row import read_wire
+from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.upkeep.table_copy import Progress
+
+_log = logging.getLogger(__name__)
+
+PAGE_BYTES = 2 * 1024 * 1024
+MAX_PAGE_ROWS = 1000
+BLOCKS_AT_ONCE = 8
+_ZONES_AT = WHOLE.count(",") + 1
+"""Where the columns behind those of WHOLE begin."""
+MAX_DAMAGES = 10_000
+"""So many are listed; the others are only counted."""
+
+
+class DamageKind(str, Enum):
+    """What is damaged."""
+
+    MESSAGE = "message"
+    CONNECTION = "connection"
+    DEFINITION = "definition"
+    COUNT = "count"
+    BOUNDS = "bounds"
+    UNLISTED = "not listed"
+    ORPHAN = "orphan"
+    LEFTOVER = "leftover"
+
+
+@dataclass(frozen=True)
+class Damage:
+    """One thing that is not as it was stored, or as the directory says."""
+
+    kind: DamageKind
+    topic: str
+    """'' where it is of no topic that is there."""
+    table: str
+    node: str
+    first_ns: Optional[int]
+    """Where in time it lies, both ends included; None = nowhere in particular."""
+    last_ns: Optional[int]
+    messages: int
+    """How many messages are concerned, as far as that is known."""
+    text: str
+    """What is wrong, and what to do where it was not mended."""
+    mended: bool = False
+
+
+@dataclass
+class CheckReport:
+    """What was read, and what of it is damaged."""
+
+    messages: int = 0
+    """How many could be read."""
+    bytes: int = 0
+    buckets: int = 0
+    writing: int = 0
+    """Buckets of a writer that are open, or in which was deleted, for less than a minute: the
+    directory has no counts of them that could be compared."""
+    unsummed: int = 0
+    """Messages in rows of their own, which carry no checksum: they were decoded, no more."""
+    damages: List[Damage] = field(default_factory=list)
+    """The first MAX_DAMAGES."""
+    found: int = 0
+    mended: int = 0
+
+    @property
+    def left(self) -> int:
+        """How many damages are left."""
+        return self.found - self.mended
+
+    def add(self, damage: Damage) -> None:
+        """Note a damage."""
+        self.found += 1
+        self.mended += damage.mended
+        if len(self.damages) < MAX_DAMAGES:
+            self.damages.append(damage)
+
+
+def check_store(
+    catalog: Catalog,
+    topics: Optional[Sequence[str]],
+    stretch: Stretch,
+    repair: bool = False,
+    progress: Progress = None,
+) -> CheckReport:
+    """Read topics back, None = the whole keyspace; see Upkeep.check."""
+    work = _Check(catalog, stretch, repair, progress)
+    names = [topic.name for topic in catalog.all(None)] if topics is None else topics
+    for name in dict.fromkeys(catalog.get(each).name for each in names):
+        work.topic(name)
+    work.definitions({table.metadata.md5sum for table in work.tables}, everything=topics is None)
+    if topics is None and stretch == Stretch():
+        work.leftovers()
+    return work.report
+
+
+class _Check:
+    """Reads topics back, one after the other."""
+
+    def __init__(
+        self, catalog: Catalog, stretch: Stretch, repair: bool, progress: Progress
+    ) -> None:
+        self._catalog = catalog
+        self._space = catalog.keyspace
+        self._stretch = stretch
+        self._repair = repair
+        self._progress = progress
+        self.report = CheckReport()
+        self.tables: List[TopicTable] = []
+        self._conns: Counts[int] = Counter()
+        self._done = 0
+
+    # ---------------------------------------------------------------- topics
+
+    def topic(self, name: str) -> None:
+        """Read all tables of a topic."""
+        try:
+            tables = self._catalog.get(name).tables
+        except DefinitionError as exc:
+            self._note(DamageKind.DEFINITION, name, "", "", None, 0, str(exc))
+            return
+        for table in tables:
+            self.tables.append(table)
+            try:
+                self._table(table)
+            except TopicNotFound:
+                _log.warning("topic %s was removed or converted while it was checked", name)
+
+    def _table(self, table: TopicTable) -> None:
+        self._conns = Counter()
+        if table.named:
+            self._names(table)
+        else:
+            self._buckets(table)
+        self._connections(table)
+        self._orphans(table)
+
+    def _buckets(self, table: TopicTable) -> None:
+        low, high = (table.bucket_of(t) for t in self._stretch)
+        listed = self._space.directory.buckets(table.name, low, high)
+        groups: Dict[Tuple[str, int], List[BucketRow]] = {}
+        for row in listed:
+            groups.setdefault((row.node, row.bucket), []).append(row)
+        for node, where in partitions(table):
+            if low <= int(where) <= high:
+                groups.setdefault((node, int(where)), [])
+        total = sum(row.rows for row in listed)
+        for (node, bucket), rows in sorted(groups.items()):
+            self.report.buckets += 1
+            self._read(table, node, bucket, rows, total)
+            self._compare(table, node, bucket)
+        self._slots(table, set(groups))
+
+    def _read(
+        self, table: TopicTable, node: str, bucket: int, rows: List[BucketRow], total: int
+    ) -> None:
+        """Read the messages of a bucket."""
+        count, size = sum(row.rows for row in rows), sum(row.bytes for row in rows)
+        page = BLOCKS_AT_ONCE if table.packed else PAGE_BYTES * count // (size + 1) + 1
+        names = table.listing()
+        if table.packed:
+            names = ", ".join([WHOLE, '"_nan"', *map(quote_name, table.zone_columns)])
+        asked = table.stretch(
+            names, table.place(node, bucket), page_rows=min(page, MAX_PAGE_ROWS), what="checking"
+        )
+        for values in asked.rows():
+            if table.is_rest(values):
+                continue
+            t = decode_long(values[0])
+            try:
+                if table.packed:
+                    self._block(table, node, read_block(table, values), values[_ZONES_AT:])
+                else:
+                    self._message(table, table.row_from_values(node, values))
+            except CorruptMessage as exc:
+                last = decode_long(values[4]) if table.packed else t
+                lost = decode_long(values[5]) if table.packed else 1
+                key = t, decode_long(values[1])
+                if rows_at(table, table.place(node, bucket), key):  # else removed meanwhile
+                    ends = t, max(t, last)
+                    topic = table.metadata.topic
+                    self._note(DamageKind.MESSAGE, topic, table.name, node, ends, lost, str(exc))
+            self._tell(total)
+
+    def _message(self, table: TopicTable, row: TableRow) -> None:
+        self._conns[row.conn] += 1
+        try:
+            wire = read_wire(table, row)
+        except MessageNotFound:
+            return  # removed meanwhile
+        self.report.unsummed += not row.nchunks
+        self._count(1, len(wire))
+
+    def _block(self, table: TopicTable, node: str, row: Optional[BlockRow], bounds: RawRow) -> None:
+        """Read a block, and measure again what its row says of the values in it."""
+        if row is None or not row.left:
+            return
+        self._conns[row.conn] += row.left
+        block = Block(table, node, row)
+        places = block.between(*ALL)
+        if block.unpacked is None:
+            (only,) = block.rows(places)
+            wires: Sequence[bytes] = [read_wire(table, only)]
+        else:
+            wires = block.unpacked.wires()
+        self._count(len(places), int(block.sizes[places].sum()))
+        self._bounds(table, node, row, bounds, table.zones(wires))
+
+    def _bounds(
+        self, table: TopicTable, node: str, row: BlockRow, said: RawRow, measured: Zones
+    ) -> None:
+        """Tell of bounds that are not those of the messages: a condition skips blocks by them."""
+        values, nan, odd = measured
+        wanted = (encode_texts(nan) if nan else None, *values)
+        if row.odd or (said == wanted and not odd):
+            return  # a block that is odd is read in any case
+        names = ("_nan", *table.zone_columns)
+        wrong = [name for name, *each in zip(names, said, wanted) if each[0] != each[1]]
+        self._note(
+            DamageKind.BOUNDS,
+            table.metadata.topic,
+            table.name,
+            node,
+            (row.t, max(row.t, row.last)),
+            row.messages,
+            f"{', '.join(wrong) or '_odd'} of a block of {row.messages} messages is not what they "
+            "hold, so conditions may leave them out; cassandra_bag convert to another format and "
+            "back measures it anew",
+        )
+
+    def _count(self, messages: int, size: int) -> None:
+        self.report.messages += messages
+        self.report.bytes += size
+        self._done += messages
+
+    def _tell(self, total: int) -> None:
+        if self._progress is not None:
+            self._progress(self._done, max(total, self._done))
+
+    # ---------------------------------------------------------------- the directory
+
+    def _compare(self, table: TopicTable, node: str, bucket: int) -> None:
+        """Compare what a bucket holds with what the directory says of it."""
+        directory = self._space.directory
+        before = directory.find(table.name, node, bucket)
+        try:
+            counted = recount(table, node, bucket)
+        except CorruptMessage:
+            return  # told where it was read
+        if [_sign(row) for row in directory.find(table.name, node, bucket)] != [
+            _sign(row) for row in before
+        ]:
+            self.report.writing += 1
+            return
+        known = {row.writer: row for row in before}
+        for writer in sorted({*counted, *known}):
+            totals, row = counted.get(writer, BucketTotals()), known.get(writer)
+            if row is None:
+                self._list(table, (table.name, node, bucket, writer), totals)
+            elif not row.closed:
+                self._settle(table, row, totals)
+            elif not table.metadata.ttl and not _agrees(row, totals):
+                self._recount(table, row, totals)
+
+    def _slots(self, table: TopicTable, places: Set[Tuple[str, int]]) -> None:
+        """Tell of robots with buckets that are listed, where nobody looks for them."""
+        directory, length = self._space.directory, table.metadata.bucket_ns
+        wanted: Dict[Tuple[int, str], List[int]] = {}
+        for node, bucket in places:
+            wanted.setdefault((slot_of(bucket), node), []).append(bucket)
+        slots = [slot for slot, _ in wanted]
+        listed = directory.nodes(table.name, min(slots), max(slots)) if slots else []
+        for slot, node in sorted(set(wanted).difference(listed)):
+            buckets = wanted[slot, node]
+            if self._repair:
+                directory.add_node(table.name, slot, node)
+            self._note(
+                DamageKind.UNLISTED,
+                table.metadata.topic,
+                table.name,
+                node,
+                (min(buckets) * length, (max(buckets) + 1) * length - 1),
+                0,
+                f"{len(buckets)} buckets of node {node!r} are in no directory, so nobody finds "
+                "them; --repair lists them",
+                mended=self._repair,
+            )
+
+    def _settle(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
+        """Look at a bucket that is not closed: its counts are estimates, which is no damage."""
+        if row.age_sec <= STALE_SEC:
+            self.report.writing += 1
+        elif self._repair:
+            self._space.directory.put_recount(table.name, row, totals, table.metadata.ttl)
+
+    def _list(
+        self, table: TopicTable, place: Tuple[str, str, int, int], totals: BucketTotals
+    ) -> None:
+        """Tell of messages that the directory does not know: nobody finds them."""
+        if self._repair:
+            self._space.directory.mark(place, table.metadata.ttl, (), totals, closed=True)
+        self._note(
+            DamageKind.UNLISTED,
+            table.metadata.topic,
+            table.name,
+            place[1],
+            (totals.t_min, totals.t_max),
+            totals.rows,
+            f"{totals.rows} messages of writer {place[3]} are in no directory, so nobody finds "
+            "them; --repair lists them",
+            mended=self._repair,
+        )
+
+    def _recount(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
+        directory, ttl = self._space.directory, table.metadata.ttl
+        mended = self._repair and directory.put_recount(table.name, row, totals, ttl)
+        length = table.metadata.bucket_ns
+        self._note(
+            DamageKind.COUNT,
+            table.metadata.topic,
+            table.name,
+            row.node,
+            (row.bucket * length, (row.bucket + 1) * length - 1),
+            abs(row.rows - totals.rows),
+            f"the directory says {_said(row.rows, row.bytes, row.t_min, row.t_max)} of writer "
+            f"{row.writer}, and there are {_said(totals.rows, totals.bytes, *_ends(totals))}; "
+            "--repair puts the directory right. Were there more, import or record them again",
+            mended=mended,
+        )
+
+    # ---------------------------------------------------------------- names
+
+    def _names(self, table: TopicTable) -> None:
+        """Read the messages of a topic that are kept under names."""
+        keys = [k for k in list_names(table, None) if _within(k.position.t, self._stretch)]
+        listed = {node for _, node in self._space.directory.nodes(table.name, 0, 0)}
+        missing: Counts[str] = Counter()
+        for key in sorted(keys, key=lambda key: key.position):
+            t, node = key.position.t, key.position.node
+            missing[node] += node not in listed
+            try:
+                row = fetch_row(table, key.position)
+                if row is not None:
+                    self._message(table, row)
+            except CorruptMessage as exc:
+                place = table.place(node, key.position.name)
+                if rows_at(table, place, table.stored_order(t, key.position.seq)):
+                    topic, ends = table.metadata.topic, (t, t)
+                    self._note(DamageKind.MESSAGE, topic, table.name, node, ends, 1, str(exc))
+            self._tell(len(keys))
+        for node, count in sorted((+missing).items()):
+            if self._repair:
+                self._space.directory.add_node(table.name, 0, node)
+            text = f"{count} messages of node {node!r} are in no directory; --repair lists it"
+            self._note(
+                DamageKind.UNLISTED,
+                table.metadata.topic,
+                table.name,
+                node,
+                None,
+                count,
+                text,
+                mended=self._repair,
+            )
+
+    # ---------------------------------------------------------------- what rows refer to
+
+    def _connections(self, table: TopicTable) -> None:
+        for conn, count in sorted(self._conns.items()):
+            try:
+                self._space.connections.get(table.name, conn)
+            except CorruptMessage as exc:
+                topic = table.metadata.topic
+                self._note(DamageKind.CONNECTION, topic, table.name, "", None, count, str(exc))
+
+    def _orphans(self, table: TopicTable) -> None:
+        space = self._space
+        until_us = old_us(space.cassandra)
+        every = orphans(space.cassandra, space.name, table, until_us)
+        found = [o for o in every if table.named or _within(o.t, self._stretch)]
+        if not found:
+            return
+        if self._repair:
+            remove_orphans(space.cassandra, table, found, until_us)
+        times = [orphan.t for orphan in found]
+        self._note(
+            DamageKind.ORPHAN,
+            table.metadata.topic,
+            table.name,
+            "",
+            None if table.named else (min(times), max(times)),
+            len(found),
+            f"pieces of {len(found)} large messages lie there without a message: whoever wrote "
+            "them died; --repair deletes them",
+            mended=self._repair,
+        )
+
+    def definitions(self, md5sums: Set[str], *, everything: bool) -> None:
+        """Compare the texts of the definitions with their checksums."""
+        for md5sum in self._space.registry.damaged_definitions():
+            if everything or md5sum in md5sums:
+                topics = {t.metadata.topic for t in self.tables if t.metadata.md5sum == md5sum}
+                text = (
+                    f"the definition with md5sum {md5sum} was changed by hand; import or record "
+                    "again what uses it"
+                )
+                topic = ", ".join(sorted(topics))
+                self._note(DamageKind.DEFINITION, topic, "", "", None, 0, text)
+
+    def leftovers(self) -> None:
+        """Tell of what is known of tables that are gone."""
+        space = self._space
+        known = space.directory.tables() | space.registry.tables()
+        listing = space.schema.listing(fresh=True)
+        # Of a table that was replaced by a conversion some stays noted until the next one.
+        replaced = {old for metadata in listing.every.values() for old in metadata.replaces}
+        for table in sorted(known.difference(listing.every, replaced)):
+            if self._repair:
+                space.directory.forget(table)
+                space.registry.forget(table)
+                space.place_index.forget(table)
+            text = (
+                f"the directory knows a table {table} that is gone: whoever removed its topic "
+                "died; --repair forgets it"
+            )
+            self._note(DamageKind.LEFTOVER, "", table, "", None, 0, text, mended=self._repair)
+
+    def _note(
+        self,
+        kind: DamageKind,
+        topic: str,
+        table: str,
+        node: str,
+        ends: Optional[Tuple[int, int]],
+        messages: int,
+        text: str,
+        mended: bool = False,
+    ) -> None:
+        first, last = ends or (None, None)
+        self.report.add(Damage(kind, topic, table, node, first, last, messages, text, mended))
+
+
+def _within(t: int, stretch: Stretch) -> bool:
+    return stretch.low <= t <= stretch.high
+
+
+def _sign(row: BucketRow) -> Tuple[int, bool, object]:
+    """Return what changes when somebody writes to a bucket, or deletes in it."""
+    return row.writer, row.closed, row.heartbeat
+
+
+def _agrees(row: BucketRow, totals: BucketTotals) -> bool:
+    if not (row.rows or totals.rows):
+        return True
+    said, ends = (row.rows, row.bytes, row.t_min, row.t_max), _ends(totals)
+    # More odd ones than there are only make readers look at more.
+    return said == (totals.rows, totals.bytes, *ends) and row.odd >= totals.odd
+
+
+def _ends(totals: BucketTotals) -> Tuple[int, int]:
+    return (totals.t_min, totals.t_max) if totals.rows else (0, 0)
+
+
+def _said(rows: int, size: int, first: int, last: int) -> str:
+    return f"{rows} messages, {size} bytes" + (f" from {first} to {last}" if rows else "")

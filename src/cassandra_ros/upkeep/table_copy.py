@@ -1,0 +1,260 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The messages of some tables into another one of the same definition, and both compared."""
+
+from __future__ import annotations
+
+from itertools import islice
+from typing import Callable, Dict, FrozenSet, Iterator, List, Optional, Sequence, Set, Tuple
+
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
+from cassandra_ros.keys import split_seq
+from cassandra_ros.store.fetch import Wanted, fetch_row, fetch_rows, list_names
+from cassandra_ros.tables.block_limits import limits_for
+from cassandra_ros.tables.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
+from cassandra_ros.topics.key_selection import LAST_NS, Stretch, Whose
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.row_reader import RowReader
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_totals import buckets_of, count_rows
+from cassandra_ros.topics.topic_table import TopicTable
+
+Progress = Optional[Callable[[int, int], None]]
+"""Called with messages that are done and messages in all."""
+TOLD = 100
+"""Progress is told after so many messages."""
+WRITERS_AT_ONCE = 16
+"""Each has a thread; where more have written, the rows are read several times."""
+
+
+class Copy:
+    """Copies rows as they are: node, times, seq, connection, name, bytes, and what they have left.
+
+    Args:
+        olds: Tables of one definition.
+        new: Another one, of any format, into which nobody else writes.
+    """
+
+    def __init__(
+        self, space: Keyspace, olds: Sequence[TopicTable], new: TopicTable, progress: Progress
+    ) -> None:
+        self._space = space
+        self._olds = olds
+        self._new = new
+        self._reader = RowReader(space.cassandra, space.directory)
+        self._newest = self._newest_of_names()
+        rows = count_rows(space.directory, olds, 0, LAST_NS, Whose())
+        self._tell = _Told(progress, 2 * rows)
+        names = {old.name for old in olds}
+        self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
+
+    def _newest_of_names(self) -> Dict[Tuple[str, str], Tuple[int, int]]:
+        """Where equal messages are kept once: where each came last, over several tables."""
+        found: Dict[Tuple[str, str], Tuple[int, int]] = {}
+        if self._new.metadata.key_format == "hash" and len(self._olds) > 1:
+            for table in self._olds:
+                for key in list_names(table, None):
+                    t, node, seq, _, name = key.position
+                    found[node, name] = max(found.get((node, name), (t, seq)), (t, seq))
+        return found
+
+    # ---------------------------------------------------------------- filling
+
+    def fill(self) -> None:
+        """Write all rows into the new table."""
+        writers = sorted(self._writers())
+        for n in range(0, len(writers), WRITERS_AT_ONCE):
+            some = frozenset(writers[n : n + WRITERS_AT_ONCE])
+            if self._new.metadata.ttl:
+                self._fill_expiring(some)
+            else:
+                self._write(self._rows(self._olds, Whose(None, some)))
+
+    def _writers(self) -> FrozenSet[int]:
+        found: Set[int] = set()
+        for table in self._olds:
+            if table.named:
+                found.update(split_seq(key.position.seq)[0] for key in list_names(table, None))
+            else:
+                found.update(row.writer for row in buckets_of(self._space.directory, table))
+        return frozenset(found)
+
+    def _fill_expiring(self, writers: FrozenSet[int]) -> None:
+        """Write rows by what they have left: that of a table holds for what is written then."""
+        whose, ttl = Whose(None, writers), self._new.metadata.ttl
+        parts: Dict[int, List[Callable[[], Iterator[StoredRow]]]] = {}
+        for table in self._olds:
+            for left, rows in self._expiring(table, whose):
+                if left:
+                    parts.setdefault(rounded(left, ttl), []).append(rows)
+        for left in sorted(parts):
+            set_lifetime(self._space.schema, self._new.name, left)
+            self._write(row for part in parts[left] for row in part())
+
+    def _expiring(
+        self, table: TopicTable, whose: Whose
+    ) -> Iterator[Tuple[int, Callable[[], Iterator[StoredRow]]]]:
+        """Yield parts of a table with the seconds that their rows have left at the most."""
+        if table.named:
+            by_left: Dict[int, List[Wanted]] = {}
+            for place, left in left_by_name(table).items():
+                if whose.wrote(place.seq):
+                    left = rounded(left, table.metadata.ttl)
+                    by_left.setdefault(left, []).append(Wanted(table, place))
+            for left, wanted in by_left.items():
+                yield left, _fetching(table, wanted)
+            return
+        length, places = table.metadata.bucket_ns, set()
+        for row in buckets_of(self._space.directory, table, whose):
+            places.add((row.node, row.bucket))
+        for node, bucket in sorted(places):
+            stretch = Stretch(bucket * length, (bucket + 1) * length - 1)
+            part = self._part(table, stretch, Whose((node,), whose.writers))
+            yield left_in_bucket(table, node, bucket), part
+
+    def _part(
+        self, table: TopicTable, stretch: Stretch, whose: Whose
+    ) -> Callable[[], Iterator[StoredRow]]:
+        return lambda: self._reader.read([table], stretch, whose=whose)
+
+    def _rows(self, tables: Sequence[TopicTable], whose: Whose) -> Iterator[StoredRow]:
+        """Walk through the rows of tables in their order; one of each place.
+
+        Raises:
+            CorruptMessage: Two messages have the same place: one table cannot hold both.
+        """
+        last: Optional[StoredRow] = None
+        for row in self._reader.read(tables, Stretch(), whose=whose):
+            if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
+                continue  # an equal message came later, into another table
+            if last is not None and row.place == last.place:
+                if row.wire != last.wire:
+                    raise CorruptMessage(
+                        f"topic {row.topic} has two messages at {row.t} of the same writer and "
+                        f"number, in tables {last.table.name} and {row.table.name}: one table "
+                        "cannot hold both. Remove one of them, and convert it again"
+                    )
+                continue  # the same message in two formats
+            last = row
+            yield row
+
+    def _write(self, rows: Iterator[StoredRow]) -> None:
+        """Write rows of some writers, each under its own id; return when all are acknowledged."""
+        opened: Dict[int, MessageWriter] = {}
+        handles: Dict[Tuple[int, int, str], Handle] = {}
+        try:
+            for row in rows:
+                writer_id, counter = split_seq(row.seq)
+                writer = opened.get(writer_id)
+                if writer is None:
+                    writer = opened[writer_id] = self._open(writer_id)
+                key = (writer_id, row.conn, row.node)
+                handle = handles.get(key)
+                if handle is None:
+                    handle = handles[key] = writer.ready(self._handle(row))
+                writer.write(handle, row.received, counter, row.wire, row.name)
+                self._tell.one()
+            for writer in opened.values():
+                writer.flush()
+        finally:
+            failed: Optional[CassandraRosError] = None
+            for writer in opened.values():
+                try:
+                    writer.close()
+                except CassandraRosError as exc:
+                    failed = exc
+        if failed is not None:
+            raise failed
+
+    def _open(self, writer_id: int) -> MessageWriter:
+        writer = MessageWriter(self._space, writer_id, ttl=None, limits=self._limits)
+        writer.given = True
+        return writer
+
+    def _handle(self, row: StoredRow) -> Handle:
+        return Handle(row.connection, self._new, row.conn, row.node, None)
+
+    # ---------------------------------------------------------------- comparing
+
+    def compare(self) -> int:
+        """Compare all rows with those that were to be copied; return how many there are.
+
+        Raises:
+            WriteFailed: They are not the same.
+        """
+        count = 0
+        ours = self._rows([self._new], Whose())
+        theirs = self._rows(self._olds, Whose())
+        mine, its = next(ours, None), next(theirs, None)
+        while mine is not None or its is not None:
+            if mine is not None and its is not None and mine.place == its.place:
+                self._check_equal(mine, its)
+                mine, its = next(ours, None), next(theirs, None)
+                count += 1
+                self._tell.one()
+            elif its is not None and (mine is None or its.place < mine.place):
+                self._check_expired(its)
+                its = next(theirs, None)
+            elif mine is not None:
+                self._check_expired(mine)
+                mine = next(ours, None)
+        self._tell.end()
+        return count
+
+    def _check_equal(self, mine: StoredRow, its: StoredRow) -> None:
+        same = (mine.received, mine.conn) == (its.received, its.conn)
+        if not same or mine.wire != its.wire:
+            raise WriteFailed(
+                f"the message of topic {its.topic} at {its.t} is not the same in the new table: "
+                "nothing was converted; that is a mistake of this program, please report it"
+            )
+
+    def _check_expired(self, row: StoredRow) -> None:
+        """Check that a row that only one side has was there no longer when the other was read."""
+        # In the new table it may stay a little longer than in the old ones.
+        tables = self._olds if row.table is self._new else [row.table]
+        gone = all(fetch_row(table, row.position) is None for table in tables)
+        if row.table.metadata.ttl and gone:
+            return
+        raise WriteFailed(
+            f"the message of topic {row.topic} at {row.t} is only in one of the tables after the "
+            "conversion: nothing was converted, and nothing is lost; convert it again"
+        )
+
+    # ---------------------------------------------------------------- late
+
+    def add_late(self) -> int:
+        """Write what came into the old tables after they were copied; return how many rows."""
+        count = 0
+        rows = self._rows(self._olds, Whose())
+        late = (row for row in rows if fetch_row(self._new, row.position) is None)
+        while some := list(islice(late, TOLD)):
+            count += len(some)
+            self._write(iter(some))
+        return count
+
+
+class _Told:
+    """Tells how far a work is."""
+
+    def __init__(self, progress: Progress, total: int) -> None:
+        self._progress = progress
+        self._done, self._total = 0, total
+
+    def one(self) -> None:
+        self._done += 1
+        if not self._done % TOLD:
+            self._tell()
+
+    def end(self) -> None:
+        self._total = self._done
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._progress is not None:
+            self._progress(self._done, max(self._done, self._total))
+
+
+def _fetching(table: TopicTable, wanted: Sequence[Wanted]) -> Callable[[], Iterator[StoredRow]]:
+    return lambda: (StoredRow(row, table) for row in fetch_rows(wanted))

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Values of a result as JSON that loses nothing: what JavaScript's numbers cannot hold is text."""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import Sequence
+
+from cassandra_ros.messages.stamps import is_time
+from cassandra_ros.query.rows.answer_bound import AnswerBound
+from cassandra_ros.viewing.answers import Json
+
+_EXACT = 2**53
+_FLOAT_BYTES = 20
+"""About the length of a float with all its digits."""
+_FEWER = (
+    "select fewer columns, one element of an array as data[0], or len(…) of it, or give cut, which "
+    "shortens long values"
+)
+
+
+class Cells:
+    """Turns values into JSON.
+
+    Args:
+        cut: Of longer arrays, texts and bytes only so many elements, as {first, of}; None = all.
+
+    A value raises AnswerTooLarge where all of them would take more than one answer may.
+    """
+
+    def __init__(self, cut: int | None) -> None:
+        self._cut = cut
+        self._bound = AnswerBound("a row of the answer", _FEWER)
+
+    @property
+    def size(self) -> int:
+        """About what the values so far take, bytes."""
+        return self._bound.bytes
+
+    def shown(self, value: object) -> Json:
+        """Return a value of a row; AnswerTooLarge: there is no room for it."""
+        self._bound.take(_FLOAT_BYTES if isinstance(value, float) else 8)
+        if isinstance(value, (str, bytes, bytearray, list)):
+            return self._several(value)
+        if value is None or isinstance(value, bool):
+            return value
+        if isinstance(value, int):
+            return int(value) if abs(value) <= _EXACT else str(int(value))
+        if isinstance(value, float):
+            return float(value) if math.isfinite(value) else repr(float(value))
+        to_nsec = getattr(value, "to_nsec", None)
+        return str(value) if to_nsec is None else str(to_nsec())
+
+    def _several(self, value: str | bytes | bytearray | list[object]) -> Json:
+        count = len(value)
+        first = value if self._cut is None or count <= self._cut else value[: self._cut]
+        if isinstance(first, list):
+            found: Json = [self.shown(element) for element in first]
+        else:
+            self._bound.take(len(first))
+            text = first if isinstance(first, str) else base64.b64encode(first).decode("ascii")
+            found = str(text)
+        return found if first is value else {"first": found, "of": count}
+
+    def time_in(self, row: Sequence[object]) -> Json:
+        """Return the first value of a row that is a time, ns; None: there is none."""
+        found = next((value for value in row if is_time(value)), None)
+        to_nsec = getattr(found, "to_nsec", None)
+        return None if to_nsec is None else str(to_nsec())

@@ -1,0 +1,440 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A topic is converted into another format: the same messages, seen all the time, each once."""
+
+from __future__ import annotations
+
+import random
+import threading
+
+import pytest
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from cassandra_ros.errors import InvalidOption, SchemaConflict, TopicNotFound, UnknownFormat
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.keys import decode_cursor, encode_cursor
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.tables import replacement, succession
+from cassandra_ros.upkeep import conversion as convert
+from cassandra_ros.upkeep import table_copy as copying
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """Clients of these tests read the comments anew at once."""
+    monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
+
+
+def joint_state(number):
+    rand = random.Random(number)
+    msg = JointState()
+    msg.header.seq, msg.header.frame_id = number, "a" * (number % 7)
+    msg.name = [f"joint{n}" for n in range(number % 4)]
+    msg.position = [rand.random() for _ in msg.name]
+    return msg
+
+
+def fill(rosCas, format, count=300, topic="/t", writers=((7, ""), (3, "r1"))):
+    """Store messages of two writers of two nodes, with equal stamps, over several buckets."""
+    rand = random.Random(1)
+    for writer_id, node in writers:
+        with rosCas.messageWriter(writer_id=writer_id, nodeID=node, format=format) as writer:
+            names = [f"/{node}{n}" for n in range(2)]
+            handles = [
+                writer.connect(
+                    api_connection(topic, definition_of(JointState), name), bucket_ns=SEC
+                )
+                for name in names
+            ]
+            for number in range(count):
+                t = T0 + rand.randrange(8) * SEC // 2
+                writer.write(rand.choice(handles), t, number, serialize(joint_state(number)))
+
+
+def seen(rows):
+    return [
+        (r.t, r.node, r.seq, r.name, r.received, r.conn, r.connection, r.run, r.wire) for r in rows
+    ]
+
+
+def formats(rosCas, topic="/t"):
+    return [table.metadata.format for table in rosCas.getTopic(topic).tables]
+
+
+def facts(rosCas):
+    """What is told of what is stored, but the table in which."""
+    wanted = ("topic", "type", "md5sum", "node", "count", "bytes", "first_ns", "last_ns", "buckets")
+    return [tuple(getattr(each, name) for name in wanted) for each in rosCas.info()]
+
+
+def check_conversion(rosCas, source, target):
+    topic = rosCas.getTopic("/t")
+    assert formats(rosCas) == [source]
+    before, told = seen(topic.rows()), facts(rosCas)
+    report = rosCas.convertTopic("t", target)
+    assert formats(rosCas) == [target]
+    assert report.messages == (0 if source == target else len(before))
+    assert seen(topic.rows()) == before
+    assert seen(topic.rows(reverse=True)) == before[::-1]
+    assert topic.countTopicData() == len(before) > 0
+    assert facts(rosCas) == told
+    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+
+
+def test_a_topic_goes_through_all_formats(rosCas):
+    every = [*FORMATS, *list(FORMATS)[:1]]
+    fill(rosCas, every[0], 60)
+    before = seen(rosCas.getTopic("/t").rows())
+    for source, target in zip(every, every[1:]):
+        check_conversion(rosCas, source, target)
+    assert seen(rosCas.getTopic("/t").rows()) == before
+    check_conversion(rosCas, every[0], every[0])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("target", FORMATS)
+@pytest.mark.parametrize("source", FORMATS)
+def test_each_format_becomes_each_other(rosCas, source, target):
+    fill(rosCas, source, 60)
+    check_conversion(rosCas, source, target)
+
+
+def test_keys_and_cursors_of_the_old_table_stay_good(rosCas):
+    fill(rosCas, "ros", 120)
+    topic = rosCas.getTopic("/t")
+    rows = list(topic.rows())
+    keys = [(row.key, row.wire) for row in rows]
+    cursors = [(encode_cursor(row.position), n) for n, row in enumerate(rows)]
+    statement = "SELECT KEY, header.seq, name FROM /t"
+    result = rosCas.iterCQL(statement, limit=100)
+    first, cursor = list(result), result.cursor
+    rows[0]._wire = None
+    for target in ("binary", "json", "ros"):  # a chain of replacements
+        rosCas.convertTopic("/t", target)
+        places = [row.position[:3] for row in rows]
+        for key, wire in keys[::7]:
+            assert serialize(topic.getData(key)) == wire
+        for text, n in cursors[::9]:
+            after = decode_cursor(text)
+            assert [r.position[:3] for r in topic.rows(after=after)] == places[n + 1 :]
+            back = [r.position[:3] for r in topic.rows(after=after, reverse=True)]
+            assert back == places[:n][::-1]
+        rest = list(rosCas.statements.select(statement, after=cursor))
+        assert first + rest == list(rosCas.iterCQL(statement))
+    # A row that was read before, whose bytes lie in a table that is gone.
+    assert rows[0].wire == keys[0][1]
+
+
+@pytest.mark.long
+def test_an_iterator_goes_on_where_its_table_was_dropped(rosCas):
+    fill(rosCas, "ros", 1200)
+    topic = rosCas.getTopic("/t")
+    wanted = seen(topic.rows())
+    ways = {
+        "up": topic.rows(),
+        "down": topic.rows(reverse=True),
+        "where": (row for row in topic._finder(where="header.seq >= 0").many(None, None)),
+        "received": rosCas.readMessages(["/t"], received=True),
+        "all": rosCas.readMessages(),
+    }
+    got = {name: [next(rows) for _ in range(700)] for name, rows in ways.items()}
+    lazy, untouched = topic.rows(), list(topic.rows())
+    for target in ("json", "packed", "binary"):
+        rosCas.convertTopic("/t", target)
+    for name, rows in ways.items():
+        found = seen(got[name]) + seen(rows)
+        assert found == (wanted[::-1] if name == "down" else wanted), name
+    assert seen(lazy) == wanted
+    for row in untouched[::100]:
+        row.table.connections.get.cache_clear()
+        assert row.connection.topic == "/t"
+        assert row.message().header.seq >= 0
+
+
+@pytest.mark.parametrize("key_format", ["hash", "manual"])
+def test_messages_under_names(rosCas, key_format):
+    topic = rosCas.addTopic("/t", "ros", key_format=key_format)
+    keys = []
+    for n in range(40):
+        name = f"k{n % 9}" if key_format == "manual" else None
+        keys.append(topic.addData(String(data=f"m{n % 30}"), key=name))
+    before = seen(topic.rows())
+    rosCas.convertTopic("/t", "yaml")
+    assert formats(rosCas) == ["yaml"]
+    assert seen(topic.rows()) == before
+    if key_format == "manual":
+        assert [topic.getData(key).data for key in keys] == [f"m{n % 30}" for n in range(40)]
+    with pytest.raises(InvalidOption, match="cannot be kept in format packed"):
+        rosCas.convertTopic("/t", "packed")
+    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+
+
+@pytest.mark.parametrize("part", ["header.stamp", "header.seq"])
+def test_keys_in_the_message_and_indexes(rosCas, part):
+    topic = rosCas.addTopic(
+        "/t", "ros", msg_type="sensor_msgs/JointState", key_format="msg_part", key_part=part
+    )
+    topic.createIndex("header.frame_id")
+    for n in range(30):
+        msg = joint_state(n)
+        msg.header.stamp.secs = 100 + n // 2
+        topic.addData(msg)
+    before = seen(topic.rows())
+    rosCas.convertTopic("/t", "json")
+    assert seen(topic.rows()) == before
+    assert topic.hasIndex("header.frame_id")
+    found = rosCas.explainCQL("SELECT KEY FROM /t WHERE header.frame_id = 'aa'")
+    assert "index" in str(found)
+    assert len(list(topic.items(where="header.frame_id = 'aa'"))) == len(range(2, 30, 7))
+    if part == "header.seq":
+        assert topic.getData(7).header.seq == 7
+
+
+@pytest.mark.parametrize("target", ["binary", "packed"])
+def test_what_expires_keeps_about_the_time_that_it_has_left(rosCas, cql, target):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String", ttl=2000)
+    old = topic.tables[0]
+    for n in range(20):
+        topic.addData(String(data=str(n)), key=T0 + n * SEC)
+    rosCas.parts.schema.tables(fresh=True)
+    set_ttl = f'UPDATE {old.qualified} USING TTL %s SET "_conn" = %s WHERE "_node" = %s AND '
+    for row in list(topic.rows()):
+        place = ("", old.bucket_of(row.t), row.t, row.seq)
+        cql.execute(
+            set_ttl + '"_bucket" = %s AND "_t" = %s AND "_seq" = %s', (700, row.conn, *place)
+        )
+    before = seen(topic.rows())
+    for format in (target, "ros"):
+        rosCas.convertTopic("/t", format)
+        assert seen(topic.rows()) == before
+        new = topic.tables[0]
+        left = [ttl for (ttl,) in cql.execute(f'SELECT TTL("_conn") FROM {new.qualified}')]
+        assert len(left) == 20 or format == "packed"
+        assert all(600 < each <= 700 for each in left)
+        assert new.metadata.ttl == 2000
+    topic.addData(String(data="new"), key=T0 - SEC)
+    assert topic.countTopicData() == 21
+
+
+def test_several_definitions_and_formats_become_one_table_each(rosCas):
+    for format, writer in (("ros", 5), ("yaml", 6), ("json", 8)):
+        fill(rosCas, format, 40, writers=((writer, "a"),))
+    with rosCas.messageWriter(format="binary") as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"))
+        writer.write(handle, T0 + 5, 0, serialize(String("other")))
+    before = seen(rosCas.getTopic("/t").rows())
+    report = rosCas.convertTopic("/t", "ros")
+    assert report.tables == 4
+    assert report.messages == len(before) == 121
+    assert formats(rosCas) == ["ros", "ros"]
+    assert seen(rosCas.getTopic("/t").rows()) == before
+    assert rosCas.convertTopic("/t", "ros").messages == 0
+
+
+def test_what_goes_wrong_is_said_before_anything_is_made(rosCas):
+    with pytest.raises(TopicNotFound):
+        rosCas.convertTopic("/none", "ros")
+    fill(rosCas, "ros", 10)
+    with pytest.raises(UnknownFormat):
+        rosCas.convertTopic("/t", "xml")
+    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+
+
+def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch):
+    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.3)
+    monkeypatch.setattr(convert, "LOOK_SEC", 0.1)
+    fill(rosCas, "ros", 10)
+    with rosCas.messageWriter() as writer:
+        handle = writer.connect(api_connection("/t", definition_of(JointState), "/x"))
+        stop = threading.Event()
+
+        def write():
+            number = 0
+            while not stop.wait(0.01):
+                writer.write(handle, T0 + number, number, serialize(joint_state(number)))
+                number += 1
+
+        thread = threading.Thread(target=write)
+        thread.start()
+        try:
+            with pytest.raises(SchemaConflict, match="is being recorded .* end the recording"):
+                rosCas.convertTopic("/t", "binary")
+        finally:
+            stop.set()
+            thread.join()
+    assert formats(rosCas) == ["ros"]
+    assert rosCas.convertTopic("/t", "binary").messages == rosCas.getTopic("/t").countTopicData()
+
+
+def test_who_deletes_is_no_writer_that_is_waited_for(rosCas, monkeypatch):
+    monkeypatch.setattr(convert, "QUIET_SEC", 1e9)
+    monkeypatch.setattr(convert, "DELETING_SEC", 0.5)
+    fill(rosCas, "packed", 20)
+    topic = rosCas.getTopic("/t")
+    topic.removeData(topic.first())
+    left = seen(topic.rows())
+    assert rosCas.convertTopic("/t", "binary").messages == len(left) == topic.countTopicData()
+    assert seen(rosCas.getTopic("/t").rows()) == left
+
+
+@pytest.mark.parametrize("format", ["binary", "packed"])
+def test_a_table_whose_conversion_was_given_up_takes_messages_again(rosCas, format):
+    with rosCas.messageWriter(format=format) as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"))
+        writer.write(handle, T0, 1, serialize(String("before")))
+        # As it was told while the conversion went on, which ends before the next message.
+        writer._rows.gone.add(handle.table.name)
+        writer.write(handle, T0 + 1, 2, serialize(String("after")))
+        writer.flush()
+    topic = rosCas.getTopic("/t")
+    assert [table.name for table in topic.tables] == [handle.table.name]
+    assert [msg.data for _, msg in topic.items()] == ["before", "after"]
+
+
+def test_large_messages_and_bytes_that_are_no_message(rosCas):
+    with rosCas.messageWriter(writer_id=9, format="ros") as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/x"), bucket_ns=SEC)
+        wires = [serialize(String("x" * n)) for n in (3, 100_000, 700_000, 1_300_000, 0)]
+        for number, wire in enumerate([*wires, b"", b"\xff" * 9, wires[0] + b"surplus"]):
+            writer.write(handle, T0 + number * SEC // 3, number, wire)
+    before = seen(rosCas.getTopic("/t").rows())
+    lazy = rosCas.getTopic("/t").rows()
+    late = [next(lazy) for _ in range(4)]
+    for target in ("packed", "json", "ros", "binary"):
+        rosCas.convertTopic("/t", target)
+        assert seen(rosCas.getTopic("/t").rows()) == before
+    assert seen(late) == before[:4]
+
+
+def test_blocks_cover_what_the_rate_asks_for(rosCas):
+    with rosCas.messageWriter(writer_id=9, format="ros") as writer:
+        handle = writer.connect(
+            api_connection("/t", definition_of(String), "/x"), bucket_ns=60 * SEC
+        )
+        for number in range(3000):
+            writer.write(handle, T0 + number * SEC // 1000, number, serialize(String("x")))
+    rosCas.convertTopic("/t", "packed")
+    (table,) = rosCas.getTopic("/t").tables
+    assert table.metadata.span_ns == pytest.approx(4.096 * SEC, rel=0.01)
+    assert rosCas.getTopic("/t").countTopicData() == 3000
+
+
+def test_what_comes_into_the_old_table_after_all_is_taken_along(rosCas, connect, monkeypatch):
+    """As an earlier release does, which knows nothing of conversions."""
+    fill(rosCas, "ros", 20)
+    topic, finish = rosCas.getTopic("/t"), replacement.finish
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        row = next(topic.rows())
+        handle = writer.connect(row.connection)
+        monkeypatch.setattr(other.parts.schema, "takes_rows", lambda table: True)
+
+        def finish_then(*arguments):
+            finish(*arguments)
+            writer.write(handle, T0 + 5, 1, serialize(joint_state(99)))
+            writer.flush()
+
+        monkeypatch.setattr(replacement, "finish", finish_then)
+        rosCas.convertTopic("/t", "json")
+    assert formats(rosCas) == ["json"]
+    assert topic.countTopicData() == 41
+    assert topic.getData(T0 + 5).header.seq == 99
+
+
+def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, connect, monkeypatch):
+    """The other client writes during the pause after the switch, at the latest before the drop."""
+    fill(rosCas, "ros", 20)
+    topic, settle, drop = rosCas.getTopic("/t"), convert.Conversion._settle, replacement.drop
+    written_into = []
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        handle = writer.connect(next(topic.rows()).connection)
+        # As where it cannot read the comments, or is of an earlier release.
+        monkeypatch.setattr(other.parts.schema, "takes_rows", lambda table: True)
+
+        def write_once():
+            rosCas.parts.schema.tables(fresh=True)
+            if formats(rosCas) == ["json"] and not written_into:
+                written_into.append(handle.table.name)
+                writer.write(handle, T0 + 5, 1, serialize(joint_state(99)))
+                writer.flush()
+
+        def write_then_settle(conversion):
+            write_once()
+            settle(conversion)
+
+        def write_then_drop(*arguments):
+            write_once()
+            drop(*arguments)
+
+        monkeypatch.setattr(convert.Conversion, "_settle", write_then_settle)
+        monkeypatch.setattr(replacement, "drop", write_then_drop)
+        rosCas.convertTopic("/t", "json")
+    tables = [table.name for table in topic.tables]
+    assert len(written_into) == len(tables) == 1
+    assert written_into != tables
+    assert topic.countTopicData() == len(list(topic.rows())) == 41
+    assert topic.getData(T0 + 5).header.seq == 99
+
+
+@pytest.mark.parametrize("between", ["convert", "rename", "delete", "index"])
+def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String")
+    for round_ in range(4):
+        rosCas.getTopic("/t").addData(String(str(round_)), key=T0)
+        if between == "convert":
+            rosCas.convertTopic("/t", ["packed", "binary", "yaml", "ros"][round_])
+        elif between == "rename":
+            rosCas.renameTopic("/t", "/u")
+            rosCas.renameTopic("/u", "/t")
+        elif between == "delete":
+            rosCas.upkeep.delete(["/t"], T0 + SEC)
+        else:
+            (topic.removeIndex if topic.hasIndex("data") else topic.createIndex)("data")
+    topic = rosCas.getTopic("/t")
+    assert [msg.data for _, msg in topic.items()] == ["0", "1", "2", "3"]
+    assert topic.getData(T0).data == "0"
+    assert len({key.seq >> 32 for key, _ in topic.items()}) == 1
+    assert topic.countTopicData() == sum(info.count for info in rosCas.info(["/t"])) == 4
+
+
+def test_what_is_deleted_between_copy_and_switch_does_not_come_back(rosCas, monkeypatch):
+    """As an earlier release deletes, which knows nothing of conversions."""
+    fill(rosCas, "ros", 20)
+    topic, compare, deleted = rosCas.getTopic("/t"), copying.Copy.compare, []
+
+    def compare_then_delete(self):
+        count = compare(self)
+        if not deleted:
+            with monkeypatch.context() as earlier:
+                earlier.setattr(succession.Listing, "check_staying", lambda self, table: None)
+                deleted.append(topic.removeData(T0, T0))
+        return count
+
+    monkeypatch.setattr(copying.Copy, "compare", compare_then_delete)
+    monkeypatch.setattr(convert, "DELETING_SEC", 0.0)
+    before = topic.countTopicData()
+    rosCas.convertTopic("/t", "json")
+    assert deleted[0] > 0
+    assert topic.countTopicData() == len(list(topic.rows())) == before - deleted[0]
+
+
+def test_what_is_added_after_a_conversion_lives_as_long_as_the_topic_says(rosCas, cql):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String", ttl=2000)
+    old = topic.tables[0]
+    key = topic.addData(String("old"), key=T0)
+    cql.execute(
+        f'UPDATE {old.qualified} USING TTL 700 SET "_conn" = %s WHERE "_node" = %s AND '
+        '"_bucket" = %s AND "_t" = %s AND "_seq" = %s',
+        (next(topic.rows()).conn, "", old.bucket_of(T0), T0, key.seq),
+    )
+    rosCas.convertTopic("/t", "binary")
+    rosCas.getTopic("/t").addData(String("new"), key=T0 + 1)
+    (table,) = topic.tables
+    left = dict(cql.execute(f'SELECT "_t", TTL("_conn") FROM {table.qualified}').all())
+    assert left[T0] <= 700 and 1900 < left[T0 + 1] <= 2000

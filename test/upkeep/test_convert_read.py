@@ -1,0 +1,271 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Others read, write and delete while a topic is converted; the conversion is killed."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from campaign import LENGTH
+from std_msgs.msg import String
+from upkeep.test_convert import T0, facts, fill, formats, joint_state, seen
+
+from cassandra_ros.errors import CassandraRosError, SchemaConflict
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.tables import replacement, schema
+from cassandra_ros.upkeep import conversion as convert
+from cassandra_ros.upkeep import table_copy as copying
+
+TARGETS = {"": ["packed", "ros"], "short": ["binary", "packed", "yaml", "ros"]}
+TARGETS["long"] = TARGETS["short"] * 3
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    """What a client knows is at most half a second old."""
+    monkeypatch.setattr(schema, "CACHE_SEC", 0.5)
+    monkeypatch.setattr(replacement, "SETTLE_SEC", 1.5)  # a second more, as usual
+
+
+class Reading:
+    """Reads again and again, each way on a thread and by a client of its own."""
+
+    def __init__(self, connect, keyspace, wanted, keys):
+        self.wanted = wanted
+        self.keys = keys
+        self.failures = []
+        self.rounds = {}
+        self._stop = threading.Event()
+        self._clients = []
+        self._threads = []
+        for way in (self.scan, self.slowly, self.count, self.look_up, self.ask):
+            client = connect(keyspace=keyspace)
+            self._clients.append(client)
+            self._threads.append(threading.Thread(target=self._run, args=(way, client)))
+
+    def __enter__(self):
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *exc_info):
+        self._stop.set()
+        for thread in self._threads:
+            thread.join()
+        for client in self._clients:
+            client.close()
+
+    def _run(self, way, client):
+        topic = client.getTopic("/t")
+        try:
+            while not self._stop.is_set() and not self.failures:
+                way(client, topic)
+                self.rounds[way.__name__] = self.rounds.get(way.__name__, 0) + 1
+        except BaseException as exc:  # noqa: BLE001 - the test fails by it
+            self.failures.append(f"{way.__name__}: {type(exc).__name__}: {exc}")
+
+    def check(self, what, found, wanted):
+        if found != wanted:
+            sizes = [len(each) if isinstance(each, list) else each for each in (found, wanted)]
+            raise AssertionError(f"{what}: {sizes[0]} instead of {sizes[1]}")
+
+    def scan(self, client, topic):
+        self.check("scan", seen(topic.rows()), self.wanted)
+
+    def slowly(self, client, topic):
+        """Read over more than one conversion."""
+        found, reverse = [], random.random() < 0.5
+        for number, row in enumerate(topic.rows(reverse=reverse)):
+            found.append(row)
+            if number % 50 == 0:
+                self._stop.wait(0.2)
+        self.check("slowly", seen(found), self.wanted[::-1] if reverse else self.wanted)
+
+    def count(self, client, topic):
+        self.check("count", topic.countTopicData(), len(self.wanted))
+        self.check("info", sum(each.count for each in client.info(["/t"])), len(self.wanted))
+        self.check("names", [each.name for each in client.getAllTopics()], ["/t"])
+
+    def look_up(self, client, topic):
+        key, wire = random.choice(self.keys)
+        self.check("key", serialize(topic.getData(key)), wire)
+        first = next(row for row in self.wanted if row[0] == key.ns)
+        self.check("time", serialize(topic.getData(key.ns)), first[-1])
+        near = serialize(topic.getData(key.ns + 1, nearest="before"))
+        self.check("nearest", near, first[-1])
+
+    def ask(self, client, topic):
+        found = client.executeCQL("SELECT KEY FROM /t WHERE header.seq < 100")
+        self.check("condition", len(found), 200)
+        self.check("count", list(client.executeCQL("SELECT count(*) FROM /t")), [(600,)])
+
+
+@pytest.mark.fault
+def test_who_reads_sees_each_message_all_the_time_and_once(rosCas, connect, keyspace):
+    fill(rosCas, "ros", 300)
+    topic = rosCas.getTopic("/t")
+    wanted, keys = seen(topic.rows()), [(row.key, row.wire) for row in topic.rows()]
+    with Reading(connect, keyspace, wanted, keys) as reading:
+        for target in TARGETS[LENGTH]:
+            assert rosCas.convertTopic("/t", target).messages == 600
+            assert not reading.failures
+        deadline = time.monotonic() + 180
+        while len(reading.rounds) < 5 and not reading.failures and time.monotonic() < deadline:
+            time.sleep(0.1)
+    assert not reading.failures
+    assert len(reading.rounds) == 5
+    assert formats(rosCas) == [TARGETS[LENGTH][-1]]
+
+
+KILLED = """
+import sys, os, signal
+from cassandra_ros import RosCassandra
+from cassandra_ros.tables import replacement
+from cassandra_ros.upkeep import conversion as convert
+host, port, keyspace, where, target = sys.argv[1:]
+replacement.SETTLE_SEC = 0.3
+def kill(*args): os.kill(os.getpid(), signal.SIGKILL)
+if where == 'drop':
+    replacement.drop = kill
+elif where == 'finish':
+    replacement.finish = kill
+def progress(done, total):
+    if where == 'fill' and done >= 150 or where == 'compare' and done >= 450:
+        kill()
+with RosCassandra(host, int(port), keyspace=keyspace) as rosCas:
+    rosCas.convertTopic('/t', target, progress)
+"""
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("target", [pytest.param("binary", marks=pytest.mark.long), "packed"])
+def test_one_that_is_killed_is_done_again(rosCas, cassandra, keyspace, monkeypatch, target):
+    monkeypatch.setattr(convert, "QUIET_SEC", 0.0)
+    fill(rosCas, "ros", 150)
+    topic = rosCas.getTopic("/t")
+    before, told = seen(topic.rows()), facts(rosCas)
+    for where in ("fill", "compare", "finish", "drop"):
+        arguments = [cassandra.host, str(cassandra.port), keyspace, where, target]
+        done = subprocess.run(
+            [sys.executable, "-c", KILLED, *arguments], env=os.environ, timeout=300, check=False
+        )
+        assert done.returncode == -signal.SIGKILL
+        rosCas.parts.schema.tables(fresh=True)
+        assert len(rosCas.parts.schema.listing().every) == 2
+        assert formats(rosCas) == [target if where == "drop" else "ros"]
+        assert seen(topic.rows()) == before
+        assert topic.countTopicData() == 300
+        if where == "compare":  # into the format that it has: only what was left is removed
+            assert rosCas.convertTopic("/t", "ros").messages == 0
+            assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+    assert rosCas.convertTopic("/t", target).messages == 0
+    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+    assert seen(topic.rows()) == before
+    assert facts(rosCas) == told
+
+
+def during(monkeypatch, what):
+    """Do something when the copy is compared, before the switch."""
+    compare = copying.Copy.compare
+
+    def compare_then(self):
+        count = compare(self)
+        what()
+        return count
+
+    monkeypatch.setattr(copying.Copy, "compare", compare_then)
+
+
+@pytest.mark.parametrize("how", ["addData", "messageWriter"])
+def test_what_is_added_meanwhile_is_seen_at_once_and_stays(
+    rosCas, connect, keyspace, monkeypatch, how
+):
+    fill(rosCas, "ros", 50)
+    topic = rosCas.getTopic("/t")
+    before = seen(topic.rows())
+    with connect(keyspace=keyspace) as other:
+        writer = other.messageWriter()
+        handle = writer.connect(topic.tables[0].connections.get(*_place(topic)))
+        added = []
+
+        def add():
+            if added:
+                return
+            msg = joint_state(1000)
+            if how == "addData":
+                added.append(other.getTopic("/t").addData(msg, key=T0 + 7))
+            else:
+                writer.write(handle, T0 + 7, 1, serialize(msg))
+                writer.flush()
+                added.append(None)
+            assert len(list(topic.rows())) == 101
+
+        during(monkeypatch, add)
+        rosCas.convertTopic("/t", "json")
+        writer.close()
+    assert len(added) == 1
+    after = seen(topic.rows())
+    assert len(after) == 101
+    assert [row for row in after if row in before] == before
+    assert set(formats(rosCas)) == {"json"} if how == "addData" else {"json", "ros"}
+    monkeypatch.undo()
+    if added[0] is not None:
+        assert topic.getData(added[0]).header.seq == 1000
+
+
+def _place(topic):
+    row = next(topic.rows())
+    return row.table.name, row.conn
+
+
+def test_deleting_and_indexing_is_refused_meanwhile(rosCas, connect, keyspace, monkeypatch):
+    fill(rosCas, "ros", 30)
+    with connect(keyspace=keyspace) as other:
+        topic = other.getTopic("/t")
+        told = []
+
+        def change():
+            for work in (
+                lambda: topic.removeData(T0, T0 + 10**9),
+                lambda: topic.removeData(where="header.seq < 5"),
+                lambda: topic.createIndex("header.seq"),
+            ):
+                with pytest.raises(SchemaConflict, match="is being converted to format packed"):
+                    work()
+            other.getTopic("/t").setMeta(site="lab")
+            told.append(1)
+
+        during(monkeypatch, change)
+        rosCas.convertTopic("/t", "packed")
+        assert told == [1]
+        time.sleep(0.6)
+        assert topic.countTopicData() == 60
+        assert topic.getMeta["site"] == "lab"
+        assert topic.removeData(where="header.seq < 5") == 10
+        assert topic.countTopicData() == 50
+
+
+@pytest.mark.parametrize("how", ["removeTopic", "truncateTopic", "renameTopic"])
+def test_a_topic_that_is_removed_or_renamed_meanwhile(rosCas, connect, keyspace, monkeypatch, how):
+    fill(rosCas, "ros", 30)
+    rosCas.addTopic("/other", msg_type="std_msgs/String").addData(String("x"))
+    with connect(keyspace=keyspace) as other:
+        during(monkeypatch, lambda: getattr(other, how)("/t", *["/u"] * (how == "renameTopic")))
+        if how == "renameTopic":
+            assert rosCas.convertTopic("/t", "binary").messages == 60
+            assert formats(rosCas, "/u") == ["binary"]
+            assert rosCas.getTopic("/u").countTopicData() == 60
+        else:
+            with pytest.raises(CassandraRosError, match="remove"):
+                rosCas.convertTopic("/t", "binary")
+            rosCas.parts.schema.tables(fresh=True)
+            assert rosCas.existTopic("/t") == (how == "truncateTopic")
+    every = rosCas.parts.schema.listing(fresh=True)
+    assert every.every == every.visible
