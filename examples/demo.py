@@ -141,11 +141,11 @@ class Demo:
         answer = self.run(*call, name + "getData", newest, shown=30)
         first = re.search(r"secs: (\d+)\n\s*nsecs:\s*(\d+)", answer)
         assert first is not None and "success: True" in answer, answer
-        stretch = (
+        time_range = (
             f"{{topic: /imu/data, key: {{secs: {int(first[1]) - 5}}}, limit: 3, omit_data: true, "
             "omit_yaml: true}"
         )
-        answer = self.run(*call, name + "range", stretch, shown=45)
+        answer = self.run(*call, name + "range", time_range, shown=45)
         assert answer.count("topic: ") == 3 and "success: True" in answer, answer
         cql = "select KEY, latitude, longitude from /fix where status.status >= 0 limit 3"
         answer = self.run(*call, name + "executeCQL", f'{{statement: "{cql}"}}')

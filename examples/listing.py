@@ -40,7 +40,7 @@ def main() -> None:
         if topic.getMeta["msg_class"] in ["NavSatFix", "TimeReference"]:
             print(f"{topic.name}: {topic.getMeta['msg_type']} of node {topic.getMeta['nodeID']!r}")
 
-    # A stretch of time: from 3 to 4 s after the first fix.
+    # A time range: from 3 to 4 s after the first fix.
     casTopic = rosCas.getTopic("fix")
     t1, t2 = casTopic.first() + 3, casTopic.first() + 4
     fixes = casTopic.getData(key=t1, to_key=t2)

@@ -70,7 +70,7 @@ class Client:
 
 
 def timeline(client: Client, start: int, length: int) -> Dict[str, Any]:
-    """Ask for what Home draws of a stretch of time."""
+    """Ask for what Home draws of a time range."""
     found = client.json("/api/timeline", start=start, end=start + length - 1, pixels=PIXELS)
     assert any(lane["counts"] for lane in found["lanes"])
     return found

@@ -93,7 +93,7 @@ class TopicMetadata:
 
     @property
     def partition(self) -> str:
-        """Name of the second column of the partition key: a name, or a stretch of time."""
+        """Name of the second column of the partition key: a name, or a time range."""
         return "_key" if self.named else "_bucket"
 
     @property

@@ -23,8 +23,8 @@ from cassandra_ros.store.fetch import Wanted, fetch_rows, first_at
 from cassandra_ros.store.reader import read_rows
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.store.scan import Scan
-from cassandra_ros.topics.key_selection import Stretch, Whose
-from cassandra_ros.topics.removal import delete_rows, delete_stretch
+from cassandra_ros.topics.key_selection import TimeRange, Whose
+from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Finder
 from cassandra_ros.topics.stored_totals import count_rows
 
@@ -229,13 +229,13 @@ def delete(model, rand):
     for writers in (frozenset([rand.choice(WRITERS)]), None):
         gone = model.inside(low, high, None, writers)
         whose = Whose(tuple(model.nodes), writers)
-        count = delete_stretch(model.rosCas.parts, model.tables, low, high, whose)
+        count = delete_time_range(model.rosCas.parts, model.tables, low, high, whose)
         assert count == len(gone)
         model.forget(gone)
         low, high = high, high + rand.randrange(40) * MS
     share = rand.choice((0.1, 0.5, 1))
     gone = [p for p in sorted(model.messages) if rand.random() < share and p.t > T0 + 50 * MS]
-    rows = model.rosCas.parts.rows.read(model.tables, Stretch(*EVERY), whose=model.whose)
+    rows = model.rosCas.parts.rows.read(model.tables, TimeRange(*EVERY), whose=model.whose)
     assert delete_rows(model.rosCas.parts, (r for r in rows if r.position in set(gone))) == len(
         gone
     )

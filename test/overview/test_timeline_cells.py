@@ -14,11 +14,11 @@ from cassandra_ros.overview.timeline.time_cells import (
     MAX_CELLS,
     Cells,
     Scale,
-    Stretches,
+    TimeRanges,
     gaps_between,
     gaps_in,
     runs_of_cells,
-    stretches_of_cells,
+    time_ranges_of_cells,
 )
 
 T0 = 1_368_021_980_238_582_676
@@ -31,11 +31,11 @@ scales = st.builds(
 )
 
 
-def stretches(*rows):
+def time_ranges(*rows):
     """Make stretches of (first, last, messages), of writer 1."""
     first, last, messages = np.array(rows, np.int64).reshape(-1, 3).T
     ones = np.ones(len(first), np.int64)
-    return Stretches(first, last, messages, 10 * messages, ones, ones.astype(bool))
+    return TimeRanges(first, last, messages, 10 * messages, ones, ones.astype(bool))
 
 
 def cells_by_hand(scale, known):
@@ -58,7 +58,7 @@ def test_single_messages_lie_in_their_cells(scale, known):
     assert cells.counts.tolist() == cells_by_hand(scale, known)
     assert not cells.even.any()
     alone = Cells(scale)
-    alone.add(stretches(*((time, time, 1) for time in known)))
+    alone.add(time_ranges(*((time, time, 1) for time in known)))
     # Of a cell that reaches beyond the end, stretches behind the end are none of the window.
     inside = [time for time in known if time <= scale.end]
     assert alone.counts.tolist() == cells_by_hand(scale, inside)
@@ -68,7 +68,7 @@ def test_single_messages_lie_in_their_cells(scale, known):
 def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, rows):
     rows = [(min(one, other), max(one, other), count) for one, other, count in rows]
     cells = Cells(scale)
-    cells.add(stretches(*rows))
+    cells.add(time_ranges(*rows))
     counts, even = cells.counts, cells.even
     begins = scale.start + np.arange(scale.cells) * scale.step
     for cell, begin in enumerate(begins.tolist()):
@@ -95,30 +95,30 @@ def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, row
 def test_few_messages_stand_at_their_ends_and_between():
     scale = Scale(T0, T0 + 999, 10)
     cells = Cells(scale)
-    cells.add(stretches((T0 + 5, T0 + 985, 3)))
+    cells.add(time_ranges((T0 + 5, T0 + 985, 3)))
     assert np.flatnonzero(cells.counts).tolist() == [0, 49, 98]
     zoomed = Cells(Scale(T0 + 400, T0 + 599, 2))
-    zoomed.add(stretches((T0 - 10**15, T0 + 10**15, 100_000)))
+    zoomed.add(time_ranges((T0 - 10**15, T0 + 10**15, 100_000)))
     assert zoomed.counts.sum() <= 1  # 20 ms from one to the next
 
 
 def test_what_nobody_counted_is_told():
     cells = Cells(Scale(T0, T0 + 99, 10))
-    cells.add(stretches((T0 + 20, T0 + 49, 0)))
+    cells.add(time_ranges((T0 + 20, T0 + 49, 0)))
     assert not cells.counts.any()
-    assert stretches_of_cells(cells.unknown) == [[2, 4]]
+    assert time_ranges_of_cells(cells.unknown) == [[2, 4]]
 
 
 def test_a_pause_is_told_when_it_is_unusual_and_can_be_seen():
     scale = Scale(0, 99_999, 100)
     usual = [(n * 1000, n * 1000 + 900, 10) for n in range(10)]
-    assert gaps_between(stretches(*usual), scale) == []
+    assert gaps_between(time_ranges(*usual), scale) == []
     paused = [*usual, (20_000, 20_900, 10)]
-    assert gaps_between(stretches(*paused), scale) == [(9900, 20_000)]
-    assert gaps_between(stretches(*paused), Scale(0, 10**7, 10_000)) == []
-    two_runs = stretches(*paused)._replace(writer=np.array([1] * 10 + [2]))
+    assert gaps_between(time_ranges(*paused), scale) == [(9900, 20_000)]
+    assert gaps_between(time_ranges(*paused), Scale(0, 10**7, 10_000)) == []
+    two_runs = time_ranges(*paused)._replace(writer=np.array([1] * 10 + [2]))
     assert gaps_between(two_runs, scale) == []
-    assert gaps_between(stretches((0, 0, 1), (90_000, 90_000, 1)), scale) == []
+    assert gaps_between(time_ranges((0, 0, 1), (90_000, 90_000, 1)), scale) == []
     known = np.array([*range(0, 3000, 100), *range(9000, 12_000, 100)])
     assert gaps_in(known, scale) == [(2900, 9000)]
 
@@ -126,7 +126,7 @@ def test_a_pause_is_told_when_it_is_unusual_and_can_be_seen():
 def test_cells_are_written_as_runs():
     assert runs_of_cells(np.array([0, 0.2, 3.0, 0, 7.6, 0.0])) == [[1, 1, 3], [4, 8]]
     assert runs_of_cells(np.zeros(3)) == []
-    assert stretches_of_cells(np.array([True, True, False, True])) == [[0, 1], [3, 3]]
+    assert time_ranges_of_cells(np.array([True, True, False, True])) == [[0, 1], [3, 3]]
 
 
 @pytest.mark.parametrize(("start", "end", "most"), [(0, 9, 0), (0, 9, MAX_CELLS + 1), (9, 0, 5)])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import When, iso_time
 from cassandra_ros.playing.times import check_length, read_when, resolve_times
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 
 SEC = 10**9
 
@@ -71,7 +71,7 @@ WHENS = st.none() | st.builds(When, NS, st.booleans())
 
 @given(NS, NS, WHENS, WHENS, st.none() | NS)
 def test_times_resolve_to_a_part_of_what_is_there_or_are_refused(one, two, start, end, length):
-    known = Stretch(min(one, two), max(one, two))
+    known = TimeRange(min(one, two), max(one, two))
 
     def place(when, default):
         return default if when is None else when.ns + known.low * when.relative

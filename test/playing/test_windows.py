@@ -24,14 +24,14 @@ from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.playing.selection import PlaySelection
 from cassandra_ros.playing.stream import Stream
 from cassandra_ros.topics.hit_windows import joined, merge_windows
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 
 TIMES = st.integers(0, 60)
 
 
 @given(st.lists(TIMES), TIMES, TIMES, TIMES, TIMES, st.integers(1, 30))
 def test_windows_cover_just_what_is_near_a_hit(hits, before, after, low, high, longest):
-    bounds = Stretch(min(low, high), max(low, high))
+    bounds = TimeRange(min(low, high), max(low, high))
     inside = sorted(hit for hit in hits if bounds.low <= hit <= bounds.high)
     pieces = list(merge_windows(inside, before, after, bounds, longest))
     covered = [t for piece in pieces for t in range(piece.low, piece.high + 1)]
@@ -49,7 +49,7 @@ def test_windows_cover_just_what_is_near_a_hit(hits, before, after, low, high, l
 def test_windows_come_while_the_hits_come(before, after, step):
     taken = itertools.count()
     hits = (n * step for n in taken)  # without end
-    pieces = merge_windows(hits, before, after, Stretch(), longest=50)
+    pieces = merge_windows(hits, before, after, TimeRange(), longest=50)
     assert len(list(itertools.islice(pieces, 5))) == 5
     assert next(taken) * step <= 5 * (50 + before + after + 2 * step) + step
 

@@ -84,7 +84,7 @@ def test_conditions(husky):
 
 
 def test_the_statement_of_the_paper(husky):
-    """Listing of design 4: a stretch of time of one frame, min and max of a column."""
+    """Listing of design 4: a time range of one frame, min and max of a column."""
     times = [t for t, _ in husky.messages["/tf"]]
     t1, t2 = Stamp.from_ns(times[1000]), Stamp.from_ns(times[1500])
     statement = (

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 
-from cassandra_ros.topics.key_selection import Stretch, Whose
+from cassandra_ros.topics.key_selection import TimeRange, Whose
 
 FIRST, LAST = -(2**63), 2**63 - 1
 
@@ -62,7 +62,7 @@ def by_index(rosCas, topic, field, of, values):
             buckets.setdefault((row.node, row.bucket), []).append(row)
         for (node, bucket), writers in buckets.items():
             ends = (bucket * table.metadata.bucket_ns, (bucket + 1) * table.metadata.bucket_ns - 1)
-            rows = rosCas.parts.rows.read([table], Stretch(*ends), whose=Whose((node,)))
+            rows = rosCas.parts.rows.read([table], TimeRange(*ends), whose=Whose((node,)))
             parts = []
             if index is not None and all(index.shadow in row.filled for row in writers):
                 parts.append(_indexed(rosCas, table, index, (node, bucket), values))

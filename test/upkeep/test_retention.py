@@ -22,7 +22,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.tables.registry import Run
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.upkeep.retention_rules import _gaps
 
 COUNT = 200
@@ -74,10 +74,10 @@ TIMES = st.integers(0, 40)
 
 @given(st.lists(st.tuples(TIMES, TIMES)), TIMES, TIMES)
 def test_gaps_are_all_that_is_not_pinned(pins, low, high):
-    stretches = sorted(Stretch(min(pin), max(pin)) for pin in pins)
-    gaps = list(_gaps(stretches, low, high))
+    time_ranges = sorted(TimeRange(min(pin), max(pin)) for pin in pins)
+    gaps = list(_gaps(time_ranges, low, high))
     covered = [t for gap in gaps for t in range(gap.low, gap.high + 1)]
-    pinned = {t for pin in stretches for t in range(pin.low, pin.high + 1)}
+    pinned = {t for pin in time_ranges for t in range(pin.low, pin.high + 1)}
     assert covered == [t for t in range(low, high + 1) if t not in pinned]
 
 

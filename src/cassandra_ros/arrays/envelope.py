@@ -3,7 +3,7 @@
 """What a plot shows of many numbers over time: the least and the greatest of each of its pixels.
 
 Pixels are as long as a power of two of nanoseconds, and begin at its multiples. So what was found
-of a stretch of time holds for everybody who looks at it as closely, and parts are joined by it.
+of a time range holds for everybody who looks at it as closely, and parts are joined by it.
 
 Numbers are float64: an integer beyond 2^53 is rounded to the next one, as float() does. What is
 missing, and NaN, is NaN: a pixel has it only where there is nothing else.

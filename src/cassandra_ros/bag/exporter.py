@@ -20,7 +20,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.topics.catalog import Conditions
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -104,7 +104,7 @@ def export_bag(
     rows = ros_cas.readMessages(
         names, start, end, nodeID=nodeID, received=True, where=where, run=run
     )
-    low, high = Stretch.between(start, end)
+    low, high = TimeRange.between(start, end)
     before = []
     if latched and start is not None:
         catalog = ros_cas.catalog

@@ -33,7 +33,7 @@ from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
 from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
-from cassandra_ros.topics.removal import delete_stretch
+from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.stored_totals import holds_any
 
 _log = logging.getLogger(__name__)
@@ -280,7 +280,7 @@ def _remove_other_blocks(ros_cas: RosCassandra, handles: Mapping[int, Handle], r
         parts.place_index.withdraw(table.name, run=(run.node, run.writer))
         other = table.packed and (table.metadata.replaces or table.metadata.cut)
         if other and holds_any(parts.directory, [table], whose):
-            delete_stretch(parts, [table], 0, MAX_NS, whose)
+            delete_time_range(parts, [table], 0, MAX_NS, whose)
 
 
 def _write_messages(

@@ -50,7 +50,7 @@ def headers(
         terms.append(("_last", ">=", encode_long(low)))
     if high is not None:
         ends[1] = high, MAX_SEQ
-    asked = table.stretch(
+    asked = table.select_range(
         HEADER,
         table.place(node, bucket),
         (ends[0], ends[1]),

@@ -30,7 +30,7 @@ class Cutter:
         self._what = f"deleting from topic {table.metadata.topic}"
         self.large: List[Order] = []
 
-    def stretch(self, rows: Sequence[BlockRow], low: int, high: int) -> int:
+    def time_range(self, rows: Sequence[BlockRow], low: int, high: int) -> int:
         """Delete what lies in [low, high] of some blocks; return how many messages."""
         whole = [row for row in rows if low <= row.t and row.last <= high]
         self._delete([row.key for row in whole])

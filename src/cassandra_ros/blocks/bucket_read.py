@@ -98,7 +98,7 @@ class BucketRead:
         low, high = self.ends
         past = last is not None and last[0] is not None and last[0] >= encode_long(low[0])
         reaching = () if past and not self.reverse else self.reaching
-        return self.table.stretch(
+        return self.table.select_range(
             names,
             self._place,
             ((self.first, MIN_SEQ), (high[0], MAX_SEQ)),

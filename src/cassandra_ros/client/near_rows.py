@@ -29,7 +29,7 @@ def near_rows(
 ) -> Iterator[StoredRow]:
     """Walk through the rows of topics (None = all) whose robot was on a disk; see RosCassandra."""
     listed = check_topics(topics)
-    stretch, tables = catalog.stretch(listed, *ends), catalog.tables(listed)
+    time_range, tables = catalog.time_range(listed, *ends), catalog.tables(listed)
     names = sorted({table.metadata.topic for table in tables})
     catalog.filters(where, names, nodeID, run)  # raises for what is none
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
@@ -37,7 +37,7 @@ def near_rows(
     try:
         with catalog.places.shared():
             filters = catalog.filters(conditions, names, nodeID, run)
-            return catalog.merged(tables, filters, stretch, catalog.whose(nodeID, run))
+            return catalog.merged(tables, filters, time_range, catalog.whose(nodeID, run))
     except InvalidQuery as exc:
         raise InvalidOption(exc.reason) from exc
 

@@ -23,7 +23,7 @@ from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.descriptions import Infos, RunList
-from cassandra_ros.topics.key_selection import Clock, Stretch
+from cassandra_ros.topics.key_selection import Clock, TimeRange
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
@@ -287,7 +287,7 @@ class RosCassandra:
         Of a node or run there are only the tables in which they have messages.
         """
         tables, whose = self.catalog.tables(check_topics(topics)), self.catalog.whose(nodeID, run)
-        losses = self.parts.runs.losses(None, Stretch(), whose)
+        losses = self.parts.runs.losses(None, TimeRange(), whose)
         return Infos(describe(self.parts.directory, tables, whose, losses))
 
     def runs(self) -> RunList:
@@ -312,10 +312,10 @@ class RosCassandra:
     ) -> list[Loss]:
         """List what should have been recorded and was not, also of topics that are not stored.
 
-        The arguments are those of readMessages: a loss counts whose stretch of time is touched.
+        The arguments are those of readMessages: a loss counts whose time range is touched.
         """
-        names, stretch = check_topics(topics), Stretch.between(key, to_key)
-        return self.parts.runs.losses(names, stretch, self.catalog.whose(nodeID, run))
+        names, time_range = check_topics(topics), TimeRange.between(key, to_key)
+        return self.parts.runs.losses(names, time_range, self.catalog.whose(nodeID, run))
 
     def readMessages(
         self,
@@ -351,8 +351,8 @@ class RosCassandra:
         """
         names, space = check_topics(topics), self.catalog
         filters, whose = space.filters(where, names, nodeID, run), space.whose(nodeID, run)
-        stretch = space.stretch(names, key, to_key)
-        return space.merged(space.tables(names), filters, stretch, whose, received)
+        time_range = space.time_range(names, key, to_key)
+        return space.merged(space.tables(names), filters, time_range, whose, received)
 
     def near(
         self,
@@ -413,10 +413,10 @@ class RosCassandra:
         """
         reach, space = duration_ns(tolerance), self.catalog
         first, second = space.get(topic_a), space.get(topic_b)
-        stretch = space.stretch([topic_a], key, to_key)
+        time_range = space.time_range([topic_a], key, to_key)
         filters = space.filters(where, (topic_a, topic_b), nodeID, run)
-        whose, wider = space.whose(nodeID, run), stretch.wider(reach)
-        rows = space.merged(first.tables, filters, stretch, whose)
+        whose, wider = space.whose(nodeID, run), time_range.wider(reach)
+        rows = space.merged(first.tables, filters, time_range, whose)
         partners = space.merged(second.tables, filters, wider, whose)
         return nearest_pairs(rows, partners, reach, unpaired)
 

@@ -35,7 +35,7 @@ from cassandra_ros.query.tree.field_names import FieldRef, Findings, field_of
 from cassandra_ros.query.tree.syntax import KeyOperand, Path, Select, Selected, StatementError
 from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ
 from cassandra_ros.topics.block_messages import messages_of
-from cassandra_ros.topics.key_selection import Stretch, Whose
+from cassandra_ros.topics.key_selection import TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -237,34 +237,34 @@ class PieceReader:
 
     def _taken(self, piece: Piece, values: TableValues) -> Iterator[int]:
         """Give messages to those who make arrays of them; yield each time how many."""
-        stretch = Stretch(piece.low, piece.high)
+        time_range = TimeRange(piece.low, piece.high)
         whose = Whose((piece.node,), self._wanted.bounds.writers)
         if self._wanted.bounds.whole and values.takes_blocks:
-            blocks = self._rows.blocks([piece.table], stretch, whose=whose)
+            blocks = self._rows.blocks([piece.table], time_range, whose=whose)
             if blocks is not None:
                 for block in blocks:
                     _check_table(block.table, piece)
                     values.add_block(block)
                     yield len(block.times)
                 return
-        for row in self._matching(piece.table, stretch, whose, values.needed):
+        for row in self._matching(piece.table, time_range, whose, values.needed):
             _check_table(row.table, piece)
             values.add(row, 0)
             yield 1
 
     def _matching(
-        self, table: TopicTable, stretch: Stretch, whose: Whose, needed: Sequence[str]
+        self, table: TopicTable, time_range: TimeRange, whose: Whose, needed: Sequence[str]
     ) -> Iterator[StoredRow]:
         """Read the messages that satisfy the condition."""
         if self._wanted.bounds.whole:
-            return self._rows.read([table], stretch, whose=whose, columns=lambda _: needed)
+            return self._rows.read([table], time_range, whose=whose, columns=lambda _: needed)
         chooser = Pushdown(self._select.condition, watch=self._watch)
         test = Projection.compile(
             replace(self._select, columns=()), table, Findings(self._select.text)
         )
-        low, high = stretch
+        low, high = time_range
         spans = self._wanted.bounds.spans
-        parts = [stretch] if spans is None else (Stretch(*s) for s in spans(low, high, False))
+        parts = [time_range] if spans is None else (TimeRange(*s) for s in spans(low, high, False))
         read = partial(self._rows.read, [table], whose=whose, chooser=chooser)
         return filter(test.hit, chain.from_iterable(map(read, parts)))
 

@@ -10,7 +10,7 @@ from typing import Iterator, Sequence
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.directory import Directory
-from cassandra_ros.topics.key_selection import Stretch, Whose
+from cassandra_ros.topics.key_selection import TimeRange, Whose
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import buckets_of
@@ -22,7 +22,7 @@ _ALL_BUCKETS = -(2**63), 2**63 - 1
 def content_version(
     directory: Directory,
     tables: Sequence[TopicTable],
-    stretch: Stretch,
+    time_range: TimeRange,
     whose: Whose,
     before: Sequence[StoredRow] = (),
 ) -> str:
@@ -41,7 +41,7 @@ def content_version(
     Returns:
         64 hexadecimal digits.
     """
-    facts = followed(tables, lambda now: list(_facts(directory, now, stretch, whose)))
+    facts = followed(tables, lambda now: list(_facts(directory, now, time_range, whose)))
     digest = hashlib.sha256()
     for fact in (*facts, *(repr(row.position) for row in before)):
         digest.update(fact.encode("utf-8", "surrogateescape") + b"\0")
@@ -49,7 +49,7 @@ def content_version(
 
 
 def _facts(
-    directory: Directory, tables: Sequence[TopicTable], stretch: Stretch, whose: Whose
+    directory: Directory, tables: Sequence[TopicTable], time_range: TimeRange, whose: Whose
 ) -> Iterator[str]:
     for table in sorted(tables, key=lambda table: table.name):
         yield f"{table.metadata.topic} {table.name}"
@@ -57,13 +57,13 @@ def _facts(
             keys = (key for key in list_names(table, whose.nodes) if whose.has(key.position))
             yield from sorted(map(repr, keys))
         else:
-            yield from _bucket_facts(directory, table, stretch, whose)
+            yield from _bucket_facts(directory, table, time_range, whose)
 
 
 def _bucket_facts(
-    directory: Directory, table: TopicTable, stretch: Stretch, whose: Whose
+    directory: Directory, table: TopicTable, time_range: TimeRange, whose: Whose
 ) -> Iterator[str]:
-    ends = table.bucket_of(stretch.low), table.bucket_of(stretch.high)
+    ends = table.bucket_of(time_range.low), table.bucket_of(time_range.high)
     if table.metadata.own_time:
         ends = _ALL_BUCKETS  # where its rows lie does not say when they were received
     rows = buckets_of(directory, table, whose, ends)

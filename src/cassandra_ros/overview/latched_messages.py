@@ -31,7 +31,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.key_selection import LAST_NS, Nodes, Stretch, Whose
+from cassandra_ros.topics.key_selection import LAST_NS, Nodes, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
@@ -199,9 +199,9 @@ class LatchedFinder:
         if not there:
             return
         missing = {((row.node, row.writer), conn) for row in there for conn in conns}
-        stretch = Stretch(max(since, min(row.bucket for row in there) * length), t - 1)
+        time_range = TimeRange(max(since, min(row.bucket for row in there) * length), t - 1)
         whose = Whose(tuple({row.node for row in there}), frozenset(row.writer for row in there))
-        for row in self._rows(table, stretch, whose, reverse=True, wanted=len(missing)):
+        for row in self._rows(table, time_range, whose, reverse=True, wanted=len(missing)):
             publisher = publisher_of(row)
             if publisher in missing and self._wanted(row):
                 missing.discard(publisher)
@@ -214,7 +214,7 @@ class LatchedFinder:
     ) -> Iterator[StoredRow]:
         """Look through the keys of a topic whose key is not the time of reception."""
         last: Dict[Publisher, StoredRow] = {}
-        conns, every = self._latched[table.name], Stretch()
+        conns, every = self._latched[table.name], TimeRange()
         for row in self._rows(table, every, Whose(self._nodes, self._writers)):
             source, conn = publisher = publisher_of(row)
             # Equal messages of key format hash have one row, which names no writer.
@@ -230,14 +230,14 @@ class LatchedFinder:
     def _rows(
         self,
         table: TopicTable,
-        stretch: Stretch,
+        time_range: TimeRange,
         whose: Whose,
         reverse: bool = False,
         wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         # Of most rows the keys are enough; a condition looks into the messages.
         columns = None if table.metadata.topic in self._tests else lambda table: ()
-        read = partial(self._keyspace.rows.read, [table], stretch, whose=whose, columns=columns)
+        read = partial(self._keyspace.rows.read, [table], time_range, whose=whose, columns=columns)
         return read(reverse=reverse, wanted=wanted)
 
     def _wanted(self, row: StoredRow) -> bool:

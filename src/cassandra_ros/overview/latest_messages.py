@@ -9,7 +9,7 @@ from typing import Dict, Iterator, List, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.overview.latched_messages import LatchedFinder
-from cassandra_ros.topics.key_selection import EVERYBODY, Stretch, Whose
+from cassandra_ros.topics.key_selection import EVERYBODY, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -72,13 +72,13 @@ class Latest:
     def _last_timed(self, tables: Sequence[TopicTable], t: int, since: int) -> List[StoredRow]:
         rows = self._keyspace.rows
         if any(table.msg_type in TRANSFORMS for table in tables):
-            steady = Stretch(max(since, t - TRANSFORMS_NS), t)
+            steady = TimeRange(max(since, t - TRANSFORMS_NS), t)
             found = list(rows.read(tables, steady, whose=self._whose))
             if found:
                 return found
         near = rows.beside(tables, t, self._whose, [True])
         if near is None:
-            back = rows.read(tables, Stretch(since, t), whose=self._whose, reverse=True, wanted=1)
+            back = rows.read(tables, TimeRange(since, t), whose=self._whose, reverse=True, wanted=1)
             near = list(islice(back, 1))
         return [row for row in near if row.t >= since]
 
@@ -87,7 +87,7 @@ class Latest:
         whose = Whose(None if nodes is None else (*nodes, ""))
         newest: Dict[Tuple[str, str], StoredRow] = {}
         for row in self._keyspace.rows.read(
-            tables, Stretch(), whose=whose, columns=lambda table: ()
+            tables, TimeRange(), whose=whose, columns=lambda table: ()
         ):
             key = (row.node, row.name)
             if row.t <= t or key not in newest:

@@ -46,7 +46,7 @@ class Chosen:
         return catalog.merged(
             topic.tables,
             catalog.filters({topic.name: self.where}, names, self.node, self.writers),
-            catalog.stretch(names, self.start, self.end),
+            catalog.time_range(names, self.start, self.end),
             catalog.whose(self.node, self.writers),
         )
 

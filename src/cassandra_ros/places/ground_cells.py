@@ -42,7 +42,7 @@ class Cell(NamedTuple):
 
 
 class Visit(NamedTuple):
-    """A stretch of time in which a robot may have been in a cell, ns, both ends included."""
+    """A time range in which a robot may have been in a cell, ns, both ends included."""
 
     cell: Cell
     low: int

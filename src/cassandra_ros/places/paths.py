@@ -27,7 +27,7 @@ LONGEST_WAY_M = 40_000.0
 AROUND_NS = 1_000_000
 """So much longer than computed a stay is taken to be: its ends are rounded."""
 Span = Tuple[int, int]
-"""A stretch of time, ns, both ends included."""
+"""A time range, ns, both ends included."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ class Path:
         return self.times[n], self.times[n + 1], lines
 
     def stays(self, region: Region) -> Iterator[Span]:
-        """Yield the stretches of time in which it was in a region, or a little longer, in order."""
+        """Yield the time ranges in which it was in a region, or a little longer, in order."""
         starts, ends, lines = self.lines
         begun, ended = starts.tolist(), ends.tolist()
         found: List[Span] = []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recorded transforms and poses of a stretch of time as arrays, and what lies between them."""
+"""Recorded transforms and poses of a time range as arrays, and what lies between them."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from cassandra_ros.places.sources import ArraySource
 
 
 class Extent(NamedTuple):
-    """A stretch of time in which a run has, or may have, messages in a table."""
+    """A time range in which a run has, or may have, messages in a table."""
 
     table: str
     writer: int

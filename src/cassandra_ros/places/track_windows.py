@@ -34,7 +34,7 @@ FRESH_SEC = 2.0
 
 @dataclass(frozen=True)
 class Window:
-    """Where a robot was in some stretch of time, as each run recorded it."""
+    """Where a robot was in some time range, as each run recorded it."""
 
     every: Path
     """By the poses of all runs."""

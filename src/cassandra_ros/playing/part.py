@@ -20,7 +20,7 @@ from cassandra_ros.overview.latched_messages import (
 )
 from cassandra_ros.playing.extent import Extent
 from cassandra_ros.topics.catalog import Conditions
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.row_finder import Filter, Where
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -44,7 +44,7 @@ class Part:
     where: Conditions
     extents: Sequence[Extent]
     """From when to when it has messages, by their times of reception."""
-    chosen: Stretch = Stretch(0, MAX_NS)
+    chosen: TimeRange = TimeRange(0, MAX_NS)
     """Only messages that were received in it."""
     begin: int = 0
     """When its first chosen message was received, ns; ``begun`` finds it."""
@@ -52,10 +52,10 @@ class Part:
     """What is added to times of reception, ns."""
 
     @property
-    def known(self) -> Stretch:
+    def known(self) -> TimeRange:
         """From its first chosen message to its last one, which may satisfy no condition."""
         high = min(self.chosen.high, max(extent.last for extent in self.extents))
-        return Stretch(self.begin + self.shift, high + self.shift)
+        return TimeRange(self.begin + self.shift, high + self.shift)
 
     def first(self) -> Optional[int]:
         """Return when its first chosen message was received, None where there is none."""
@@ -65,38 +65,38 @@ class Part:
         row = next(self._stored(self.chosen), None)
         return None if row is None else row.received
 
-    def rows(self, stretch: Stretch) -> Iterator[Tuple[int, StoredRow]]:
+    def rows(self, time_range: TimeRange) -> Iterator[Tuple[int, StoredRow]]:
         """Walk lazily through its rows in a stretch: time and row."""
-        inner = self._received(stretch)
+        inner = self._received(time_range)
         return ((row.received + self.shift, row) for row in self._stored(inner))
 
-    def noted(self, stretch: Stretch, sent: Sent) -> Iterator[Tuple[int, StoredRow]]:
+    def noted(self, time_range: TimeRange, sent: Sent) -> Iterator[Tuple[int, StoredRow]]:
         """Walk through the rows as ``rows`` does, and note which latched ones are played."""
-        for t, row in self.rows(stretch):
+        for t, row in self.rows(time_range):
             if self._finder.is_latched(row):
                 sent.played(row)
             yield t, row
 
-    def _received(self, stretch: Stretch) -> Stretch:
+    def _received(self, time_range: TimeRange) -> TimeRange:
         """Return the times of reception that a stretch means."""
-        low, high = stretch.low - self.shift, stretch.high - self.shift
-        return Stretch(max(0, low, self.chosen.low), min(high, self.chosen.high))
+        low, high = time_range.low - self.shift, time_range.high - self.shift
+        return TimeRange(max(0, low, self.chosen.low), min(high, self.chosen.high))
 
-    def _stored(self, stretch: Stretch) -> Iterator[StoredRow]:
-        if stretch.low > stretch.high:
+    def _stored(self, time_range: TimeRange) -> Iterator[StoredRow]:
+        if time_range.low > time_range.high:
             return iter(())
         return self.ros_cas.readMessages(
             self.topics,
-            *stretch,
+            *time_range,
             nodeID=self.node,
             received=True,
             where=self.where,
             run=self.writers,
         )
 
-    def hits(self, topic: str, condition: Where, stretch: Stretch) -> Iterator[int]:
+    def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
         """Walk lazily through the times of the messages of a topic that satisfy a condition."""
-        inner, found = self._received(stretch), self.ros_cas.getTopic(topic)
+        inner, found = self._received(time_range), self.ros_cas.getTopic(topic)
         if inner.low > inner.high:
             return iter(())
         if any(table.metadata.own_time or table.named for table in found.tables):
@@ -118,7 +118,9 @@ class Part:
         nodes = check_nodes(self.node)
         return LatchedFinder(self.ros_cas.parts, self._tables, nodes, self.writers, tests)
 
-    def latched(self, window: Stretch, sent: Optional[Sent] = None) -> List[Tuple[int, StoredRow]]:
+    def latched(
+        self, window: TimeRange, sent: Optional[Sent] = None
+    ) -> List[Tuple[int, StoredRow]]:
         """List what was latched before a window, in the order of reception: time and row."""
         low, high = window.low - self.shift, window.high - self.shift
         if low <= min(extent.first for extent in self.extents):

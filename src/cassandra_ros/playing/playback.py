@@ -21,7 +21,7 @@ from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, ReadAhead, Skipped
 from cassandra_ros.playing.stream import Played
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 
 _log = logging.getLogger(__name__)
 
@@ -98,7 +98,7 @@ class Playback:
         self._at_end = False  # kept alive
         self._reader: Optional[ReadAhead] = None
         self._early: Optional[ReadAhead] = None
-        self._window: Optional[Stretch] = None
+        self._window: Optional[TimeRange] = None
         self._horizon = stream.start_ns
         self._known = False
         self._again = False

@@ -27,7 +27,7 @@ from cassandra_ros.playing.robot_alignment import (
 from cassandra_ros.playing.selection import Names, PlaySelection, chosen_topics
 from cassandra_ros.playing.times import check_length, read_when, resolve_times
 from cassandra_ros.topics.hit_windows import Piece, joined, merge_windows
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.stored_row import StoredRow
 
 _Timed = Tuple[int, StoredRow]
@@ -41,7 +41,7 @@ class Played(NamedTuple):
     row: StoredRow
     topic: str
     """Name under which it goes out."""
-    window: Stretch
+    window: TimeRange
     """The stretch of the replay's time line that it belongs to. Where its low end is another one
     than the last message's, what lies between the two stretches is jumped over; the high end of a
     long one may grow from message to message."""
@@ -94,8 +94,8 @@ class Stream:
         if self._align:
             # Times of the calendar have chosen the messages; on a common line they mean nothing.
             start, end = (when if when and when.relative else None for when in (start, end))
-        self._stretch = resolve_times(_known(self._parts), start, end, length)
-        self.start_ns, self.end_ns = self._stretch
+        self._time_range = resolve_times(_known(self._parts), start, end, length)
+        self.start_ns, self.end_ns = self._time_range
         if self._around is not None:
             self.start_ns = self._first_window(self._around)
         self._sources = self._source_names() if selection.node_prefix else {}
@@ -124,7 +124,7 @@ class Stream:
             return self._begun([whole])
         first, last = (None if when is None or when.relative else when for when in (start, end))
         resolve_times(_known(self._begun([whole])), first, last, None)  # checked as for all
-        chosen = Stretch(0 if first is None else first.ns, MAX_NS if last is None else last.ns)
+        chosen = TimeRange(0 if first is None else first.ns, MAX_NS if last is None else last.ns)
         return aligned(self._begun(split_parts(replace(whole, chosen=chosen), self._align)))
 
     def _begun(self, parts: Sequence[Part]) -> List[Part]:
@@ -150,31 +150,31 @@ class Stream:
         return self._names.of(topic, self._sources.get((node, writer), default))
 
     @property
-    def windows(self) -> List[Stretch]:
+    def windows(self) -> List[TimeRange]:
         """The stretches of the replay's time line that are played, in order, without overlap.
 
         With around all hits are looked for; messages() does not need them beforehand.
         """
-        return list(joined(self._pieces(self._stretch.low)))
+        return list(joined(self._pieces(self._time_range.low)))
 
     def _pieces(self, low: int) -> Iterator[Piece]:
         """Walk through the windows from a time on: of the first one what lies before is cut off."""
-        bounds, around = self._stretch, self._around
+        bounds, around = self._time_range, self._around
         low = max(low, bounds.low)
         if around is None:
             if low <= bounds.high:
                 yield Piece(low, low, bounds.high)
             return
-        reach = Stretch(max(bounds.low, low - around.after), bounds.high)
+        reach = TimeRange(max(bounds.low, low - around.after), bounds.high)
         hits = heapq.merge(*(p.hits(around.topic, around.condition, reach) for p in self._parts))
         for piece in merge_windows(hits, around.before, around.after, bounds, PIECE_NS):
             if piece.high >= low:
                 yield Piece(max(piece.window, low), max(piece.low, low), piece.high)
 
     def _first_window(self, around: Around) -> int:
-        first = next(self._pieces(self._stretch.low), None)
+        first = next(self._pieces(self._time_range.low), None)
         if first is None:
-            low, high = map(iso_time, self._stretch)
+            low, high = map(iso_time, self._time_range)
             raise MessageNotFound(
                 f"no message of {around.topic} satisfies {around.condition!r:.200} between {low} "
                 f"and {high}"
@@ -208,7 +208,7 @@ class Stream:
         piece = next(self._pieces(t), None)
         if piece is None:
             return []
-        window = Stretch(piece.low, piece.high)
+        window = TimeRange(piece.low, piece.high)
         rows = _merged([part.latched(window) for part in self._parts])
         return [self._played(t, row, window) for t, row in rows]
 
@@ -224,8 +224,8 @@ class Stream:
         sent = [Sent() for _ in self._parts] if self._around else None
         last: Optional[int] = None
         for piece in self._pieces(low):
-            window = Stretch(piece.window, piece.high)
-            reach = Stretch(piece.low, piece.high)
+            window = TimeRange(piece.window, piece.high)
+            reach = TimeRange(piece.low, piece.high)
             if sent is not None and piece.window != last:
                 changed = [p.latched(reach, s) for p, s in zip(self._parts, sent)]
                 if last is not None:
@@ -235,20 +235,20 @@ class Stream:
             for at, row in self._rows(reach, sent):
                 yield self._played(at, row, window)
 
-    def _rows(self, stretch: Stretch, sent: Optional[Sequence[Sent]]) -> Iterator[_Timed]:
+    def _rows(self, time_range: TimeRange, sent: Optional[Sequence[Sent]]) -> Iterator[_Timed]:
         if sent is None:
-            return heapq.merge(*(part.rows(stretch) for part in self._parts), key=_order)
+            return heapq.merge(*(part.rows(time_range) for part in self._parts), key=_order)
         pairs = zip(self._parts, sent)
-        return heapq.merge(*(part.noted(stretch, each) for part, each in pairs), key=_order)
+        return heapq.merge(*(part.noted(time_range, each) for part, each in pairs), key=_order)
 
-    def _played(self, t: int, row: StoredRow, window: Stretch) -> Played:
+    def _played(self, t: int, row: StoredRow, window: TimeRange) -> Played:
         name = self._name_of(row.topic, row.node, split_seq(row.seq)[0])
         return Played(t, row, name, window)
 
 
-def _known(parts: Sequence[Part]) -> Stretch:
+def _known(parts: Sequence[Part]) -> TimeRange:
     """Return from when to when some parts reach, on the replay's time line."""
-    return Stretch(min(p.known.low for p in parts), max(p.known.high for p in parts))
+    return TimeRange(min(p.known.low for p in parts), max(p.known.high for p in parts))
 
 
 def _merged(parts: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:

@@ -21,7 +21,7 @@ from cassandra_ros.messages.stamps import (
     time_or_length,
     to_ns,
 )
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 
 PlayTime = Union[None, Time, Length]
 """A time, or a length from the first message: a text or number below 10**9 is seconds. None =
@@ -79,8 +79,8 @@ def _number(text: str) -> Optional[Decimal]:
 
 
 def resolve_times(
-    known: Stretch, start: Optional[When], end: Optional[When], duration_ns: Optional[int]
-) -> Stretch:
+    known: TimeRange, start: Optional[When], end: Optional[When], duration_ns: Optional[int]
+) -> TimeRange:
     """Say what is played of messages that reach from known.low to known.high.
 
     Returns:
@@ -108,18 +108,18 @@ def resolve_times(
             )
     if duration_ns is not None:
         high = min(high, low + duration_ns)
-    return Stretch(low, min(high, known.high))
+    return TimeRange(low, min(high, known.high))
 
 
-def _placed(known: Stretch, when: When) -> int:
+def _placed(known: TimeRange, when: When) -> int:
     return when.ns + known.low if when.relative else when.ns
 
 
-def _shown(known: Stretch, when: When) -> str:
+def _shown(known: TimeRange, when: When) -> str:
     return f"{when.ns / SECOND_NS:g} s" if when.relative else iso_time(when.ns)
 
 
-def _reach(known: Stretch) -> str:
+def _reach(known: TimeRange) -> str:
     seconds = (known.high - known.low) / SECOND_NS
     return (
         f"all that is chosen, which reaches from {iso_time(known.low)} to {iso_time(known.high)} "

@@ -35,7 +35,7 @@ from cassandra_ros.query.tree.syntax import (
 class Explanation:
     """How a statement was answered; ``str()`` is for people.
 
-    A bucket is a partition: a stretch of time of one node in one table.
+    A bucket is a partition: a time range of one node in one table.
     """
 
     statement: str
@@ -67,7 +67,7 @@ class Explanation:
     """Messages in blocks that were not read, in the buckets that were, as the directory counts."""
     counted: bool = False
     """The directory of buckets knew the answer; no row was read."""
-    stretches: Optional[int] = None
+    time_ranges: Optional[int] = None
     """Stretches of time that NEAR left; None: it leaves all of them, or is not asked."""
 
     def __repr__(self) -> str:
@@ -82,8 +82,8 @@ class Explanation:
             f"blocks:        {self.blocks} of {self.unpacked} messages unpacked, of which "
             f"{self.sifted} were sifted out; not read: those of {self.unread} messages"
         ]
-        of = "of" if self.stretches is None else "reads, of"
-        near = [f"near:          read in {self.stretches} stretches of time"]
+        of = "of" if self.time_ranges is None else "reads, of"
+        near = [f"near:          read in {self.time_ranges} time ranges"]
         ways = [f"{count} {how}" for how, count in counts.items() if count]
         return "\n".join(
             [
@@ -94,7 +94,7 @@ class Explanation:
                 *(blocks if self.blocks or self.unread else ()),
                 f"server:        {'; '.join(self.server) or 'checks nothing'}",
                 f"client alone:  {'; '.join(self.client) or 'nothing'}",
-                *(near if self.stretches is not None else ()),
+                *(near if self.time_ranges is not None else ()),
                 f"rows read:     {self.rows_read}" + ", the directory counts" * self.counted,
                 f"rows returned: {self.rows_returned}",
             ]
@@ -126,7 +126,7 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
         sifted=pushed.unpacked - pushed.kept,
         unread=max(0, pushed.held - pushed.unpacked),
         counted=result.counted,
-        stretches=result.stretches if result.bounded_by_place else None,
+        time_ranges=result.time_ranges if result.bounded_by_place else None,
     )
 
 

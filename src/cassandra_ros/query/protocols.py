@@ -48,7 +48,7 @@ class Stays(Protocol):
         """
 
     def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[Tuple[int, int]]:
-        """Yield stretches of time outside of which ``holds`` is never true.
+        """Yield time ranges outside of which ``holds`` is never true.
 
         In order, or the newest first, apart from one another, both ends included, ns, all of them
         in [low, high]. They are found while they are taken.

@@ -58,7 +58,7 @@ def bounded_rows(
             run=run,
             wanted=limit if wanted is None else wanted,
         )
-        parts = (read(low, high) for low, high in _stretches(bounds, after, reverse))
+        parts = (read(low, high) for low, high in _time_ranges(bounds, after, reverse))
         return islice(chain.from_iterable(parts), limit)
     try:
         every = source.versions(bounds.name, nodeID=node, reverse=reverse, run=run)
@@ -73,8 +73,8 @@ def bounded_rows(
     return islice(behind, limit)
 
 
-def _stretches(bounds: Bounds, after: Optional[Position], reverse: bool) -> Iterator[Span]:
-    """Yield the stretches of time that are read, in the direction of reading."""
+def _time_ranges(bounds: Bounds, after: Optional[Position], reverse: bool) -> Iterator[Span]:
+    """Yield the time ranges that are read, in the direction of reading."""
     low, high = bounds.low, bounds.high
     if bounds.spans is None:
         return iter([(low, high)])
@@ -217,7 +217,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         select: The statement.
         pushdown: What the server checks of it.
         read: How many rows have come from the server.
-        stretches: How many stretches of time NEAR has left so far.
+        stretches: How many time ranges NEAR has left so far.
         counted: The directory knew the answer.
 
     Raises:
@@ -274,7 +274,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     @property
     def bounded_by_place(self) -> bool:
-        """Whether NEAR leaves only some stretches of time."""
+        """Whether NEAR leaves only some time ranges."""
         return self._spans is not None
 
     @property
@@ -362,13 +362,13 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             yield row
 
     def _spanned(self, bounds: Bounds) -> Bounds:
-        """Return bounds that leave the stretches of time that NEAR leaves, and count these."""
-        self._spans, self.stretches = spans_of(self.select.condition), 0
+        """Return bounds that leave the time ranges that NEAR leaves, and count these."""
+        self._spans, self.time_ranges = spans_of(self.select.condition), 0
         return replace(bounds, spans=None if self._spans is None else self._counted_spans)
 
     def _counted_spans(self, low: int, high: int, reverse: bool) -> Iterator[Span]:
         for span in () if self._spans is None else self._spans(low, high, reverse):
-            self.stretches += 1
+            self.time_ranges += 1
             self._watch()
             yield span
 

@@ -70,4 +70,4 @@ class Source(Protocol[RowT_co]):
         """Count the rows with a time in [key, to_key]."""
 
     def countBuckets(self) -> int:
-        """Count its partitions: stretches of time of a node in a table."""
+        """Count its partitions: time ranges of a node in a table."""

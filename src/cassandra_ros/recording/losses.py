@@ -43,7 +43,7 @@ class LossTotal:
 
 
 @dataclass
-class _Stretch:
+class _TimeRange:
     loss: Loss
     saved: bool = False
     told: bool = False
@@ -65,7 +65,7 @@ class LossLog:
 
     def __init__(self, node: str, writer: int) -> None:
         self._node, self._writer = node, writer
-        self._stretches: dict[tuple[str, LossKind], list[_Stretch]] = defaultdict(list)
+        self._time_ranges: dict[tuple[str, LossKind], list[_TimeRange]] = defaultdict(list)
         self._totals: dict[str, dict[LossKind, LossTotal]] = defaultdict(dict)
         self._mutex = threading.Lock()
 
@@ -83,12 +83,12 @@ class LossLog:
             totals = self._totals[topic]
             total = LossTotal(messages, first_ns, last_ns, detail)
             totals[kind] = totals[kind].plus(total) if kind in totals else total
-            stretches = self._stretches[topic, kind]
+            time_ranges = self._time_ranges[topic, kind]
             # Not only the last one: several threads lose, of what came at different times.
-            found = next((s for s in reversed(stretches) if s.takes(first_ns)), None)
+            found = next((s for s in reversed(time_ranges) if s.takes(first_ns)), None)
             if found is None:
                 new = Loss(topic, self._node, self._writer, kind, first_ns, last_ns, messages)
-                stretches.append(_Stretch(new))
+                time_ranges.append(_TimeRange(new))
             else:
                 old = found.loss
                 begins, ends = min(old.first_ns, first_ns), max(old.last_ns, last_ns)
@@ -106,7 +106,7 @@ class LossLog:
         """Return when the last message of a topic came that was lost, ns; -1 = none was."""
         with self._mutex:
             every = [
-                s.loss for (name, _), own in self._stretches.items() if name == topic for s in own
+                s.loss for (name, _), own in self._time_ranges.items() if name == topic for s in own
             ]
         # Those that came while the clock was not set have no time.
         timed = (loss for loss in every if loss.count and loss.kind is not LossKind.NO_CLOCK)
@@ -115,16 +115,20 @@ class LossLog:
     def unsaved(self) -> list[Loss]:
         """Return what the store does not know yet."""
         with self._mutex:
-            every = [s for stretches in self._stretches.values() for s in stretches if not s.saved]
-            for stretch in every:
-                stretch.told = True
-            return [stretch.loss for stretch in every]
+            every = [
+                s for time_ranges in self._time_ranges.values() for s in time_ranges if not s.saved
+            ]
+            for time_range in every:
+                time_range.told = True
+            return [time_range.loss for time_range in every]
 
     def saved(self, loss: Loss) -> None:
         """Note that the store knows a loss; one that has grown since stays unsaved."""
         with self._mutex:
-            stretches = self._stretches[loss.topic, loss.kind]
-            for stretch in stretches:
-                stretch.saved = stretch.saved or stretch.loss == loss
+            time_ranges = self._time_ranges[loss.topic, loss.kind]
+            for time_range in time_ranges:
+                time_range.saved = time_range.saved or time_range.loss == loss
             # Only the last ones grow.
-            stretches[:-2] = [stretch for stretch in stretches[:-2] if not stretch.saved]
+            time_ranges[:-2] = [
+                time_range for time_range in time_ranges[:-2] if not time_range.saved
+            ]

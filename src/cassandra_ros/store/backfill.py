@@ -53,7 +53,7 @@ class Backfill:
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
         table = self._table
         names = f'{table.listing()}, WRITETIME("_conn"), TTL("_conn")'
-        asked = table.stretch(names, table.place(node, bucket), page_rows=size)
+        asked = table.select_range(names, table.place(node, bucket), page_rows=size)
         # What is back-filled competes with who records: nothing is asked for ahead.
         for page in asked.pages(ahead=False):
             yield [self._written(node, each) for each in page if not table.is_rest(each)]

@@ -148,7 +148,7 @@ def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
     if table.packed:
         return stream(BucketRead(table, node, table.bucket_of(t), ends, reverse, wanted=1))
     place, page_rows = table.place(node, table.bucket_of(t)), 1 + reverse
-    return table.stretch(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
+    return table.select_range(table.listing(), place, ends, page_rows=page_rows, reverse=reverse)
 
 
 def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
@@ -292,7 +292,7 @@ def versions(
 
 
 def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterator[TableRow]:
-    asked = table.stretch(
+    asked = table.select_range(
         table.listing(), table.place(node, name), page_rows=VERSION_PAGE_ROWS, reverse=reverse
     )
     for values in asked.rows(ahead=False):

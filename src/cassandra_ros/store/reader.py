@@ -178,7 +178,7 @@ class _Stream:
         if self._keyed:
             self._these()  # prepared here: the driver's thread must not wait for the server
         try:
-            return table.stretch(
+            return table.select_range(
                 KEYS if self._keyed else table.listing(self._columns),
                 self._place,
                 ends_of(self._piece, self._scan),

@@ -33,7 +33,7 @@ def scan_keys(
         for message in stream(BucketRead(table, node, bucket, ends, bare=True)):
             yield message.t, message.seq, message.size, message.nchunks > 0, message.odd
         return
-    asked = table.stretch(
+    asked = table.select_range(
         COUNTED,
         table.place(node, bucket),
         ((low, MIN_SEQ), (high, MAX_SEQ)),
@@ -53,7 +53,7 @@ def scan_written(
 
     Written is when the server took the row, microseconds since 1970; no table of blocks.
     """
-    asked = table.stretch(
+    asked = table.select_range(
         f'{COUNTED}, WRITETIME("_size")',
         table.place(node, bucket),
         ((low, MIN_SEQ), (high, MAX_SEQ)),

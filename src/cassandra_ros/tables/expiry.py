@@ -27,7 +27,7 @@ def rounded(left: int, ttl: int) -> int:
 def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:
     """Return how many seconds the row of a bucket that stays longest has left; 0 = it is empty."""
     names, place = f"{KEYS}, {_LEFT}", table.place(node, bucket)
-    rows = table.stretch(names, place, page_rows=_PAGE_ROWS).rows()
+    rows = table.select_range(names, place, page_rows=_PAGE_ROWS).rows()
     return max((decode_long(values[2]) for values in rows), default=0)
 
 

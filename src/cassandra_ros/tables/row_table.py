@@ -335,7 +335,7 @@ class RowTable:
 
     # ---------------------------------------------------------------- requests
 
-    def stretch(
+    def select_range(
         self,
         names: str,
         place: tuple[bytes, bytes],

@@ -41,7 +41,7 @@ OWN_COLUMNS = {
     "_raw": "blob",
 }
 KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
-"""Second part of the partition key: a stretch of time, or the name of a message."""
+"""Second part of the partition key: a time range, or the name of a message."""
 _WINDOWS = 25
 _CHUNK_TTL_MARGIN_SEC = 86_400
 _ROWS = "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"

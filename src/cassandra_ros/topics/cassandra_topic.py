@@ -29,7 +29,7 @@ from cassandra_ros.query.plan.pushdown import Pushdown
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.descriptions import topic_html, topic_line
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
-from cassandra_ros.topics.key_selection import AnyKey, Stretch, Whose
+from cassandra_ros.topics.key_selection import AnyKey, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace, Wish
 from cassandra_ros.topics.message_objects import with_messages
 from cassandra_ros.topics.row_finder import Filter, Finder, Where
@@ -91,7 +91,7 @@ class CassandraTopic:
         return MetaView(metadata, self._keyspace.nodes(tables))
 
     def countBuckets(self) -> int:
-        """Count the partitions: stretches of time of a node in a table; 0 for named messages."""
+        """Count the partitions: time ranges of a node in a table; 0 for named messages."""
         return count_buckets(self._keyspace.directory, self.tables)
 
     def setMeta(self, **keys: Any) -> None:
@@ -180,7 +180,7 @@ class CassandraTopic:
         where: Optional[Where] = None,
         run: RunName = None,
     ) -> Any:
-        """Return one message, or those of a stretch of time.
+        """Return one message, or those of a time range.
 
         Args:
             key: A time (genpy.Time, datetime, numpy.datetime64, pandas.Timestamp, int ns, float s,
@@ -206,11 +206,11 @@ class CassandraTopic:
             InvalidQuery, RunNotFound: where is no condition (it is shown), or run none.
         """
         if to_key is not None:
-            stretch = self._finder(nodeID, where, run).many(key, to_key, limit=limit)
-            return [message for _, message in with_messages(self._keyspace.cassandra, stretch)]
+            time_range = self._finder(nodeID, where, run).many(key, to_key, limit=limit)
+            return [message for _, message in with_messages(self._keyspace.cassandra, time_range)]
         if key is None:
             raise InvalidKey(
-                "getData needs a key (and to_key for a stretch of time); items() walks "
+                "getData needs a key (and to_key for a time range); items() walks "
                 f"through all messages of topic {self.name}, also through those with where="
             )
         finder = self._finder(nodeID, where, run)
@@ -309,8 +309,8 @@ class CassandraTopic:
         if not isinstance(after, (Position, type(None))):
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
         limit = check_limit(limit)
-        stretch, whose = Stretch.between(key, to_key), self._whose(nodeID, run)
-        read = partial(self._keyspace.rows.read, self._stored(), stretch, whose=whose)
+        time_range, whose = TimeRange.between(key, to_key), self._whose(nodeID, run)
+        read = partial(self._keyspace.rows.read, self._stored(), time_range, whose=whose)
         few = limit if wanted is None else wanted
         rows = read(after=after, reverse=reverse, columns=columns, chooser=chooser, wanted=few)
         return islice(rows, limit)

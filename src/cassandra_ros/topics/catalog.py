@@ -34,10 +34,17 @@ from cassandra_ros.tables.directory import STALE_SEC
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
-from cassandra_ros.topics.key_selection import EVERYBODY, LAST_NS, Clock, Stretch, Whose, spellings
+from cassandra_ros.topics.key_selection import (
+    EVERYBODY,
+    LAST_NS,
+    Clock,
+    TimeRange,
+    Whose,
+    spellings,
+)
 from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
-from cassandra_ros.topics.removal import delete_stretch
-from cassandra_ros.topics.row_finder import Filter, Where, stretch_between
+from cassandra_ros.topics.removal import delete_time_range
+from cassandra_ros.topics.row_finder import Filter, Where, time_range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
@@ -173,7 +180,7 @@ class Catalog:
             # Its table would be gone with what comes meanwhile, which no count has.
             space.registry.forget_losses(name)
             return sum(
-                delete_stretch(space, [table], 0, LAST_NS, EVERYBODY)
+                delete_time_range(space, [table], 0, LAST_NS, EVERYBODY)
                 for table in tables
                 if not table.named
             )
@@ -257,13 +264,13 @@ class Catalog:
                 _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
         return found
 
-    def stretch(
+    def time_range(
         self, topics: Optional[Iterable[str]], key: Optional[Time], to_key: Optional[Time]
-    ) -> Stretch:
+    ) -> TimeRange:
         """Return the stretch of some topics between two times, None = open; see stretch_between."""
         if key is None and to_key is None:
-            return Stretch()
-        return stretch_between(self.keyspace, self.tables(topics), key, to_key)
+            return TimeRange()
+        return time_range_between(self.keyspace, self.tables(topics), key, to_key)
 
     def whose(self, node: Optional[str], run: RunName) -> Whose:
         """Check nodeID and run, and return whose messages they mean; RunNotFound, InvalidName."""
@@ -302,7 +309,7 @@ class Catalog:
         self,
         tables: Sequence[TopicTable],
         filters: Mapping[str, Filter],
-        stretch: Stretch,
+        time_range: TimeRange,
         whose: Whose = EVERYBODY,
         received: bool = False,
     ) -> Iterator[StoredRow]:
@@ -313,14 +320,14 @@ class Catalog:
         for table in tables:
             by_topic.get(table.metadata.topic, free).append(table)
         if not any(by_topic.values()):
-            return read(free, stretch, whose=whose)
-        streams = [read(free, stretch, whose=whose)] if free else []
+            return read(free, time_range, whose=whose)
+        streams = [read(free, time_range, whose=whose)] if free else []
         for name, own in by_topic.items():
             if received and any(t.metadata.own_time and not t.named for t in own):
                 # Read by a time that its key is not: the store cannot look for both.
-                streams.append(filter(filters[name].test, read(own, stretch, whose=whose)))
+                streams.append(filter(filters[name].test, read(own, time_range, whose=whose)))
             elif own:
-                streams.append(filters[name].rows(stretch))
+                streams.append(filters[name].rows(time_range))
         return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))
 
 

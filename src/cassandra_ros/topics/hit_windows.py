@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Iterable, Iterator, NamedTuple, Optional
 
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 
 
 class Piece(NamedTuple):
@@ -22,7 +22,7 @@ def merge_windows(
     hits: Iterable[int],
     before: int,
     after: int,
-    bounds: Stretch,
+    bounds: TimeRange,
     longest: int,
 ) -> Iterator[Piece]:
     """Make windows of before to after around hits, lazily, one where some overlap or touch.
@@ -59,12 +59,12 @@ def _filled(piece: Optional[Piece]) -> Iterator[Piece]:
         yield piece
 
 
-def joined(pieces: Iterable[Piece]) -> Iterator[Stretch]:
+def joined(pieces: Iterable[Piece]) -> Iterator[TimeRange]:
     """Put the pieces of each window together."""
-    whole: Optional[Stretch] = None
+    whole: Optional[TimeRange] = None
     for window, _, high in pieces:
         if whole is not None and whole.low != window:
             yield whole
-        whole = Stretch(window, high)
+        whole = TimeRange(window, high)
     if whole is not None:
         yield whole

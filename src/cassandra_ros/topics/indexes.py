@@ -140,7 +140,7 @@ def check_unnamed(topic: str, key_format: str) -> None:
     if key_format in NAMED_FORMATS:
         raise InvalidOption(
             f"topic {topic} cannot have an index: its messages are kept under names (key_format "
-            f"{key_format}), and which of them an index covers is only noted for stretches of time"
+            f"{key_format}), and which of them an index covers is only noted for time ranges"
         )
 
 

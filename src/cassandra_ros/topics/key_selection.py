@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What keys stand for: a stretch of time, a name, or the value of a field."""
+"""What keys stand for: a time range, a name, or the value of a field."""
 
 from __future__ import annotations
 
@@ -53,21 +53,21 @@ class Whose(NamedTuple):
 EVERYBODY = Whose()
 
 
-class Stretch(NamedTuple):
-    """All messages of a stretch of time, ns, both ends included."""
+class TimeRange(NamedTuple):
+    """All messages of a time range, ns, both ends included."""
 
     low: int = 0
     high: int = LAST_NS
 
     @classmethod
-    def between(cls, key: Optional[Time], to_key: Optional[Time]) -> Stretch:
+    def between(cls, key: Optional[Time], to_key: Optional[Time]) -> TimeRange:
         """Return the stretch between two times; None = open."""
         low = 0 if key is None else to_ns(key)
         return cls(low, LAST_NS if to_key is None else to_ns(to_key))
 
-    def wider(self, by_ns: int) -> Stretch:
+    def wider(self, by_ns: int) -> TimeRange:
         """Return the stretch that reaches so much further on both sides."""
-        return Stretch(max(0, self.low - by_ns), min(LAST_NS, self.high + by_ns))
+        return TimeRange(max(0, self.low - by_ns), min(LAST_NS, self.high + by_ns))
 
 
 class Named(NamedTuple):
@@ -87,4 +87,4 @@ def spellings(topic: str) -> tuple[str, str]:
     return topic, topic[1:] if topic.startswith("/") else "/" + topic
 
 
-Selection = Union[Stretch, Named, Valued]
+Selection = Union[TimeRange, Named, Valued]

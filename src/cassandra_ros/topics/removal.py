@@ -27,7 +27,7 @@ _Key = Tuple[int, int, bool]
 """As the store has them: time and counter; and whether there are chunks."""
 
 
-def delete_stretch(
+def delete_time_range(
     space: Keyspace, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
 ) -> int:
     """Delete rows with t in [low, high], and their chunks; return how many these were.
@@ -78,7 +78,7 @@ def _delete_blocks(
         space.schema.listing().check_staying(table.name)
         _mark_deleted(space.directory, table, node, int(where))
         cutter = Cutter(space.cassandra, table, node, int(where))
-        deleted += cutter.stretch(some, low, high)
+        deleted += cutter.time_range(some, low, high)
         _delete_chunks(space, partition, [(*key, True) for key in cutter.large])
     return deleted
 
@@ -116,7 +116,7 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
 
 
 def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us: int) -> int:
-    """Delete some of the rows of a stretch of time; return how many.
+    """Delete some of the rows of a time range; return how many.
 
     What lies between two that stay is deleted at once: each deletion leaves a tombstone, and
     Cassandra refuses to read a bucket with 100,000 of them.

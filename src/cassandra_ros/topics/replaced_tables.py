@@ -16,7 +16,7 @@ from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import Position, RowName, is_behind
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.plan.pushdown import Pushdown
-from cassandra_ros.topics.key_selection import EVERYBODY, Selection, Stretch, Whose
+from cassandra_ros.topics.key_selection import EVERYBODY, Selection, TimeRange, Whose
 from cassandra_ros.topics.row_reader import Columns, RowReader
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
@@ -92,7 +92,7 @@ class Following:
         few: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         """Yield the rows that a selection means, in the order of time or newest first."""
-        if isinstance(wanted, Stretch):
+        if isinstance(wanted, TimeRange):
             return self.read(tables, wanted, whose=whose, reverse=reverse, wanted=few)
 
         def rows(now: Tables, after: Optional[Position]) -> Iterator[StoredRow]:
@@ -104,7 +104,7 @@ class Following:
     def read(
         self,
         tables: Tables,
-        stretch: Stretch,
+        time_range: TimeRange,
         *,
         whose: Whose = EVERYBODY,
         after: Optional[Position] = None,
@@ -118,7 +118,7 @@ class Following:
         def rows(now: Tables, behind: Optional[Position]) -> Iterator[StoredRow]:
             return self._rows.read(
                 now,
-                stretch,
+                time_range,
                 whose=whose,
                 after=behind,
                 reverse=reverse,
@@ -130,15 +130,15 @@ class Following:
         return _followed_rows(tables, rows, after, reverse)
 
     def blocks(
-        self, tables: Tables, stretch: Stretch, *, whose: Whose = EVERYBODY
+        self, tables: Tables, time_range: TimeRange, *, whose: Whose = EVERYBODY
     ) -> Optional[Iterator[MessageBlock]]:
         """Read whole blocks, as RowReader does; TopicNotFound where a table was replaced."""
         tables = current(tables)
-        found = self._rows.blocks(tables, stretch, whose=whose)
+        found = self._rows.blocks(tables, time_range, whose=whose)
         return None if found is None else _unless_left(tables, found)
 
     def received(
-        self, tables: Tables, stretch: Stretch, *, whose: Whose = EVERYBODY
+        self, tables: Tables, time_range: TimeRange, *, whose: Whose = EVERYBODY
     ) -> Iterator[StoredRow]:
         """Yield the rows that were received in a stretch, in the order of their reception."""
         last: Optional[StoredRow] = None
@@ -146,7 +146,7 @@ class Following:
             tables = current(tables)
             given = None if last is None else last.arrival[:3]
             try:
-                for row in self._rows.received(tables, stretch, whose=whose):
+                for row in self._rows.received(tables, time_range, whose=whose):
                     if given is None or row.arrival[:3] > given:
                         last = row
                         yield row

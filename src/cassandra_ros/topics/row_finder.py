@@ -33,12 +33,12 @@ from cassandra_ros.topics.key_selection import (
     AnyKey,
     Named,
     Selection,
-    Stretch,
+    TimeRange,
     Valued,
     Whose,
 )
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.removal import delete_rows, delete_stretch
+from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
@@ -83,7 +83,7 @@ class Finder:
         few: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         """Walk through what is meant; few: so many are probably taken, None = all."""
-        if self.where is not None and isinstance(wanted, Stretch):
+        if self.where is not None and isinstance(wanted, TimeRange):
             return self.where.rows(wanted, reverse=reverse, bare=bare, wanted=few)
         rows = self.keyspace.rows.select(self.tables, wanted, self.whose, reverse, few)
         return rows if self.where is None else filter(self.where.test, rows)
@@ -91,23 +91,23 @@ class Finder:
     def columns(
         self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
     ) -> Iterator[StoredRow]:
-        """Walk through the rows of ``many``; of a stretch of time only these columns are read."""
+        """Walk through the rows of ``many``; of a time range only these columns are read."""
         wanted = self.several(key, to_key)
-        if self.where is not None or not isinstance(wanted, Stretch):
+        if self.where is not None or not isinstance(wanted, TimeRange):
             return self._select(wanted)
         return self.keyspace.rows.read(self.tables, wanted, whose=self.whose, columns=columns)
 
     def reads(self, key: AnyKey, to_key: AnyKey) -> Tuple[ReadRows, Optional[ReadBlocks]]:
         """Return how the rows of ``many`` are read for arrays: one by one, or (None) as blocks."""
         wanted, blocks = self.several(key, to_key), None
-        if self.where is None and isinstance(wanted, Stretch):
+        if self.where is None and isinstance(wanted, TimeRange):
             blocks = partial(self.keyspace.rows.blocks, self.tables, wanted, whose=self.whose)
         return partial(self.columns, key, to_key), blocks
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
-        """Count the rows of ``many``, of a whole stretch of time without reading them."""
+        """Count the rows of ``many``, of a whole time range without reading them."""
         wanted = self.several(key, to_key)
-        if isinstance(wanted, Stretch) and self.where is None:
+        if isinstance(wanted, TimeRange) and self.where is None:
             return count_rows(self.keyspace.directory, self.tables, *wanted, self.whose)
         return sum(1 for _ in self._select(wanted, bare=True))
 
@@ -115,7 +115,7 @@ class Finder:
         """Delete the rows at key, or those of ``many``; see CassandraTopic.removeData."""
         if key is None and to_key is None and self.where is None and self.whose.writers is None:
             raise InvalidKey(
-                "removeData needs a key (and to_key for a stretch of time), where= or run=; "
+                "removeData needs a key (and to_key for a time range), where= or run=; "
                 f"truncateTopic removes all messages of topic {self.topic}"
             )
         if key is None or to_key is not None:
@@ -131,8 +131,8 @@ class Finder:
         return count
 
     def _remove(self, wanted: Selection) -> int:
-        if isinstance(wanted, Stretch) and self.where is None and not self._named:
-            return delete_stretch(self.keyspace, self.tables, *wanted, self.whose)
+        if isinstance(wanted, TimeRange) and self.where is None and not self._named:
+            return delete_time_range(self.keyspace, self.tables, *wanted, self.whose)
         return delete_rows(self.keyspace, self._select(wanted, bare=True))
 
     def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
@@ -143,7 +143,7 @@ class Finder:
         if table is not None:
             return self._exact(key, table)
         wanted = self.one(key)
-        if isinstance(wanted, Stretch):
+        if isinstance(wanted, TimeRange):
             return self._at(wanted.low)
         newest = isinstance(wanted, Named)  # of several versions; of equal values the first
         return next(self._select(wanted, reverse=newest), None)
@@ -152,7 +152,7 @@ class Finder:
         """Find the row at a time, ns: of several the first in the order of all reads."""
         if self.where is None:
             return self.keyspace.rows.at(self.tables, t, self.whose)
-        return next(self._select(Stretch(t, t), few=1), None)
+        return next(self._select(TimeRange(t, t), few=1), None)
 
     def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
@@ -172,7 +172,7 @@ class Finder:
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
         wanted = self.one(key)
-        if not isinstance(wanted, Stretch):
+        if not isinstance(wanted, TimeRange):
             kind = "names" if isinstance(wanted, Named) else "values of a field"
             raise InvalidKey(
                 f"the keys of topic {self.topic} are {kind}, which have no order: none is "
@@ -190,11 +190,11 @@ class Finder:
         before = after = None
         low = 0
         if nearest != "before":
-            after = next(self._select(Stretch(t, LAST_NS), few=1), None)
+            after = next(self._select(TimeRange(t, LAST_NS), few=1), None)
             if after is not None and nearest == "either":
                 low = max(0, t - (after.t - t))  # what lies before that is further away
         if nearest != "after":
-            for row in self._select(Stretch(low, t), reverse=True, few=2):
+            for row in self._select(TimeRange(low, t), reverse=True, few=2):
                 if before is not None and row.t != before.t:
                     break
                 before = row  # backwards the last of equal stamps comes first
@@ -213,7 +213,7 @@ class Finder:
         if isinstance(wanted, Named):
             name = str(key)[:80]
             return f"{none} under the name {name!r}; items() lists the names that there are"
-        if not isinstance(wanted, Stretch):
+        if not isinstance(wanted, TimeRange):
             return f"{none} whose key field is {key!r:.80}"
         t = wanted.low
         none += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
@@ -243,7 +243,7 @@ class Finder:
     def several(self, key: AnyKey, to_key: AnyKey) -> Selection:
         """Say what key and to_key mean as the ends of a stretch, or what key alone means."""
         if key is None and to_key is None:
-            return Stretch()
+            return TimeRange()
         if self._named and to_key is not None:
             raise InvalidKey(
                 f"messages of topic {self.topic} are kept under names (key_format "
@@ -258,7 +258,7 @@ class Finder:
                 "messages lie in the order of time: a stretch goes from one genpy.Time to "
                 "another; ask for a range of values with executeCQL"
             )
-        return stretch_between(self.keyspace, self.tables, key, to_key)
+        return time_range_between(self.keyspace, self.tables, key, to_key)
 
     def one(self, key: AnyKey) -> Selection:
         """Say what a single key means: one time, one name, or one value."""
@@ -267,7 +267,7 @@ class Finder:
         if self._is_value(key):
             return Valued(key)
         t = to_ns(key)
-        return Stretch(t, t)
+        return TimeRange(t, t)
 
     def _is_value(self, key: AnyKey) -> bool:
         return bool(self._parts) and key is not None and not is_time(key)
@@ -297,7 +297,7 @@ def seconds_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object)
     if not isinstance(key, Integral) or not 0 < int(key) < SECONDS_BELOW:
         return ""
     timed = [table for table in tables if not table.named]
-    first = next(keyspace.rows.read(timed, Stretch(), wanted=1), None)
+    first = next(keyspace.rows.read(timed, TimeRange(), wanted=1), None)
     if first is None or first.t < SECONDS_BELOW:  # the times of a simulation are small
         return ""
     return (
@@ -314,13 +314,13 @@ def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: obje
             raise InvalidKey(reason)
 
 
-def stretch_between(
+def time_range_between(
     keyspace: Keyspace, tables: Sequence[TopicTable], key: Optional[Time], to_key: Optional[Time]
-) -> Stretch:
+) -> TimeRange:
     """Return the stretch of some tables between two times, None = open; refuses seconds."""
-    stretch = Stretch.between(key, to_key)
+    time_range = TimeRange.between(key, to_key)
     refuse_seconds(keyspace, tables, key, to_key)
-    return stretch
+    return time_range
 
 
 Where = Union[str, Tuple[str, Sequence[Any]]]
@@ -354,13 +354,13 @@ class Filter:
 
     def rows(
         self,
-        stretch: Stretch,
+        time_range: TimeRange,
         *,
         reverse: bool = False,
         bare: bool = False,
         wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
         """Walk through those in a stretch, in order of time; see Condition.rows."""
-        low, high = stretch
+        low, high = time_range
         rows = self._condition.rows
         return rows(self._topic, low, high, reverse=reverse, bare=bare, wanted=wanted)

@@ -36,7 +36,7 @@ from cassandra_ros.topics.key_selection import (
     LAST_NS,
     Named,
     Selection,
-    Stretch,
+    TimeRange,
     Valued,
     Whose,
 )
@@ -66,7 +66,7 @@ class RowReader:
         Args:
             few: How many are probably taken; None = all.
         """
-        if isinstance(wanted, Stretch):
+        if isinstance(wanted, TimeRange):
             return self.read(tables, wanted, whose=whose, reverse=reverse, wanted=few)
         if isinstance(wanted, Named):
             rows = self._versions(tables, wanted.name, whose, reverse)
@@ -77,7 +77,7 @@ class RowReader:
     def read(
         self,
         tables: Sequence[TopicTable],
-        stretch: Stretch,
+        time_range: TimeRange,
         *,
         whose: Whose = EVERYBODY,
         after: Optional[Position] = None,
@@ -92,7 +92,7 @@ class RowReader:
         For columns, chooser and wanted see CassandraTopic.rows; the server may leave out less.
         """
         scan = Scan(
-            *stretch,
+            *time_range,
             after,
             whose.nodes,
             reverse,
@@ -110,12 +110,12 @@ class RowReader:
         yield from self._stored(rows, tables)
 
     def blocks(
-        self, tables: Sequence[TopicTable], stretch: Stretch, *, whose: Whose = EVERYBODY
+        self, tables: Sequence[TopicTable], time_range: TimeRange, *, whose: Whose = EVERYBODY
     ) -> Optional[Iterator[MessageBlock]]:
         """Read the messages of a stretch as whole blocks; None where not all lie in such."""
         if not all(table.packed for table in tables):
             return None
-        scan = Scan(*stretch, nodes=whose.nodes, writers=whose.writers)
+        scan = Scan(*time_range, nodes=whose.nodes, writers=whose.writers)
         return messages_of(read_blocks(self._directory, tables, scan), tables)
 
     def _stored(
@@ -183,25 +183,25 @@ class RowReader:
             yield from (key for key in keys if whose.wrote(key.position.seq))
             return
         # A text that is too long for the index: its rows are marked, but not by a value.
-        for row in self.read([table], Stretch(), whose=whose):
+        for row in self.read([table], TimeRange(), whose=whose):
             if row.odd and part.value(row.wire) == wanted:
                 yield Wanted(table, row.position)
 
     def received(
-        self, tables: Sequence[TopicTable], stretch: Stretch, *, whose: Whose = EVERYBODY
+        self, tables: Sequence[TopicTable], time_range: TimeRange, *, whose: Whose = EVERYBODY
     ) -> Iterator[StoredRow]:
         """Yield the rows that were received in a stretch, in the order of their reception.
 
         Of topics whose key is a time in the message all keys are listed first.
         """
         foreign = {t.name: t for t in tables if t.metadata.own_time and not t.named}
-        own = self.read([t for t in tables if t.name not in foreign], stretch, whose=whose)
+        own = self.read([t for t in tables if t.name not in foreign], time_range, whose=whose)
         nodes, writers = whose
         scan = Scan(0, LAST_NS, None, nodes, columns=lambda table: (), writers=writers)
         keys = sorted(
             (r.received, r.node, r.seq, r.table, r.position)
             for r in read_rows(self._directory, list(foreign.values()), scan)
-            if stretch.low <= r.received <= stretch.high
+            if time_range.low <= r.received <= time_range.high
         )
         wanted = (Wanted(foreign[position.table], position) for *_, position in keys)
         late = self._stored(fetch_rows(wanted), tables)
@@ -218,7 +218,7 @@ class RowReader:
         """Read the first row with exactly this time."""
         timed = [table for table in tables if not table.named]
         if whose.writers is not None:  # the first of a partition may be another's
-            return next(self.read(timed, Stretch(t, t), whose=whose, wanted=1), None)
+            return next(self.read(timed, TimeRange(t, t), whose=whose, wanted=1), None)
         row = first_at(self._directory, timed, t, whose.nodes)
         return next(self._stored([] if row is None else [row], tables), None)
 

@@ -15,7 +15,7 @@ from cassandra_ros.errors import RunNotFound
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss, Registry, Run
-from cassandra_ros.topics.key_selection import Stretch, Whose, spellings
+from cassandra_ros.topics.key_selection import TimeRange, Whose, spellings
 
 Writers = Optional[FrozenSet[int]]
 """Writer ids whose messages are meant; None = all."""
@@ -120,14 +120,16 @@ class Runs:
                 return found
         return None
 
-    def losses(self, topics: Optional[Sequence[str]], stretch: Stretch, whose: Whose) -> list[Loss]:
-        """List losses that touch a stretch of time; of topics None = of all."""
+    def losses(
+        self, topics: Optional[Sequence[str]], time_range: TimeRange, whose: Whose
+    ) -> list[Loss]:
+        """List losses that touch a time range; of topics None = of all."""
         if topics is not None:
             topics = [name for topic in topics for name in spellings(topic)]
         return [
             loss
             for loss in self._registry.losses(topics)
-            if loss.first_ns <= stretch.high and stretch.low <= loss.last_ns
+            if loss.first_ns <= time_range.high and time_range.low <= loss.last_ns
             if whose.nodes is None or loss.node in whose.nodes
             if whose.writers is None or loss.writer in whose.writers
         ]

@@ -11,7 +11,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.sources import ArraySource
 from cassandra_ros.places.stored import Extent
 from cassandra_ros.tables.directory import BucketRow
-from cassandra_ros.topics.key_selection import Stretch, Whose
+from cassandra_ros.topics.key_selection import TimeRange, Whose
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
@@ -66,14 +66,14 @@ class StoredPlaces:
     def _ends(self, table: TopicTable, row: BucketRow) -> Optional[Tuple[int, int]]:
         """Return between which times a node may have messages in a bucket; None = it has none."""
         length = table.metadata.bucket_ns
-        stretch = Stretch(row.bucket * length, (row.bucket + 1) * length - 1)
+        time_range = TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
         if length <= _LONG_NS:
-            return stretch.low, stretch.high
+            return time_range.low, time_range.high
         found = []
         for reverse in (False, True):
             rows = self._catalog.keyspace.rows.read(
                 [table],
-                stretch,
+                time_range,
                 whose=Whose([row.node]),
                 columns=lambda table: (),
                 reverse=reverse,

@@ -98,7 +98,7 @@ def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) 
 
 
 def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
-    """Count the partitions of tables: stretches of time of a node; 0 for named messages."""
+    """Count the partitions of tables: time ranges of a node; 0 for named messages."""
 
     def count(now: Sequence[TopicTable]) -> int:
         every = ((t.name, row) for t in now for row in buckets_of(directory, t))

@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 MAX_TRIES = 3
 """So often a table is filled while others change what it is filled with."""
 QUIET_SEC = STALE_SEC
-"""A stretch of time that is open is nobody's when its writer was silent so long."""
+"""A time range that is open is nobody's when its writer was silent so long."""
 DELETING_SEC = 5.0
 """So long after some were deleted from one: before more are it is said anew."""
 LOOK_SEC = 1.0
@@ -93,7 +93,7 @@ def convert_topic(
     Who reads sees each message all the time and once; keys and cursors that he has stay good. The
     messages keep their bytes, times, nodes, runs and connections. Where they expire they keep the
     time that is left to them, rounded up to a hundredth of the topic's ttl, and of topics by time
-    to that of the latest of their stretch of time (a 24th of the ttl at most). What clients add
+    to that of the latest of their time range (a 24th of the ttl at most). What clients add
     meanwhile goes into a table beside, in the new format where they did not ask for another one.
     Killed and started again it begins anew, and ends the same.
 

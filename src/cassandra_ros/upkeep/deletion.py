@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages of several topics are deleted: of a stretch of time, a robot, a run, by conditions."""
+"""Messages of several topics are deleted: of a time range, a robot, a run, by conditions."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.key_selection import EVERYBODY, Stretch, Whose
+from cassandra_ros.topics.key_selection import EVERYBODY, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.removal import delete_rows, delete_stretch
+from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Filter
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
@@ -23,7 +23,7 @@ from cassandra_ros.topics.topic_table import TopicTable
 def delete_messages(
     catalog: Catalog,
     topics: Optional[Iterable[str]],
-    stretch: Stretch,
+    time_range: TimeRange,
     node: Optional[str],
     run: RunName,
     where: Conditions,
@@ -31,7 +31,7 @@ def delete_messages(
 ) -> Dict[str, int]:
     """Delete messages of several topics; see Upkeep.delete."""
     whose, space = catalog.whose(node, run), catalog.keyspace
-    if where is None and whose == EVERYBODY and stretch == Stretch():
+    if where is None and whose == EVERYBODY and time_range == TimeRange():
         raise InvalidOption(
             "nothing says which messages are to be deleted: give times, a node, a run or a "
             "condition; removeTopic and truncateTopic remove all of a topic"
@@ -39,17 +39,17 @@ def delete_messages(
     ending: List[Run] = []
     if run is not None:
         # Only a run of which all goes is not listed any more.
-        all_of_it = topics is None and where is None and stretch == Stretch()
+        all_of_it = topics is None and where is None and time_range == TimeRange()
         ending = _ended_runs(catalog, whose) if all_of_it else []
     catalog.adder.close()  # what it holds open is written to, too
     found: Dict[str, int] = {}
     if where is not None:
         for name, passing in _filters(catalog, topics, where, whose).items():
-            rows = passing.rows(stretch, bare=True)
+            rows = passing.rows(time_range, bare=True)
             found[name] = sum(1 for _ in rows) if dry_run else delete_rows(space, rows)
         return found
     for table in catalog.tables(topics):
-        part = delete_of_table(space, table, stretch, whose, dry_run)
+        part = delete_of_table(space, table, time_range, whose, dry_run)
         found[table.metadata.topic] = found.get(table.metadata.topic, 0) + part
     if not dry_run:
         _forget(space, ending)
@@ -57,20 +57,20 @@ def delete_messages(
 
 
 def delete_of_table(
-    space: Keyspace, table: TopicTable, stretch: Stretch, whose: Whose, dry_run: bool = False
+    space: Keyspace, table: TopicTable, time_range: TimeRange, whose: Whose, dry_run: bool = False
 ) -> int:
-    """Delete the messages of a stretch of time out of one table, or only count them."""
+    """Delete the messages of a time range out of one table, or only count them."""
     if dry_run:
-        return count_rows(space.directory, [table], stretch.low, stretch.high, whose)
+        return count_rows(space.directory, [table], time_range.low, time_range.high, whose)
     if not table.named:
-        return delete_stretch(space, [table], stretch.low, stretch.high, whose)
-    return delete_rows(space, _rows_of_names(space, table, stretch, whose))
+        return delete_time_range(space, [table], time_range.low, time_range.high, whose)
+    return delete_rows(space, _rows_of_names(space, table, time_range, whose))
 
 
 def _rows_of_names(
-    space: Keyspace, table: TopicTable, stretch: Stretch, whose: Whose
+    space: Keyspace, table: TopicTable, time_range: TimeRange, whose: Whose
 ) -> Iterator[StoredRow]:
-    return space.rows.read([table], stretch, whose=whose, columns=lambda table: ())
+    return space.rows.read([table], time_range, whose=whose, columns=lambda table: ())
 
 
 def _filters(

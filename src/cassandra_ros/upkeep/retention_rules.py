@@ -19,7 +19,7 @@ from cassandra_ros.overview.latched_messages import LatchedFinder
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.hit_windows import joined, merge_windows
-from cassandra_ros.topics.key_selection import EVERYBODY, LAST_NS, Stretch, Whose
+from cassandra_ros.topics.key_selection import EVERYBODY, LAST_NS, TimeRange, Whose
 from cassandra_ros.topics.removal import thin_rows
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import buckets_of, count_rows
@@ -81,14 +81,14 @@ class Retained:
 class _Pins:
     """What stays whatever its age: of all topics, and single messages of one."""
 
-    windows: List[Stretch] = field(default_factory=list)
+    windows: List[TimeRange] = field(default_factory=list)
     """In order, without overlap."""
     latched: Dict[str, Set[int]] = field(default_factory=dict)
     """Table -> times of messages."""
 
-    def of(self, table: TopicTable) -> List[Stretch]:
+    def of(self, table: TopicTable) -> List[TimeRange]:
         """Return the stretches of a table that stay, in order."""
-        single = (Stretch(t, t) for t in sorted(self.latched.get(table.name, ())))
+        single = (TimeRange(t, t) for t in sorted(self.latched.get(table.name, ())))
         return list(heapq.merge(self.windows, single))
 
 
@@ -105,7 +105,7 @@ def retain(
     tables = _timed(catalog, topics)
     work = _Work(catalog, tables, rules, dry_run)
     found: Dict[str, Retained] = {}
-    counts = [count_rows(catalog.keyspace.directory, [t], *Stretch(), EVERYBODY) for t in tables]
+    counts = [count_rows(catalog.keyspace.directory, [t], *TimeRange(), EVERYBODY) for t in tables]
     for number, table in enumerate(tables):
         each = found.setdefault(table.metadata.topic, Retained(table.metadata.topic))
         each.messages += counts[number]
@@ -190,13 +190,13 @@ class _Work:
         for table, row in newer:
             if row.t_min < whole:
                 whose = Whose((row.node,), frozenset([row.writer]))
-                part = self._bare([table], Stretch(whole, row.t_max), whose)
+                part = self._bare([table], TimeRange(whole, row.t_max), whose)
                 taken += sum(each.size for each in part)
         return self._further(tables, whole, most - taken)
 
     def _further(self, tables: Sequence[TopicTable], begin: int, left: int) -> int:
         """Go back from a time message by message, as long as so many bytes hold them."""
-        for row in self._bare(tables, Stretch(0, begin - 1), EVERYBODY, reverse=True):
+        for row in self._bare(tables, TimeRange(0, begin - 1), EVERYBODY, reverse=True):
             left -= row.size
             if left < 0:
                 return row.t + 1
@@ -205,13 +205,13 @@ class _Work:
     def _bare(
         self,
         tables: Sequence[TopicTable],
-        stretch: Stretch,
+        time_range: TimeRange,
         whose: Whose = EVERYBODY,
         reverse: bool = False,
     ) -> Iterator[StoredRow]:
         """Read rows without their bytes."""
         read = self._space.rows.read
-        return read(tables, stretch, whose=whose, reverse=reverse, columns=lambda table: ())
+        return read(tables, time_range, whose=whose, reverse=reverse, columns=lambda table: ())
 
     # ---------------------------------------------------------------- what stays
 
@@ -219,13 +219,13 @@ class _Work:
         rules, end = self._rules, max(self.cutoff, self._thin_end)
         pins = _Pins()
         if rules.keep:
-            reach = Stretch(0, min(LAST_NS, end + rules.before))
+            reach = TimeRange(0, min(LAST_NS, end + rules.before))
             filters = self._catalog.filters(rules.keep, None, None)
             hits = heapq.merge(*(_times(each.rows(reach, bare=True)) for each in filters.values()))
-            pieces = merge_windows(hits, rules.before, rules.after, Stretch(), LAST_NS)
+            pieces = merge_windows(hits, rules.before, rules.after, TimeRange(), LAST_NS)
             pins.windows = list(joined(pieces))
         if self.cutoff and self._finder.latches:
-            for low, high in [*pins.windows, Stretch(self.cutoff, LAST_NS)]:
+            for low, high in [*pins.windows, TimeRange(self.cutoff, LAST_NS)]:
                 for row in self._finder.before(low, high):
                     pins.latched.setdefault(row.table.name, set()).add(row.t)
         return pins
@@ -233,7 +233,7 @@ class _Work:
     # ---------------------------------------------------------------- rate
 
     def _rated(
-        self, table: TopicTable, gap: Stretch, last: _Periods
+        self, table: TopicTable, gap: TimeRange, last: _Periods
     ) -> Iterator[Tuple[StoredRow, bool]]:
         """Yield all messages, and which are too many: those of a period but a publisher's first.
 
@@ -252,11 +252,11 @@ def _times(rows: Iterable[StoredRow]) -> Iterator[int]:
     return (row.t for row in rows)
 
 
-def _gaps(pins: Iterable[Stretch], low: int, high: int) -> Iterator[Stretch]:
+def _gaps(pins: Iterable[TimeRange], low: int, high: int) -> Iterator[TimeRange]:
     """Yield what lies between pins, which are in order, from low to high, both included."""
     for pin in pins:
         if pin.low > low and low <= high:
-            yield Stretch(low, min(high, pin.low - 1))
+            yield TimeRange(low, min(high, pin.low - 1))
         low = max(low, pin.high + 1)
     if low <= high:
-        yield Stretch(low, high)
+        yield TimeRange(low, high)

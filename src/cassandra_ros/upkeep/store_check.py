@@ -34,7 +34,7 @@ from cassandra_ros.tables.row_table import (
     encode_texts,
 )
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import Stretch
+from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.stored_row import read_wire
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.upkeep.table_copy import Progress
@@ -116,17 +116,17 @@ class CheckReport:
 def check_store(
     catalog: Catalog,
     topics: Optional[Sequence[str]],
-    stretch: Stretch,
+    time_range: TimeRange,
     repair: bool = False,
     progress: Progress = None,
 ) -> CheckReport:
     """Read topics back, None = the whole keyspace; see Upkeep.check."""
-    work = _Check(catalog, stretch, repair, progress)
+    work = _Check(catalog, time_range, repair, progress)
     names = [topic.name for topic in catalog.all(None)] if topics is None else topics
     for name in dict.fromkeys(catalog.get(each).name for each in names):
         work.topic(name)
     work.definitions({table.metadata.md5sum for table in work.tables}, everything=topics is None)
-    if topics is None and stretch == Stretch():
+    if topics is None and time_range == TimeRange():
         work.leftovers()
     return work.report
 
@@ -135,11 +135,11 @@ class _Check:
     """Reads topics back, one after the other."""
 
     def __init__(
-        self, catalog: Catalog, stretch: Stretch, repair: bool, progress: Progress
+        self, catalog: Catalog, time_range: TimeRange, repair: bool, progress: Progress
     ) -> None:
         self._catalog = catalog
         self._space = catalog.keyspace
-        self._stretch = stretch
+        self._time_range = time_range
         self._repair = repair
         self._progress = progress
         self.report = CheckReport()
@@ -173,7 +173,7 @@ class _Check:
         self._orphans(table)
 
     def _buckets(self, table: TopicTable) -> None:
-        low, high = (table.bucket_of(t) for t in self._stretch)
+        low, high = (table.bucket_of(t) for t in self._time_range)
         listed = self._space.directory.buckets(table.name, low, high)
         groups: Dict[Tuple[str, int], List[BucketRow]] = {}
         for row in listed:
@@ -197,7 +197,7 @@ class _Check:
         names = table.listing()
         if table.packed:
             names = ", ".join([WHOLE, '"_nan"', *map(quote_name, table.zone_columns)])
-        asked = table.stretch(
+        asked = table.select_range(
             names, table.place(node, bucket), page_rows=min(page, MAX_PAGE_ROWS), what="checking"
         )
         for values in asked.rows():
@@ -369,7 +369,7 @@ class _Check:
 
     def _names(self, table: TopicTable) -> None:
         """Read the messages of a topic that are kept under names."""
-        keys = [k for k in list_names(table, None) if _within(k.position.t, self._stretch)]
+        keys = [k for k in list_names(table, None) if _within(k.position.t, self._time_range)]
         listed = {node for _, node in self._space.directory.nodes(table.name, 0, 0)}
         missing: Counts[str] = Counter()
         for key in sorted(keys, key=lambda key: key.position):
@@ -414,7 +414,7 @@ class _Check:
         space = self._space
         until_us = old_us(space.cassandra)
         every = orphans(space.cassandra, space.name, table, until_us)
-        found = [o for o in every if table.named or _within(o.t, self._stretch)]
+        found = [o for o in every if table.named or _within(o.t, self._time_range)]
         if not found:
             return
         if self._repair:
@@ -477,8 +477,8 @@ class _Check:
         self.report.add(Damage(kind, topic, table, node, first, last, messages, text, mended))
 
 
-def _within(t: int, stretch: Stretch) -> bool:
-    return stretch.low <= t <= stretch.high
+def _within(t: int, time_range: TimeRange) -> bool:
+    return time_range.low <= t <= time_range.high
 
 
 def _sign(row: BucketRow) -> Tuple[int, bool, object]:

@@ -12,7 +12,7 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.store.fetch import Wanted, fetch_row, fetch_rows, list_names
 from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
-from cassandra_ros.topics.key_selection import LAST_NS, Stretch, Whose
+from cassandra_ros.topics.key_selection import LAST_NS, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.row_reader import RowReader
@@ -109,14 +109,14 @@ class Copy:
         for row in buckets_of(self._space.directory, table, whose):
             places.add((row.node, row.bucket))
         for node, bucket in sorted(places):
-            stretch = Stretch(bucket * length, (bucket + 1) * length - 1)
-            part = self._part(table, stretch, Whose((node,), whose.writers))
+            time_range = TimeRange(bucket * length, (bucket + 1) * length - 1)
+            part = self._part(table, time_range, Whose((node,), whose.writers))
             yield left_in_bucket(table, node, bucket), part
 
     def _part(
-        self, table: TopicTable, stretch: Stretch, whose: Whose
+        self, table: TopicTable, time_range: TimeRange, whose: Whose
     ) -> Callable[[], Iterator[StoredRow]]:
-        return lambda: self._reader.read([table], stretch, whose=whose)
+        return lambda: self._reader.read([table], time_range, whose=whose)
 
     def _rows(self, tables: Sequence[TopicTable], whose: Whose) -> Iterator[StoredRow]:
         """Walk through the rows of tables in their order; one of each place.
@@ -125,7 +125,7 @@ class Copy:
             CorruptMessage: Two messages have the same place: one table cannot hold both.
         """
         last: Optional[StoredRow] = None
-        for row in self._reader.read(tables, Stretch(), whose=whose):
+        for row in self._reader.read(tables, TimeRange(), whose=whose):
             if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
                 continue  # an equal message came later, into another table
             if last is not None and row.place == last.place:

@@ -57,8 +57,8 @@ class Upkeep:
             TopicNotFound, RunNotFound, InvalidName, InvalidQuery: As readMessages.
         """
         names = check_topics(topics)
-        stretch = self._catalog.stretch(names, key, to_key)
-        return delete_messages(self._catalog, names, stretch, nodeID, run, where, dry_run)
+        time_range = self._catalog.time_range(names, key, to_key)
+        return delete_messages(self._catalog, names, time_range, nodeID, run, where, dry_run)
 
     def isWritten(self, topic: str) -> bool:
         """Say whether a client writes messages of a topic now, as a recorder does.
@@ -80,12 +80,12 @@ class Upkeep:
         """Read topics back (None = all), with checksums, and compare them with the directory.
 
         Args:
-            key, to_key: Ends, both included; whole stretches of time (buckets) are read.
+            key, to_key: Ends, both included; whole time ranges (buckets) are read.
             repair: Mend what can be: counts, entries in the directory, pieces without a message.
         """
         names = check_topics(topics)
-        stretch = self._catalog.stretch(names, key, to_key)
-        return check_store(self._catalog, names, stretch, repair, progress)
+        time_range = self._catalog.time_range(names, key, to_key)
+        return check_store(self._catalog, names, time_range, repair, progress)
 
     def indexPlaces(
         self,

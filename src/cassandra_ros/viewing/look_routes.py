@@ -15,7 +15,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import decode_cursor
 from cassandra_ros.overview.latest_messages import Latest
 from cassandra_ros.overview.timeline.lanes import Lane, View
-from cassandra_ros.topics.key_selection import LAST_NS, Stretch, Whose
+from cassandra_ros.topics.key_selection import LAST_NS, TimeRange, Whose
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, Stream
@@ -70,7 +70,7 @@ def _connections(call: Call) -> Json:
     }
 
 
-def _window(call: Call, view: View) -> Stretch:
+def _window(call: Call, view: View) -> TimeRange:
     """Return the window that was asked for, or is meant; view: of all that could be shown."""
     start, end, moment = (call.time_ns(name) for name in ("start", "end", "time"))
     newest = None
@@ -82,14 +82,14 @@ def _window(call: Call, view: View) -> Stretch:
     return window
 
 
-def _cut(call: Call, window: Stretch, held: Held) -> Stretch:
+def _cut(call: Call, window: TimeRange, held: Held) -> TimeRange:
     """Let a window end where its messages do, at an end that nobody gave."""
     if held.first is None or held.last is None:
         return window
     low, high = max(window.low, held.first), min(window.high, held.last)
     low = low if call.time_ns("start") is None else window.low
     high = high if call.time_ns("end") is None else window.high
-    return Stretch(min(low, high), high)
+    return TimeRange(min(low, high), high)
 
 
 def _reason_not_shown(table: TopicTable) -> str:
@@ -126,8 +126,8 @@ def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> J
 
 def _messages(call: Call) -> Stream:
     start, end = call.time_ns("start"), call.time_ns("end")
-    stretch = Stretch(0 if start is None else start, LAST_NS if end is None else end)
-    _check_order(stretch)
+    time_range = TimeRange(0 if start is None else start, LAST_NS if end is None else end)
+    _check_order(time_range)
     after = call.text("after")
     limit = call.count("bytes") or PAGE_BYTES
     if limit > MAX_PAGE_BYTES:
@@ -135,7 +135,7 @@ def _messages(call: Call) -> Stream:
     # What is kept under names has no place among what passes by: /api/latest has it.
     rows = call.store.parts.rows.read(
         [table for table in _shown(call) if not table.named],
-        stretch,
+        time_range,
         whose=whose_chosen(call),
         after=None if after is None else decode_cursor(after),
     )
@@ -160,9 +160,9 @@ def _until_gone(call: Call, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
         yield row
 
 
-def _check_order(stretch: Stretch) -> None:
-    if stretch.low > stretch.high:
-        raise InvalidOption(f"start={stretch.low} lies behind end={stretch.high}")
+def _check_order(time_range: TimeRange) -> None:
+    if time_range.low > time_range.high:
+        raise InvalidOption(f"start={time_range.low} lies behind end={time_range.high}")
 
 
 def _studio(call: Call) -> Json:

@@ -8,14 +8,14 @@ from typing import Iterable, NamedTuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.overview.timeline.lanes import Lane
-from cassandra_ros.topics.key_selection import LAST_NS, Stretch
+from cassandra_ros.topics.key_selection import LAST_NS, TimeRange
 
 DAY_NS = 24 * 3600 * SECOND_NS
 
 
 def default_window(
     start: int | None, end: int | None, time: int | None, newest: int | None
-) -> Stretch:
+) -> TimeRange:
     """Return the window that is meant where an end of it is missing: a day.
 
     Half a day on both sides of the moment that is looked at, else a day from its one end on, else
@@ -26,17 +26,17 @@ def default_window(
         newest: When the last message came, ns; None = there is none.
     """
     if start is not None and end is not None:
-        return Stretch(start, end)
+        return TimeRange(start, end)
     if time is not None:
         half = DAY_NS // 2
-        return Stretch(
+        return TimeRange(
             max(0, time - half) if start is None else start,
             min(LAST_NS, time + half) if end is None else end,
         )
     if start is not None:
-        return Stretch(start, min(LAST_NS, start + DAY_NS))
+        return TimeRange(start, min(LAST_NS, start + DAY_NS))
     end = newest or 0 if end is None else end
-    return Stretch(max(0, end - DAY_NS), end)
+    return TimeRange(max(0, end - DAY_NS), end)
 
 
 class Held(NamedTuple):

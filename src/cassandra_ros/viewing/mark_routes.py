@@ -13,7 +13,7 @@ from typing import Dict, Iterator, List, Mapping, Optional, Tuple
 
 from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.tables.registry import Loss, Run
-from cassandra_ros.topics.key_selection import LAST_NS, Stretch
+from cassandra_ros.topics.key_selection import LAST_NS, TimeRange
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
@@ -58,16 +58,18 @@ class Mark:
 
 def _marks(call: Call) -> Json:
     start, end = call.time_ns("start"), call.time_ns("end")
-    stretch = Stretch(start or 0, LAST_NS if end is None else end)
+    time_range = TimeRange(start or 0, LAST_NS if end is None else end)
     whose, limit, parts = whose_chosen(call), listed_at_most(call), call.store.parts
     runs = {(run.writer, run.node): run for run in parts.registry.runs()}
-    losses = parts.runs.losses(call.texts("topics") or None, stretch, whose)
+    losses = parts.runs.losses(call.texts("topics") or None, time_range, whose)
     found = [_of_loss(loss, runs) for loss in losses]
     for run in runs.values():
         if (whose.nodes is None or run.node in whose.nodes) and (
             whose.writers is None or run.writer in whose.writers
         ):
-            found += [mark for mark in _of_run(run) if stretch.low <= mark.first_ns <= stretch.high]
+            found += [
+                mark for mark in _of_run(run) if time_range.low <= mark.first_ns <= time_range.high
+            ]
     found.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
     listed: List[Json] = [mark.answer() for mark in found[:limit]]
     return {"marks": listed, "left_off": max(len(found) - limit, 0)}

@@ -107,7 +107,7 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/near",
         _near,
-        "When robots were on a disk, or in what a polygon encloses: stretches of time by robot, "
+        "When robots were on a disk, or in what a polygon encloses: time ranges by robot, "
         "with both ends; more says that there are others behind the last.",
         (
             Parameter("x", "number", "Of the middle of a disk, metres."),

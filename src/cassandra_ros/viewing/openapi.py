@@ -30,7 +30,7 @@ _ERROR: dict[str, Json] = {
 _INTRODUCTION = (
     "What an Apache Cassandra keeps of the topics of ROS, read only. Times in answers are decimal "
     "texts of nanoseconds since 1970, for JavaScript's numbers cannot hold them; the ends of a "
-    "stretch of time are included. Errors are JSON: error (its name) and text."
+    "time range are included. Errors are JSON: error (its name) and text."
 )
 
 

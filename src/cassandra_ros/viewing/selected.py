@@ -10,7 +10,7 @@ from typing import Mapping
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.topics.key_selection import Nodes, Stretch, Whose
+from cassandra_ros.topics.key_selection import Nodes, TimeRange, Whose
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.choice import END, NODES, RUNS, START, TOPICS, whose_chosen
@@ -46,9 +46,9 @@ class Selected:
         return nodes[0] if nodes is not None and len(nodes) == 1 else None
 
     @property
-    def stretch(self) -> Stretch:
+    def time_range(self) -> TimeRange:
         """Both ends, ns."""
-        return Stretch.between(self.start, self.end)
+        return TimeRange.between(self.start, self.end)
 
 
 def selected(call: Call) -> Selected:

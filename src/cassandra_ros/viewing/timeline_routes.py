@@ -12,7 +12,7 @@ from cassandra_ros.overview.timeline.time_cells import (
     MAX_CELLS,
     Scale,
     runs_of_cells,
-    stretches_of_cells,
+    time_ranges_of_cells,
 )
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
@@ -75,8 +75,8 @@ def _lane(lane: Lane, scale: Optional[Scale]) -> Dict[str, Json]:
     if scale is not None:
         cells = lane.cells(scale)
         found["counts"] = _lists(runs_of_cells(cells.counts))
-        found["even"] = _lists(stretches_of_cells(cells.even))
-        found["unknown"] = _lists(stretches_of_cells(cells.unknown))
+        found["even"] = _lists(time_ranges_of_cells(cells.even))
+        found["unknown"] = _lists(time_ranges_of_cells(cells.unknown))
         found["gaps"] = [[str(low), str(high)] for low, high in lane.gaps(scale)]
     return found
 

@@ -94,19 +94,19 @@ def _digest(text: str) -> str:
 
 def _version(store: RosCassandra, wanted: Selected, latched: bool) -> str:
     """Return what tells the content of a window; of the directory."""
-    topics, stretch, before = wanted.topics, wanted.stretch, []
+    topics, time_range, before = wanted.topics, wanted.time_range, []
     if latched and wanted.start is not None:
         before = latched_before(
             store.catalog,
-            stretch.low,
+            time_range.low,
             topics,
-            to=stretch.high,
+            to=time_range.high,
             nodeID=wanted.node,
             run=wanted.whose.writers,
             where=wanted.where or None,
         )
     tables = store.catalog.tables(topics)
-    return content_version(store.parts.directory, tables, stretch, wanted.whose, before)
+    return content_version(store.parts.directory, tables, time_range, wanted.whose, before)
 
 
 def _write(

@@ -5,7 +5,7 @@
 Each message is read, with the checksums of blocks and of large messages, and the connection and
 definition that it names; counts, sizes and times are compared with the directory, from which info
 and every read take them, but where somebody is writing. Of the whole keyspace also what is left of
-removed topics is looked for. --start and --end choose whole stretches of time
+removed topics is looked for. --start and --end choose whole time ranges
 (buckets), as info names them. What is listed:
 
   message     cannot be read: repair the cluster, or import or record it again

@@ -14,7 +14,7 @@ sticks out is lost. A line is broken at NaN, and where no message came for more 
 usual interval.
 
 With --xy one column is drawn over another one, in the order of time: a way, or one quantity over
-another. The picture is divided into 20,000 stretches of time; where several messages lie in one of
+another. The picture is divided into 20,000 time ranges; where several messages lie in one of
 them the rectangle that holds them is drawn, and the line goes through its middle.
 """
 

@@ -16,7 +16,7 @@ import numpy as np
 from cassandra_ros.blocks.block_counts import headers
 from cassandra_ros.keys import writer_of
 from cassandra_ros.overview.timeline.range_counts import Keys, Piece
-from cassandra_ros.overview.timeline.time_cells import WIDE_CELLS, Bools, Longs, Scale, Stretches
+from cassandra_ros.overview.timeline.time_cells import WIDE_CELLS, Bools, Longs, Scale, TimeRanges
 from cassandra_ros.store.row_counts import scan_keys
 from cassandra_ros.topics.key_selection import Whose
 
@@ -46,7 +46,9 @@ def refined(
     found, budget = list(pieces), _Budget()
     coarse = [_coarse(piece, scale) for piece in pieces]
     costs = [
-        float((piece.stretches.messages * piece.stretches.shares(scale.start, scale.end))[c].sum())
+        float(
+            (piece.time_ranges.messages * piece.time_ranges.shares(scale.start, scale.end))[c].sum()
+        )
         for piece, c in zip(pieces, coarse)
     ]
     for number in sorted(range(len(found)), key=costs.__getitem__):
@@ -60,7 +62,7 @@ def refined(
 
 def _coarse(piece: Piece, scale: Scale) -> Bools:
     """Tell which stretches are worth a closer look."""
-    each = piece.stretches
+    each = piece.time_ranges
     near = (each.first <= scale.end) & (each.last >= scale.start)
     spans = scale.cells_of(each.last) - scale.cells_of(each.first)
     wide = (spans >= WIDE_CELLS - 1) & (each.messages > 2)
@@ -74,16 +76,16 @@ def _better(
     """Return a piece with what was read of its buckets; None where that would be too much."""
     buckets = np.unique(piece.buckets[coarse])
     left = ~np.isin(piece.buckets, buckets)
-    rest = piece._replace(stretches=piece.stretches.where(left), buckets=piece.buckets[left])
+    rest = piece._replace(time_ranges=piece.time_ranges.where(left), buckets=piece.buckets[left])
     if cost <= budget.keys:
         keys = _keys(piece, buckets, scale, whose, budget)
         return None if keys is None else rest._replace(keys=Keys.joined([piece.keys, keys]))
     if piece.table.packed and cost <= budget.blocks * _BLOCK_MESSAGES:
         blocks = _blocks(piece, buckets, scale, whose, budget)
         if blocks is not None:
-            stretches, of_buckets = blocks
+            time_ranges, of_buckets = blocks
             return rest._replace(
-                stretches=Stretches.joined([rest.stretches, stretches]),
+                time_ranges=TimeRanges.joined([rest.time_ranges, time_ranges]),
                 buckets=np.concatenate([rest.buckets, of_buckets]),
             )
     return None
@@ -106,7 +108,7 @@ def _keys(
 
 def _blocks(
     piece: Piece, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
-) -> Optional[Tuple[Stretches, Longs]]:
+) -> Optional[Tuple[TimeRanges, Longs]]:
     rows: List[Tuple[int, ...]] = []
     for bucket in map(int, buckets):
         read = headers(piece.table, piece.node, bucket, scale.start, scale.end, whose.writers)
@@ -120,4 +122,4 @@ def _blocks(
         ]
     every = np.array(rows, np.int64).reshape(-1, 7).T
     first, last, messages, size, writer, sure, of_buckets = every
-    return Stretches(first, last, messages, size, writer, sure.astype(bool)), of_buckets
+    return TimeRanges(first, last, messages, size, writer, sure.astype(bool)), of_buckets

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the directory says of a stretch of time, as much of it as a picture needs, and kept a while.
+"""What the directory says of a time range, as much of it as a picture needs, and kept a while.
 
 Where there are more buckets than that a sample of them stands for the others: so what it costs is
 bounded, however long was recorded.
@@ -44,7 +44,7 @@ _WRITERS = 8
 """So many are looked at of the first bucket and of the last."""
 
 Ends = Tuple[int, int]
-"""Of a stretch of time, ns, or of buckets; both included."""
+"""Of a time range, ns, or of buckets; both included."""
 Listed = List[Tuple[int, str]]
 """Slots of a table and the nodes that have buckets in them, in their order."""
 
@@ -101,7 +101,7 @@ class Reader:
         if whose.writers is not None:
             every = self.extent(tables, whose._replace(writers=None))
             found = self.pieces(tables, every, whose) if every is not None else []
-            own = [piece.stretches for piece in found if len(piece.stretches.first)]
+            own = [piece.time_ranges for piece in found if len(piece.time_ranges.first)]
             if not own:
                 return None
             return min(int(s.first.min()) for s in own), max(int(s.last.max()) for s in own)
@@ -114,8 +114,8 @@ class Reader:
                     emptied[table.name] = table
         # Where all is gone from the outmost buckets, what is left lies anywhere between.
         for piece in self.pieces(list(emptied.values()), _EVER_NS, whose) if emptied else ():
-            if len(piece.stretches.first):
-                ends += [int(piece.stretches.first.min()), int(piece.stretches.last.max())]
+            if len(piece.time_ranges.first):
+                ends += [int(piece.time_ranges.first.min()), int(piece.time_ranges.last.max())]
         return (min(ends), max(ends)) if ends else None
 
     def _outmost(
@@ -146,7 +146,7 @@ class Reader:
             yield table, times
 
     def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> List[Piece]:
-        """Tell what tables hold in the buckets that touch a stretch of time.
+        """Tell what tables hold in the buckets that touch a time range.
 
         Tables whose messages lie under names are left out.
         """
@@ -161,7 +161,7 @@ class Reader:
         return [*found, *_rest(left, found)]
 
     def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[Part]:
-        """Yield the partitions that hold buckets in a stretch of time, and which of them may."""
+        """Yield the partitions that hold buckets in a time range, and which of them may."""
         slots = self.slots(tables)
         for table in tables:
             listed = slots.get(table.name, [])

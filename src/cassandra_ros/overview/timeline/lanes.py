@@ -23,7 +23,7 @@ from cassandra_ros.overview.timeline.time_cells import (
     Cells,
     Longs,
     Scale,
-    Stretches,
+    TimeRanges,
     gaps_between,
     gaps_in,
 )
@@ -72,8 +72,8 @@ class Lane:
         ends: Ends,
     ) -> None:
         self.topic, self.node, self.tables = topic, node, tables
-        joined = Stretches.joined([piece.stretches for piece in pieces])
-        self.stretches = joined.within(*ends)
+        joined = TimeRanges.joined([piece.time_ranges for piece in pieces])
+        self.time_ranges = joined.within(*ends)
         keys = Keys.joined([piece.keys for piece in pieces])
         inside = (keys.times >= ends[0]) & (keys.times <= ends[1])
         self.keys = keys.where(inside)
@@ -84,36 +84,38 @@ class Lane:
     @property
     def times(self) -> Tuple[Optional[int], Optional[int]]:
         """When the first and the last message come that touch the window; None: there is none."""
-        firsts = [int(each.min()) for each in (self.stretches.first, self.keys.times) if len(each)]
-        lasts = [int(each.max()) for each in (self.stretches.last, self.keys.times) if len(each)]
+        firsts = [
+            int(each.min()) for each in (self.time_ranges.first, self.keys.times) if len(each)
+        ]
+        lasts = [int(each.max()) for each in (self.time_ranges.last, self.keys.times) if len(each)]
         return min(firsts, default=None), max(lasts, default=None)
 
     @property
     def parts(self) -> List[Tuple[Longs, Longs]]:
         """When stretches and single messages that touch the window begin and end, ns."""
-        every = (self.stretches.first, self.stretches.last), (self.keys.times, self.keys.times)
+        every = (self.time_ranges.first, self.time_ranges.last), (self.keys.times, self.keys.times)
         return [part for part in every if len(part[0])]
 
     @property
     def messages(self) -> int:
         """How many lie in the window; see exact."""
-        return self._sum(self.stretches.messages) + len(self.keys.times)
+        return self._sum(self.time_ranges.messages) + len(self.keys.times)
 
     @property
     def bytes(self) -> int:
         """Serialised bytes of these."""
-        return self._sum(self.stretches.bytes) + int(self.keys.sizes.sum())
+        return self._sum(self.time_ranges.bytes) + int(self.keys.sizes.sum())
 
     @property
     def exact(self) -> bool:
         """Whether these are no estimates."""
-        whole = (self.stretches.shares(*self._ends) == 1.0) & self.stretches.sure
+        whole = (self.time_ranges.shares(*self._ends) == 1.0) & self.time_ranges.sure
         return bool(whole.all()) and not self.sampled
 
     @property
     def rate_hz(self) -> Optional[float]:
         """Mean rate while messages came, a writer's: pauses between its buckets do not count."""
-        each = self.stretches
+        each = self.time_ranges
         covered_ns = int((each.last - each.first)[each.messages > 1].sum())
         steps = int(np.maximum(each.messages - 1, 0).sum())
         if not covered_ns and len(self.keys.times) > 1:
@@ -122,18 +124,18 @@ class Lane:
         return steps * SECOND_NS / covered_ns if covered_ns else None
 
     def _sum(self, counts: Longs) -> int:
-        return round(float((counts * self.stretches.shares(*self._ends)).sum()))
+        return round(float((counts * self.time_ranges.shares(*self._ends)).sum()))
 
     def cells(self, scale: Scale) -> Cells:
         """Return how many messages lie in each cell."""
         cells = Cells(scale)
-        cells.add(self.stretches)
+        cells.add(self.time_ranges)
         cells.add_times(self.keys.times)
         return cells
 
     def gaps(self, scale: Scale) -> List[Tuple[int, int]]:
         """Return between which times a run had no message, where that is unusual."""
-        found = [] if self.sampled else gaps_between(self.stretches, scale)
+        found = [] if self.sampled else gaps_between(self.time_ranges, scale)
         for writer in np.unique(self.keys.writers):
             found += gaps_in(self.keys.times[self.keys.writers == writer], scale)
         return sorted(found)
@@ -191,7 +193,7 @@ class Picture(NamedTuple):
 
 
 def _spans(lane: Lane) -> List[RunSpan]:
-    s, keys = lane.stretches, lane.keys
+    s, keys = lane.time_ranges, lane.keys
     ones = np.ones(len(keys.times), np.int64)
     first, last = (np.concatenate([each, keys.times]) for each in (s.first, s.last))
     messages, writers = (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is known of the messages of a table and a node in some stretches of time."""
+"""What is known of the messages of a table and a node in some time ranges."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import List, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
-from cassandra_ros.overview.timeline.time_cells import Bools, Longs, Stretches
+from cassandra_ros.overview.timeline.time_cells import Bools, Longs, TimeRanges
 from cassandra_ros.store.fetch import some_names
 from cassandra_ros.tables.bucket_columns import BucketColumns
 from cassandra_ros.tables.directory import (
@@ -50,7 +50,7 @@ class Piece(NamedTuple):
 
     table: TopicTable
     node: str
-    stretches: Stretches
+    time_ranges: TimeRanges
     buckets: Longs
     """In which bucket each stretch lies; what is of no bucket has none of them."""
     sampled: bool = False
@@ -84,8 +84,8 @@ def piece_of(
     sure = some.closed & (stride == 1) & (table.metadata.ttl == 0)
     counts = some.rows * stride, some.bytes * stride
     now = some.writing & (some.age_ms <= STALE_SEC * _SECOND_MS)
-    stretches = Stretches(first, last, *counts, some.writer, sure)
-    return Piece(table, node, stretches, some.bucket, stride > 1, bool(now.any()))
+    time_ranges = TimeRanges(first, last, *counts, some.writer, sure)
+    return Piece(table, node, time_ranges, some.bucket, stride > 1, bool(now.any()))
 
 
 def _living(columns: BucketColumns, ttl: int) -> Bools:
@@ -114,14 +114,14 @@ def unread(
     length = table.metadata.bucket_ns
     first, last = (np.array(buckets, np.int64) * length for buckets in zip(*ends))
     columns = (
-        [int(each.sum()) for each in (p.stretches.messages, p.stretches.bytes)] for p in read
+        [int(each.sum()) for each in (p.time_ranges.messages, p.time_ranges.bytes)] for p in read
     )
     totals = np.array(list(columns), np.int64).reshape(-1, 2).sum(axis=0) // max(1, len(read))
     messages, size = (np.full(len(ends), total) for total in totals)
     nobody = np.zeros(len(ends), np.int64)
     sure = nobody.astype(bool)
-    stretches = Stretches(first, last + length - 1, messages, size, nobody, sure)
-    return Piece(table, node, stretches, nobody - 1, sampled=True)
+    time_ranges = TimeRanges(first, last + length - 1, messages, size, nobody, sure)
+    return Piece(table, node, time_ranges, nobody - 1, sampled=True)
 
 
 def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
@@ -134,11 +134,11 @@ def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
     found = []
     for node, rows in by_node.items():
         single = Keys(*np.array(rows, np.int64).T)
-        nothing = Stretches.joined([])
+        nothing = TimeRanges.joined([])
         found.append(Piece(table, node, nothing, nothing.first, sampled=not every, keys=single))
     return found
 
 
 def slots_between(table: TopicTable, ends: Tuple[int, int]) -> Tuple[int, int]:
-    """Return the slots of a table in which the ends of a stretch of time lie."""
+    """Return the slots of a table in which the ends of a time range lie."""
     return slot_of(table.bucket_of(ends[0])), slot_of(table.bucket_of(ends[1]))

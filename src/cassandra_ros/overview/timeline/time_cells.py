@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How many messages lie in each of many equal stretches of time: cells, as a picture needs them.
+"""How many messages lie in each of many equal time ranges: cells, as a picture needs them.
 
 Counts are known of longer or shorter stretches (buckets, blocks, single messages). What lies
 across several cells is spread over them evenly, and these are told to be so if they are many.
@@ -62,7 +62,7 @@ class Scale(NamedTuple):
         return np.asarray((times - self.start) // self.step)
 
 
-class Stretches(NamedTuple):
+class TimeRanges(NamedTuple):
     """Messages of which is known between which times they lie, ns, and how many they are.
 
     There is one at each end, and the others lie anywhere between.
@@ -77,19 +77,19 @@ class Stretches(NamedTuple):
     sure: Bools
     """The counts hold; else they are estimates."""
 
-    def where(self, chosen: Bools) -> Stretches:
+    def where(self, chosen: Bools) -> TimeRanges:
         """Return those of which ``chosen`` says so."""
-        return Stretches._make(column[chosen] for column in self)
+        return TimeRanges._make(column[chosen] for column in self)
 
     @classmethod
-    def joined(cls, parts: Sequence[Stretches]) -> Stretches:
+    def joined(cls, parts: Sequence[TimeRanges]) -> TimeRanges:
         """Return all stretches of some."""
         if not parts:
             none = np.zeros(0, np.int64)
             return cls(none, none, none, none, none, none.astype(bool))
         return cls(*map(np.concatenate, zip(*parts)))
 
-    def within(self, start: int, end: int) -> Stretches:
+    def within(self, start: int, end: int) -> TimeRanges:
         """Return those that touch [start, end]."""
         return self.where((self.first <= end) & (self.last >= start))
 
@@ -139,9 +139,9 @@ class Cells:
         inside = cells[(cells >= 0) & (cells < self.scale.cells)]
         self._counts += np.bincount(inside, minlength=self.scale.cells + 1)
 
-    def add(self, stretches: Stretches) -> None:
+    def add(self, time_ranges: TimeRanges) -> None:
         """Add what touches the scale of some stretches."""
-        near = stretches.within(self.scale.start, self.scale.end)
+        near = time_ranges.within(self.scale.start, self.scale.end)
         counted = near.messages > 0
         self._mark(self._unknown, near.where(~counted))
         near = near.where(counted)
@@ -154,16 +154,16 @@ class Cells:
         self._add_dense(near.where(~narrow & ~sparse))
         self._mark(self._even, near.where((spans >= WIDE_CELLS - 1) & (near.messages > 2)))
 
-    def _mark(self, rises: Longs, stretches: Stretches) -> None:
+    def _mark(self, rises: Longs, time_ranges: TimeRanges) -> None:
         """Count the stretches over each cell, as rises."""
         count = self.scale.cells
-        np.add.at(rises, np.clip(self.scale.cells_of(stretches.first), 0, count), 1)
-        np.add.at(rises, np.clip(self.scale.cells_of(stretches.last) + 1, 0, count), -1)
+        np.add.at(rises, np.clip(self.scale.cells_of(time_ranges.first), 0, count), 1)
+        np.add.at(rises, np.clip(self.scale.cells_of(time_ranges.last) + 1, 0, count), -1)
 
-    def _add_sparse(self, stretches: Stretches) -> None:
+    def _add_sparse(self, time_ranges: TimeRanges) -> None:
         """Add messages at equal distances, the first and last of each at its ends."""
         start, end = self.scale.start, self.scale.end
-        for first, last, messages in zip(*stretches[:3]):
+        for first, last, messages in zip(*time_ranges[:3]):
             gaps, length = max(1, int(messages) - 1), int(last - first)
             low = max(0, -((int(first) - start) * gaps // length))
             high = min(int(messages) - 1, (end - int(first)) * gaps // length)
@@ -171,14 +171,14 @@ class Cells:
             # Without a product beyond 64 bits.
             self.add_times(first + steps * (length // gaps) + steps * (length % gaps) // gaps)
 
-    def _add_dense(self, stretches: Stretches) -> None:
+    def _add_dense(self, time_ranges: TimeRanges) -> None:
         """Add messages of which there are several in each cell, by their share of its time."""
         (start, _, step), count = self.scale, self.scale.cells
-        self._mark(self._dense, stretches)
-        first, last = self.scale.cells_of(stretches.first), self.scale.cells_of(stretches.last)
-        per_ns = stretches.messages / (stretches.last - stretches.first + 1)
-        in_first = ((first + 1) * step + start - stretches.first) * per_ns
-        in_last = (stretches.last + 1 - (last * step + start)) * per_ns
+        self._mark(self._dense, time_ranges)
+        first, last = self.scale.cells_of(time_ranges.first), self.scale.cells_of(time_ranges.last)
+        per_ns = time_ranges.messages / (time_ranges.last - time_ranges.first + 1)
+        in_first = ((first + 1) * step + start - time_ranges.first) * per_ns
+        in_last = (time_ranges.last + 1 - (last * step + start)) * per_ns
         for cells, share in ((first, in_first), (last, in_last)):
             inside = (cells >= 0) & (cells < count)
             self._counts += np.bincount(cells[inside], share[inside], count + 1)
@@ -186,7 +186,7 @@ class Cells:
         np.add.at(self._rises, np.clip(last, 0, count), -per_ns * step)
 
 
-def gaps_between(stretches: Stretches, scale: Scale) -> list[Tuple[int, int]]:
+def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[Tuple[int, int]]:
     """Find where the messages of one writer paused: much longer than usual, and to be seen.
 
     Args:
@@ -195,15 +195,15 @@ def gaps_between(stretches: Stretches, scale: Scale) -> list[Tuple[int, int]]:
     Returns:
         Times of the message before and of the one behind, ns; at most MAX_GAPS, the longest.
     """
-    order = np.lexsort((stretches.first, stretches.writer))
+    order = np.lexsort((time_ranges.first, time_ranges.writer))
     writer, first, last = (
-        column[order] for column in (stretches.writer, stretches.first, stretches.last)
+        column[order] for column in (time_ranges.writer, time_ranges.first, time_ranges.last)
     )
     seen = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
     found: list[Tuple[int, int]] = []
     for one in np.unique(writer[1:][seen]):  # of thousands of runs few have any
         own = order[writer == one]
-        columns = stretches.first[own], stretches.last[own], stretches.messages[own]
+        columns = time_ranges.first[own], time_ranges.last[own], time_ranges.messages[own]
         found += _gaps(*columns, scale)
     return _longest(found)
 
@@ -246,7 +246,7 @@ def runs_of_cells(counts: Floats) -> list[list[int]]:
     return [[int(run[0]), *whole[run].tolist()] for run in runs]
 
 
-def stretches_of_cells(marked: Bools) -> list[list[int]]:
+def time_ranges_of_cells(marked: Bools) -> list[list[int]]:
     """Write marked cells as pairs: the first and the last of each run."""
     filled = np.flatnonzero(marked)
     if not len(filled):

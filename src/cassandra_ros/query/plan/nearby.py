@@ -33,7 +33,7 @@ from cassandra_ros.query.tree.syntax import (
 )
 
 Span = Tuple[int, int]
-"""A stretch of time, ns, both ends included."""
+"""A time range, ns, both ends included."""
 Spans = Callable[[int, int, bool], Iterator[Span]]
 """Gives the stretches of [low, high] in order, or (True) the newest first, apart from another."""
 
@@ -122,7 +122,7 @@ def _text(name: str, literal: Literal) -> str:
 
 
 def spans_of(condition: Optional[Expression]) -> Optional[Spans]:
-    """Return the stretches of time outside of which a condition is never true; None = all time.
+    """Return the time ranges outside of which a condition is never true; None = all time.
 
     They may be more than those in which it is.
     """

@@ -95,7 +95,7 @@ def compile_term(term: Term, find: Find) -> Optional[Computed]:
     if term.function in _OF_ARRAYS:
         return _of_array(term, find)
     if term.function == "time":
-        _check_stretch(term.arguments[1])
+        _check_time_range(term.arguments[1])
     parts = _compile_all(term.arguments, find)
     known = [part for part in parts if part is not None]
     if len(known) < len(parts):
@@ -268,7 +268,7 @@ def _shared(ns: int, parts: Any) -> Optional[int]:
     return 0 if abs(parts) == math.inf else _length(round(ns / Fraction(parts)))
 
 
-def _check_stretch(length: Term) -> None:
+def _check_time_range(length: Term) -> None:
     known = isinstance(length, Literal) and _constant(length)
     if not known or known.kind != "duration" or known.get(()) <= 0:
         reason = f"time takes a duration longer than 0, as time(10s), not {length.text}"
