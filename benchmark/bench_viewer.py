@@ -80,7 +80,7 @@ def note_year(store: RosCassandra) -> int:
             wire, connection = year_message(f"/year/{n}")
             handle = writer.connect(connection, HOUR_NS)
             writer.write(handle, first_hour * HOUR_NS, 0, wire)
-        directory, table = store.parts.directory, handle.table
+        directory, table = store.catalog.keyspace.directory, handle.table
         for hour in range(first_hour, first_hour + YEAR_HOURS):
             totals = BucketTotals()
             ends = hour * HOUR_NS, (hour + 1) * HOUR_NS - 10**8

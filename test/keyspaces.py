@@ -67,7 +67,7 @@ class Keyspaces:
             "{'class': 'NetworkTopologyStrategy', 'datacenter1': 1}"
         )
         with self._connect(keyspace=name) as store:
-            store.parts.side_tables.make(*LATER_TABLES)
+            store.catalog.keyspace.side_tables.make(*LATER_TABLES)
         self._made[name] = self._schema(name)
         return name
 

@@ -264,7 +264,7 @@ def test_nothing_of_a_bomb_is_stored(rosCas, tmp_path, jobs):
     with pytest.raises(BagTooLarge, match="--allow-large-chunks"):
         import_bag(rosCas, BOMBS["bag many"](tmp_path / "a.bag"), jobs=jobs)
     assert rosCas.getAllTopics() == []
-    assert list(rosCas.parts.registry.runs()) == []
+    assert list(rosCas.catalog.keyspace.registry.runs()) == []
 
 
 def test_a_process_of_an_import_reads_as_the_import_does():

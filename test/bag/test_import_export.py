@@ -459,7 +459,7 @@ def test_an_id_that_is_another_bags_by_chance_is_not_taken(rosCas, tmp_path):
     with BagReader(path) as reader:
         writer_id = read_content(reader).writer_id()
     other = Run("", writer_id, "import", labels={"content": "of another bag"})
-    rosCas.parts.registry.put_run(other, started=True)
+    rosCas.catalog.keyspace.registry.put_run(other, started=True)
     for _ in range(2):
         assert import_bag(rosCas, path).writer_id == writer_id + 1
     assert verify_bag(rosCas, path).equal

@@ -35,7 +35,7 @@ def make_table(rosCas, topic="/p", msg_class=String, **said):
         span_ns=said.pop("span_ns", 20 * MS),
         **said,
     )
-    table = rosCas.parts.make_table(metadata, definition)
+    table = rosCas.catalog.keyspace.make_table(metadata, definition)
     with rosCas.messageWriter() as writer:
         handle = writer.connect(api_connection(topic, definition, "/x"), format="packed")
     assert handle.table is table
@@ -73,7 +73,7 @@ def put_block(rosCas, table, node, conn, messages, received=None, **changed):
 
 def list_blocks(rosCas, table, node, blocks, *, closed=True):
     """Note in the directory what lies in the buckets of some blocks."""
-    directory, totals = rosCas.parts.directory, {}
+    directory, totals = rosCas.catalog.keyspace.directory, {}
     for messages in blocks:
         for t, seq, wire in messages:
             place = table.name, node, table.bucket_of(t), writer_of(seq)

@@ -217,7 +217,7 @@ def test_large_messages_lie_in_chunks(rosCas):
     assert topic.removeData(T0 + MS, T0 + 2 * MS) == 2
     assert [row.wire for row in topic.rows()] == [wires[0], wires[3]]
     topic.removeData(topic.getRow(T0 + 3 * MS).key)
-    chunks = f'"{rosCas.parts.name}"."{topic.tables[0].name}_c"'
+    chunks = f'"{rosCas.catalog.keyspace.name}"."{topic.tables[0].name}_c"'
     assert not rosCas.cassandra.execute(f"SELECT * FROM {chunks}", what="looking")
     assert topic.countTopicData() == 1
 

@@ -90,7 +90,7 @@ class Model:
         for (_, node), (table, blocks) in listed.items():
             list_blocks(self.rosCas, table, node, blocks)
         self.whose = Whose(tuple(self.nodes))
-        self.finder = Finder(self.rosCas.parts, "/p", "time", self.tables, self.whose)
+        self.finder = Finder(self.rosCas.catalog.keyspace, "/p", "time", self.tables, self.whose)
 
     def inside(self, low, high, after=None, writers=None, reverse=False):
         every = sorted(self.messages, reverse=reverse)
@@ -104,11 +104,11 @@ class Model:
 
     def read(self, low, high, after=None, writers=None, reverse=False, columns=None, few=None):
         scan = Scan(low, high, after, self.nodes, reverse, columns, None, writers, few)
-        return list(read_rows(self.rosCas.parts.directory, self.tables, scan))
+        return list(read_rows(self.rosCas.catalog.keyspace.directory, self.tables, scan))
 
     def count(self, low, high, writers=None):
         whose = Whose(tuple(self.nodes), writers)
-        return count_rows(self.rosCas.parts.directory, self.tables, low, high, whose)
+        return count_rows(self.rosCas.catalog.keyspace.directory, self.tables, low, high, whose)
 
     def forget(self, positions):
         for position in positions:
@@ -147,7 +147,7 @@ def check_single(model, rand, edges):
         assert not list(fetch_rows([Wanted(by_name[p.table], absent)]))
     every = sorted(model.messages)
     for t in edges:
-        at = first_at(model.rosCas.parts.directory, model.tables, t, model.nodes)
+        at = first_at(model.rosCas.catalog.keyspace.directory, model.tables, t, model.nodes)
         assert (at and at.position) == next((p for p in every if p.t == t), None)
         before = max((p.t for p in every if p.t <= t), default=None)
         after = min((p.t for p in every if p.t >= t), default=None)
@@ -229,16 +229,18 @@ def delete(model, rand):
     for writers in (frozenset([rand.choice(WRITERS)]), None):
         gone = model.inside(low, high, None, writers)
         whose = Whose(tuple(model.nodes), writers)
-        count = delete_time_range(model.rosCas.parts, model.tables, low, high, whose)
+        count = delete_time_range(model.rosCas.catalog.keyspace, model.tables, low, high, whose)
         assert count == len(gone)
         model.forget(gone)
         low, high = high, high + rand.randrange(40) * MS
     share = rand.choice((0.1, 0.5, 1))
     gone = [p for p in sorted(model.messages) if rand.random() < share and p.t > T0 + 50 * MS]
-    rows = model.rosCas.parts.rows.read(model.tables, TimeRange(*EVERY), whose=model.whose)
-    assert delete_rows(model.rosCas.parts, (r for r in rows if r.position in set(gone))) == len(
-        gone
+    rows = model.rosCas.catalog.keyspace.rows.read(
+        model.tables, TimeRange(*EVERY), whose=model.whose
     )
+    assert delete_rows(
+        model.rosCas.catalog.keyspace, (r for r in rows if r.position in set(gone))
+    ) == len(gone)
     model.forget(gone)
 
 

@@ -201,7 +201,9 @@ def test_info_of_a_hundred_million_messages_reads_none_of_them(call, rosCas):
     totals = BucketTotals()
     totals.add(1_000_000, 10**9, 1000, (5 * 10**9, 10**18), False)
     for writer_id in range(100, 200):
-        rosCas.parts.directory.mark((table.name, "", 0, writer_id), 0, (), totals, closed=True)
+        rosCas.catalog.keyspace.directory.mark(
+            (table.name, "", 0, writer_id), 0, (), totals, closed=True
+        )
     status, out, _ = call("info", "/twice", "--json", "--freq")
     # Four times the next one came, in three seconds; the pause before the second run is none.
     assert json.loads(out)["topics"][0]["rate_hz"] == pytest.approx(4 / 3)

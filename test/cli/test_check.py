@@ -260,5 +260,5 @@ def test_pieces_beside_a_row_that_has_none_are_orphans(store, cql):
         '"_data") VALUES (%s, %s, %s, %s, 0, 0x00) USING TIMESTAMP 1500000000000000',
         place,
     )
-    lost = orphans(store.parts.cassandra, store.keyspace, table, 2**62)
+    lost = orphans(store.catalog.keyspace.cassandra, store.keyspace, table, 2**62)
     assert [tuple(each) for each in lost] == [place]

@@ -25,7 +25,9 @@ def store(rosCas):
         with begin(rosCas, writer_id, name) as writer:
             add(writer, 5, "/p")
     rosCas.addTopic("/maps", key_format="manual", nodeID="husky").addData(Int64(0), key="kitchen")
-    rosCas.parts.registry.put_loss(Loss("/n", "husky", 7, LossKind.BUFFER_FULL, T0, T0, 4))
+    rosCas.catalog.keyspace.registry.put_loss(
+        Loss("/n", "husky", 7, LossKind.BUFFER_FULL, T0, T0, 4)
+    )
     return rosCas
 
 
@@ -107,7 +109,9 @@ def test_the_run_of_one_robot_goes_and_that_of_the_other_stays(store, call):
     run = Run("jackal", 9, "recording", name="corridor")
     with store.messageWriter(writer_id=9, run=run, nodeID="jackal") as writer:
         add(writer, 3)
-    store.parts.registry.put_loss(Loss("/n", "jackal", 9, LossKind.BUFFER_FULL, T0, T0, 2))
+    store.catalog.keyspace.registry.put_loss(
+        Loss("/n", "jackal", 9, LossKind.BUFFER_FULL, T0, T0, 2)
+    )
     command = ("delete", "--run", "corridor", "--node-id", "husky", "-y")
     assert call(*command)[1].endswith("10 messages of 2 topics are deleted\n")
     assert counts(store) == {"/maps": 1, "/n": 8, "/p": 5}

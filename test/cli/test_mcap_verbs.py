@@ -134,7 +134,7 @@ def test_when_messages_were_sent_comes_back(call, rosCas, tmp_path):
     with open_file(path) as mcap, open_file(tmp_path / "a.bag") as bag:
         assert read_content(mcap).digest != read_content(bag).digest
     (run,) = rosCas.runs()
-    sent = SentTimes(rosCas.parts.side_tables)
+    sent = SentTimes(rosCas.catalog.keyspace.side_tables)
     kept = sent.get(run.writer, "", 1)
     kept.delays[3] += 1
     kept.sequences[5] += 1

@@ -38,9 +38,13 @@ GRAPH = NodeGraph(
 def store(rosCas):
     """Two runs of one topic, with parameters and losses; the second goes on."""
     begin(rosCas, 7, "corridor").close()
-    rosCas.parts.registry.put_context(7, "husky", RunContext(PARAMS, GRAPH))
-    rosCas.parts.registry.put_loss(Loss("/n", "husky", 7, LossKind.BUFFER_FULL, 10**18, 10**18, 4))
-    rosCas.parts.registry.put_loss(Loss("/gone", "husky", 8, LossKind.UNHEARD, 10**18, 10**18, 0))
+    rosCas.catalog.keyspace.registry.put_context(7, "husky", RunContext(PARAMS, GRAPH))
+    rosCas.catalog.keyspace.registry.put_loss(
+        Loss("/n", "husky", 7, LossKind.BUFFER_FULL, 10**18, 10**18, 4)
+    )
+    rosCas.catalog.keyspace.registry.put_loss(
+        Loss("/gone", "husky", 8, LossKind.UNHEARD, 10**18, 10**18, 0)
+    )
     with begin(rosCas, 8, "yard", count=2):
         yield rosCas
 

@@ -312,7 +312,7 @@ def test_foreign_tables_and_newer_ones(rosCas, cql):
         f"CREATE TABLE {space}.alike (a int PRIMARY KEY) "
         'WITH comment = \'{"cassandra_ros": {"version": 1}}\''
     )
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     assert [t.name for t in rosCas.getAllTopics()] == ["/a"]
     cql.execute(
         f"CREATE TABLE {space}.newer (a int PRIMARY KEY) "
@@ -383,7 +383,7 @@ class TestAnotherClient:
         assert [type(m) for _, m in topic.items()] == [String, Twist]
         other.removeTopic("/a")
         assert not rosCas.existTopic("/a")
-        assert not rosCas.parts.schema.tables(fresh=True)
+        assert not rosCas.catalog.keyspace.schema.tables(fresh=True)
 
     def test_drops_and_makes_a_topic_anew(self, rosCas, other):
         topic = rosCas.addTopic("/a")

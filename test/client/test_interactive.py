@@ -155,7 +155,7 @@ def test_dir_lists_what_a_person_uses(store, topic):
     row = next(store.readMessages("/cmd_vel"))
     assert {"t", "wire", "message", "topic", "key", "connection"} <= set(dir(row))
     listed = [*dir(store), *dir(topic), *dir(row)]
-    assert not {"parts", "cassandra", "statements", "tables", "rows"}.intersection(listed)
+    assert not {"catalog", "cassandra", "statements", "tables", "rows"}.intersection(listed)
     assert not [name for name in listed if name.startswith("_")]
 
 

@@ -332,7 +332,7 @@ def test_what_cannot_have_an_index(rosCas):
         with pytest.raises(InvalidQuery, match=word) as caught:
             rosCas.executeCQL(statement)
         assert statement[caught.value.position :].startswith(spot)
-    assert "m" not in names_of_indexes(rosCas.parts.schema.tables(fresh=True))
+    assert "m" not in names_of_indexes(rosCas.catalog.keyspace.schema.tables(fresh=True))
 
 
 def test_integers_of_simulated_time_are_nanoseconds(rosCas):

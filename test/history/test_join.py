@@ -478,7 +478,7 @@ def test_what_was_not_recorded_is_told(stage, caplog):
     for t in (100, 900):
         first = stage.begin + t * MS
         loss = Loss(TOPIC, "", 1, LossKind.BUFFER_FULL, first, first + MS, 3)
-        stage.store.parts.registry.put_loss(loss)
+        stage.store.catalog.keyspace.registry.put_loss(loss)
     stage.subscribe(stage.begin + 3000 * MS, since=stage.begin + 500 * MS)
     talk(stage, fields(), range(350), range(300, 400))
     stage.listen()

@@ -61,7 +61,7 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     for n in range(40):
         topic.addData(UInt8MultiArray(data=bytes([n]) * (1 << 20)), key=T0 + n * STEP // 10)
     rosCas.addTopic("/go").addData(Int32(0), key=T0)
-    rosCas.parts.registry.put_loss(
+    rosCas.catalog.keyspace.registry.put_loss(
         Loss("/big", "", 7, LossKind.BUFFER_FULL, T0 + 5, T0 + SEC, count=12)
     )
     options = ("--queue", "3", "-r", "10", "--wait-for-subscribers")
@@ -89,7 +89,7 @@ def test_its_own_log_is_not_among_what_is_played_under_another_name(roscore, ros
     topic = rosCas.addTopic("/rosout", format="binary")
     for n in range(3):
         topic.addData(Log(msg=str(n)), key=T0 + n * STEP)
-    rosCas.parts.registry.put_loss(
+    rosCas.catalog.keyspace.registry.put_loss(
         Loss("/rosout", "", 7, LossKind.BUFFER_FULL, T0, T0 + STEP, count=12)
     )
     options = ("/rosout:=/old/rosout", "--wait-for-subscribers")

@@ -134,7 +134,7 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
     assert "new publishers of /a were not heard" in child.lines[-1]
     assert child.output.count("the ROS master does not answer") == 1
     assert child.output.count("the ROS master does not know this node any more") == 1
-    (loss,) = rosCas.parts.registry.losses()
+    (loss,) = rosCas.catalog.keyspace.registry.losses()
     assert (loss.topic, loss.kind, loss.count) == ("/a", LossKind.UNHEARD, 0)
     assert loss.first_ns < before < loss.last_ns
 
@@ -176,7 +176,7 @@ def test_a_master_that_stood_still_is_no_loss(master, cassandra, keyspace, rosCa
         assert "does not know this node" not in child.output
         assert child.end() == 0, child.output
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(n) for n in (1, 2, 3)]
-    assert rosCas.parts.registry.losses() == []
+    assert rosCas.catalog.keyspace.registry.losses() == []
 
 
 @pytest.mark.long

@@ -423,7 +423,7 @@ def test_a_recorder_notes_places(rosCas, monkeypatch):
     recording, keeper = record(rosCas, monkeypatch, drive_moments(), node="husky")
     assert recording.close()
     tables = [t.name for name in ("/tf", "/odom") for t in rosCas.getTopic(name).tables]
-    placed = rosCas.parts.place_index.placed(tables)
+    placed = rosCas.catalog.keyspace.place_index.placed(tables)
     assert {(p.node, p.writer) for p in placed} == {("husky", recording.writer_id)}
     by_robot = {p.robot: p for p in placed}
     assert set(by_robot) == {"base_link", tables[1]}
@@ -460,7 +460,7 @@ def test_a_recorder_notes_part_by_part(rosCas, monkeypatch):
 
 def brute_tf(store, x, y, radius):
     """Times of messages at which all of tf, read at once, has the robot on a disk."""
-    poses = store.parts.places.robots("map")[0].poses()
+    poses = store.catalog.keyspace.places.robots("map")[0].poses()
     times = store.getTopic("/n").getArrays(["KEY"])["KEY"]
     placed = poses.at(times)
     near = placed.known & (np.hypot(placed.poses.x - x, placed.poses.y - y) <= radius)
@@ -471,7 +471,7 @@ def test_without_places_nothing_is_noted(rosCas, monkeypatch):
     recording, _ = record(rosCas, monkeypatch, drive_moments(5), places=False)
     recording.close()
     tables = [t.name for t in rosCas.getTopic("/tf").tables]
-    assert rosCas.parts.place_index.placed(tables) == []
+    assert rosCas.catalog.keyspace.place_index.placed(tables) == []
     assert asked(rosCas, "NEAR(20, 0, 2)") == [T0 + 2 * SEC + 1]
 
 
@@ -493,7 +493,7 @@ def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
         assert list(rosCas.near(200, 0, 2, topics="/n", where={"/n": ("data < ?", [5])})) == []
         if not indexed:
             rosCas.upkeep.indexPlaces()
-    assert rosCas.parts.places.robots("map", nodes=["bee"])[0].node == "bee"
+    assert rosCas.catalog.keyspace.places.robots("map", nodes=["bee"])[0].node == "bee"
 
 
 def test_two_robots_to_which_nobody_gave_a_name(rosCas):
@@ -704,7 +704,7 @@ def test_an_index_stays_as_long_as_what_stays_longest(rosCas):
 def noted_of(store, name="/odom"):
     """What the index says of the poses of a topic: from when to when."""
     tables = [table.name for table in store.getTopic(name).tables]
-    return [(each.low, each.high) for each in store.parts.place_index.placed(tables)]
+    return [(each.low, each.high) for each in store.catalog.keyspace.place_index.placed(tables)]
 
 
 def drives_on(recording, first, last, y=0.0):

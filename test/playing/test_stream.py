@@ -177,9 +177,11 @@ def test_the_last_one_that_satisfies_a_condition_is_latched(filled):
 
 def test_topics_that_nobody_latches_are_not_read(filled, monkeypatch):
     asked = []
-    read = filled.parts.rows.read
+    read = filled.catalog.keyspace.rows.read
     monkeypatch.setattr(
-        type(filled.parts.rows), "read", lambda self, *a, **k: asked.append(a) or read(*a, **k)
+        type(filled.catalog.keyspace.rows),
+        "read",
+        lambda self, *a, **k: asked.append(a) or read(*a, **k),
     )
     assert before(filled, T0 + 5 * SEC, ["/tick", "/tock"]) == []
     assert asked == []
@@ -192,14 +194,14 @@ def test_looking_back_ends_with_the_last_publisher(rosCas, monkeypatch):
         for n in range(300):
             robot.send("/log", n / 100, f"l{n}", "ab"[n % 2], latched=True)
         robot.send("/tick", 3, "t")
-    seen, read = [], rosCas.parts.rows.read
+    seen, read = [], rosCas.catalog.keyspace.rows.read
 
     def counted(self, *args, **options):
         for row in read(*args, **options):
             seen.append(row)
             yield row
 
-    monkeypatch.setattr(type(rosCas.parts.rows), "read", counted)
+    monkeypatch.setattr(type(rosCas.catalog.keyspace.rows), "read", counted)
     assert texts(before(rosCas, T0 + 2 * SEC)) == ["l198", "l199"]
     assert len(seen) == 2
     assert not any(row.columns for row in seen)  # keys alone; the messages were fetched later

@@ -42,7 +42,7 @@ def test_what_no_column_holds_is_found(rosCas, monkeypatch, plan, closed):
     if closed:
         target.close()
     (table,) = topic.tables
-    rows = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
+    rows = rosCas.catalog.keyspace.directory.find(table.name, "", table.bucket_of(T0))
     assert [(row.closed, row.odd) for row in rows] == [(closed, 4 * closed)]
     statement = "select seq from /h where stamp >= ? and stamp <= ?"
     params = (T0 + 20 * SEC, T0 + 31 * SEC + SEC // 2)
@@ -68,7 +68,7 @@ def test_an_index_that_one_of_two_writers_fills_hides_no_row(rosCas, plan):
             target.write(handle, T0 + number, number, header(1))
         target.flush()
     (table,) = topic.tables
-    rows = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
+    rows = rosCas.catalog.keyspace.directory.find(table.name, "", table.bucket_of(T0))
     assert sorted(len(row.filled) for row in rows) == [0, 1]
     for _ in ("open", "closed"):
         result = rosCas.statements.select("select seq from /h where frame_id = '1'", plan=plan)

@@ -36,7 +36,7 @@ def recording(rosCas, **options):
 
 def blocks(cql, rosCas, topic):
     """The (n, size, t, last) of all blocks of a topic, as the bare driver sees them."""
-    (table,) = rosCas.parts.tables.of_topic(topic)
+    (table,) = rosCas.catalog.keyspace.tables.of_topic(topic)
     query = f'SELECT "_n", "_size", "_t", "_last" FROM {table.qualified}'
     return sorted(map(tuple, cql.execute(query)), key=lambda row: row[2])
 
@@ -66,7 +66,7 @@ def test_what_waits_in_blocks_is_stored_at_the_end(rosCas, cql):
     assert (report.received, report.stored, report.lost) == (3000, 3000, 0)
     found = blocks(cql, rosCas, "/imu")
     assert sum(n for n, *_ in found) == 3000
-    (table,) = rosCas.parts.tables.of_topic("/imu")
+    (table,) = rosCas.catalog.keyspace.tables.of_topic("/imu")
     span_ns = table.metadata.span_ns
     assert 0 < span_ns <= 10**10
     assert all(n <= 1024 and size <= 256 * 1024 for n, size, *_ in found)

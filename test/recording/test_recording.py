@@ -257,7 +257,7 @@ def test_time_that_goes_back_is_told(rosCas, caplog):
 
 def test_a_context_is_kept_when_the_store_is_back(rosCas, monkeypatch):
     recorder = Recording(rosCas)
-    registry = rosCas.parts.registry
+    registry = rosCas.catalog.keyspace.registry
     put, tries = registry.put_context, []
 
     def away(*context):
@@ -351,7 +351,7 @@ def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace,
     publishing.join()
     (report,) = recorder.close()
     assert (report.stored, report.lost) == (len(sent), 0)
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     numbers = {wire: number for number, wire in enumerate(sent)}
     found = [numbers[row.wire] for row in rosCas.getTopic("/text").rows()]
     assert found == sorted(set(found))  # nothing twice

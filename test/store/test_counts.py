@@ -32,7 +32,7 @@ def write(target, numbers):
 def listed(rosCas):
     """What the directory says of the one bucket: writer → its row."""
     (table,) = rosCas.getTopic("/a").tables
-    rows = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
+    rows = rosCas.catalog.keyspace.directory.find(table.name, "", table.bucket_of(T0))
     return {row.writer: row for row in rows}
 
 

@@ -92,7 +92,7 @@ def write(writer, numbers, **options):
 def directory_of(rosCas, node=""):
     """What each writer says of the one bucket of /a: writer → its row."""
     (table,) = rosCas.getTopic("/a").tables
-    rows = rosCas.parts.directory.find(table.name, node, table.bucket_of(T0))
+    rows = rosCas.catalog.keyspace.directory.find(table.name, node, table.bucket_of(T0))
     return {row.writer: row for row in rows}
 
 
@@ -131,7 +131,7 @@ def test_what_was_given_up_and_is_not_stored_is_not_counted(far, proxy, rosCas):
     writer.close()
     assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (5, 5)
     assert told(rosCas) == (5, 5, 5)
-    (ended,) = rosCas.parts.registry.runs()
+    (ended,) = rosCas.catalog.keyspace.registry.runs()
     assert (ended.stored, ended.lost) == ({"/a": 5}, {"/a": 5})
     # When they came, not when that was found.
     ((topic, count, error),) = losses

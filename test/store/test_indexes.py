@@ -44,8 +44,8 @@ def store(rosCas, name, count, cls=String, **options):
 
 def add(rosCas, table, cql_type="text", field="data"):
     """Make an index that nobody fills; return its column."""
-    rosCas.parts.indexes.add(table.metadata.topic, field, lambda metadata: cql_type)
-    return rosCas.parts.tables.by_name(table.name).metadata.indexes[field]
+    rosCas.catalog.keyspace.indexes.add(table.metadata.topic, field, lambda metadata: cql_type)
+    return rosCas.catalog.keyspace.tables.by_name(table.name).metadata.indexes[field]
 
 
 def select(cql, table, what):
@@ -150,7 +150,7 @@ def test_without_a_ttl_a_value_stays(rosCas, cql):
 
 def test_what_a_recount_says_fails_where_something_changed(rosCas):
     table = store(rosCas, "/t", 5, writer_id=7)
-    directory = rosCas.parts.directory
+    directory = rosCas.catalog.keyspace.directory
     place = (table.name, "", table.bucket_of(T0), 7)
     (row,) = directory.find(*place[:3])
     assert row.closed and row.filled == frozenset()
@@ -171,13 +171,13 @@ def test_what_a_recount_says_fails_where_something_changed(rosCas):
 
 def test_rows_of_an_earlier_release_fill_nothing(rosCas, cql):
     table = store(rosCas, "/t", 5)
-    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
+    (row,) = rosCas.catalog.keyspace.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
     cql.execute(
         f"DELETE filled FROM {rosCas.keyspace}.cr_bucket "
         "WHERE tbl = %s AND node = '' AND slot = %s AND bucket = %s AND writer = %s",
         (table.name, row.bucket // 4096, row.bucket, row.writer),
     )
-    (row,) = rosCas.parts.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
+    (row,) = rosCas.catalog.keyspace.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
     assert row.filled == frozenset() and row.closed
     assert rosCas.getTopic("/t").createIndex("data") == 5
 
@@ -188,7 +188,10 @@ def test_a_writer_does_not_list_what_its_earlier_rows_lack(rosCas):
     store(rosCas, "/t", 5, writer_id=9)
     store(rosCas, "/t", 5, writer_id=10)
     ends = (table.bucket_of(T0),) * 2
-    rows = {row.writer: row.filled for row in rosCas.parts.directory.buckets(table.name, *ends)}
+    rows = {
+        row.writer: row.filled
+        for row in rosCas.catalog.keyspace.directory.buckets(table.name, *ends)
+    }
     assert rows == {9: frozenset(), 10: {"_ix0"}}
     assert rosCas.getTopic("/t").createIndex("data") == 10
 
@@ -203,7 +206,7 @@ class Crash(Exception):
 @pytest.mark.parametrize("step", ["create_sai_index", "set_comment"])
 def test_a_crash_between_the_steps_is_completed(rosCas, cql, monkeypatch, step):
     table = store(rosCas, "/t", 5)
-    topic, schema = rosCas.getTopic("/t"), rosCas.parts.schema
+    topic, schema = rosCas.getTopic("/t"), rosCas.catalog.keyspace.schema
 
     def crash(*args):
         raise Crash
@@ -235,7 +238,7 @@ def compaction(cql, rosCas, table):
 
 def test_files_are_not_merged_while_an_index_is_made(rosCas, cql, monkeypatch):
     table = store(rosCas, "/t", 5)
-    topic, schema = rosCas.getTopic("/t"), rosCas.parts.schema
+    topic, schema = rosCas.getTopic("/t"), rosCas.catalog.keyspace.schema
     cql.execute(
         f"ALTER TABLE {table.qualified} WITH compaction = "
         "{'class': 'LeveledCompactionStrategy', 'sstable_size_in_mb': '10'}"
@@ -332,7 +335,7 @@ def test_an_index_that_is_refused_leaves_nothing(rosCas, cql, monkeypatch, caplo
         raise SchemaConflict("the server refuses the statement: too many indexes")
 
     with monkeypatch.context() as patched:
-        patched.setattr(rosCas.parts.schema, "create_sai_index", refuse)
+        patched.setattr(rosCas.catalog.keyspace.schema, "create_sai_index", refuse)
         with pytest.raises(SchemaConflict, match="too many"):
             topic.createIndex("data")
     assert compaction(cql, rosCas, table) == before and not warnings(caplog)
@@ -350,7 +353,7 @@ def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
         monkeypatch.setattr(rosCas.cassandra, "execute_once", gone)
         raise StoreUnavailable("the server is gone")
 
-    monkeypatch.setattr(rosCas.parts.schema, "create_sai_index", first)
+    monkeypatch.setattr(rosCas.catalog.keyspace.schema, "create_sai_index", first)
     with pytest.raises(StoreUnavailable, match="is gone$"):
         topic.createIndex("data")
     monkeypatch.undo()
@@ -365,14 +368,14 @@ def test_the_first_error_is_told(rosCas, cql, monkeypatch, caplog):
 def test_an_interrupted_index_is_made_anew(rosCas, cql, monkeypatch, caplog):
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
-    make = rosCas.parts.schema.create_sai_index
+    make = rosCas.catalog.keyspace.schema.create_sai_index
 
     def interrupted(*args):
         make(*args)
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(rosCas.parts.schema, "create_sai_index", interrupted)
+        patched.setattr(rosCas.catalog.keyspace.schema, "create_sai_index", interrupted)
         with pytest.raises(KeyboardInterrupt):
             topic.createIndex("data")
     assert len(warnings(caplog)) == 1
@@ -393,12 +396,14 @@ def test_an_index_that_no_comment_lists_is_waited_for(rosCas, cql, busy, again):
     ask = {
         "its own": lambda: add(rosCas, table, "text", "other"),
         "another": lambda: topic.createIndex("data"),
-        "of another type": lambda: rosCas.parts.indexes.add("/t", "third", lambda metadata: None),
+        "of another type": lambda: rosCas.catalog.keyspace.indexes.add(
+            "/t", "third", lambda metadata: None
+        ),
         "removed": lambda: topic.removeIndex("data"),
     }[again]
     with busy(), pytest.raises(StoreUnavailable, match="has not begun to build"):
         ask()
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     assert index_names(cql, rosCas, table) == {"_ix0", "_ix1"}
     assert topic.getMeta["indexes"] == ["data"]
     assert compaction(cql, rosCas, table) == {**before, "enabled": "false"}
@@ -410,7 +415,7 @@ def test_an_index_that_was_made_while_files_were_merged_is_made_anew(rosCas, cql
     table = store(rosCas, "/t", 5)
     topic, cassandra, sent = rosCas.getTopic("/t"), rosCas.cassandra, []
     cql.execute(f'ALTER TABLE {table.qualified} ADD "_ix0" text')
-    rosCas.parts.schema.create_sai_index(table.name, "_ix0")
+    rosCas.catalog.keyspace.schema.create_sai_index(table.name, "_ix0")
     change = cassandra.schema_change
 
     def look(statement, *, what):
@@ -484,7 +489,7 @@ def test_a_build_is_known_by_its_name(rosCas, monkeypatch):
 
 
 def test_nobody_finds_a_table_before_its_indexes_are_made(rosCas, cql, monkeypatch):
-    schema, seen = rosCas.parts.schema, []
+    schema, seen = rosCas.catalog.keyspace.schema, []
     make = schema.create_sai_index
 
     def look(table, shadow):
@@ -523,7 +528,7 @@ def test_a_table_that_was_left_without_its_indexes_is_no_topic(rosCas, cql, monk
         raise Crash
 
     with monkeypatch.context() as broken:
-        broken.setattr(rosCas.parts.schema, "create_sai_index", crash)
+        broken.setattr(rosCas.catalog.keyspace.schema, "create_sai_index", crash)
         with pytest.raises(Crash):
             rosCas.addTopic("/t", index=["data"]).addData(String("a"))
     assert list(rosCas.info()) == []
@@ -562,7 +567,7 @@ def test_numbers_are_never_used_again(rosCas, cql):
         topic.removeIndex("data")
     assert index_names(cql, rosCas, table) == set()
     # The columns stay: somebody may be writing into them.
-    assert {"_ix0", "_ix1", "_ix2"} < set(rosCas.parts.schema.columns(table.name))
+    assert {"_ix0", "_ix1", "_ix2"} < set(rosCas.catalog.keyspace.schema.columns(table.name))
 
 
 def test_a_crash_while_removing_is_completed(rosCas, cql, monkeypatch):
@@ -580,7 +585,7 @@ def test_a_crash_while_removing_is_completed(rosCas, cql, monkeypatch):
         broken.setattr(cassandra, "schema_change", crash)
         with pytest.raises(Crash):
             topic.removeIndex("data")
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     assert topic.getMeta["indexes"] == []
     assert index_names(cql, rosCas, table) == {"_ix0"}
     topic.removeIndex("data")

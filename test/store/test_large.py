@@ -130,7 +130,7 @@ def test_rows_of_large_messages_share_a_request(rosCas, monkeypatch, format_name
     topic = rosCas.getTopic("/big")
     assert [message for _, message in topic.items()] == messages
     (table,) = topic.tables
-    (told,) = rosCas.parts.directory.find(table.name, "", table.bucket_of(T0))
+    (told,) = rosCas.catalog.keyspace.directory.find(table.name, "", table.bucket_of(T0))
     assert (told.rows, told.bytes, told.largest) == (12, sum(sizes), small)
 
 

@@ -114,7 +114,7 @@ def test_a_stale_open_bucket_is_recounted_and_closed(rosCas, monkeypatch):
     for number in range(10):
         writer.write(handle, T0 + number, number, wireOf(number))
     writer.flush()
-    directory, name = rosCas.parts.directory, handle.table.name
+    directory, name = rosCas.catalog.keyspace.directory, handle.table.name
     bucket = handle.table.bucket_of(T0)
     assert rosCas.info(["/a"])[0].count == 10
     assert not directory.find(name, "", bucket)[0].closed

@@ -89,7 +89,10 @@ def test_later_tables_are_made_by_what_first_writes_to_them(connect, new_keyspac
         assert reader.runContext("x") is None
         assert reader.losses(run="x") == []
         assert tables(new_keyspace) == EVERY
-        registry, loss = store.parts.registry, Loss("/a", "robot", 7, LossKind.NO_CLOCK, 1, 2, 3)
+        registry, loss = (
+            store.catalog.keyspace.registry,
+            Loss("/a", "robot", 7, LossKind.NO_CLOCK, 1, 2, 3),
+        )
         registry.put_loss(loss)
         assert tables(new_keyspace) == EVERY | {"cr_loss"}
         registry.put_context(7, "robot", RunContext({"p": 1}))

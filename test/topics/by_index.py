@@ -12,7 +12,7 @@ FIRST, LAST = -(2**63), 2**63 - 1
 
 
 def directory_rows(rosCas, table):
-    return rosCas.parts.directory.buckets(table.name, FIRST, LAST)
+    return rosCas.catalog.keyspace.directory.buckets(table.name, FIRST, LAST)
 
 
 def filled(rosCas, topic, field):
@@ -62,7 +62,9 @@ def by_index(rosCas, topic, field, of, values):
             buckets.setdefault((row.node, row.bucket), []).append(row)
         for (node, bucket), writers in buckets.items():
             ends = (bucket * table.metadata.bucket_ns, (bucket + 1) * table.metadata.bucket_ns - 1)
-            rows = rosCas.parts.rows.read([table], TimeRange(*ends), whose=Whose((node,)))
+            rows = rosCas.catalog.keyspace.rows.read(
+                [table], TimeRange(*ends), whose=Whose((node,))
+            )
             parts = []
             if index is not None and all(index.shadow in row.filled for row in writers):
                 parts.append(_indexed(rosCas, table, index, (node, bucket), values))

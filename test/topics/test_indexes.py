@@ -105,7 +105,7 @@ def test_two_processes_make_the_same_index_at_once(rosCas, cassandra, keyspace):
         answers = [child.answer() for child in pair]
     assert not any("error" in answer for answer in answers), answers
     assert sum(answer["filled"] for answer in answers) == 1500
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     (table,) = topic.tables
     assert dict(table.metadata.indexes) == {"data": "_ix0"}
     assert check_texts(rosCas, topic) == 1500
@@ -122,7 +122,7 @@ def test_killed_in_the_middle_and_repeated(rosCas, cassandra, keyspace):
         # It has filled the fifth bucket, and not marked it yet.
         child.process.kill()
         child.process.wait()
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     done, every = filled(rosCas, topic, "data")
     assert (done, every) == (4, 60)
     assert check_texts(rosCas, topic) == 6000
@@ -193,7 +193,7 @@ def test_an_import_that_is_repeated_fills_only_what_it_filled_before(rosCas):
     assert filled(rosCas, topic, "data") == (3, 3)
     assert check_texts(rosCas, topic) == 30
     # A client that has not heard of the index takes the mark away before it writes.
-    table, schema = topic.tables[0], rosCas.parts.schema
+    table, schema = topic.tables[0], rosCas.catalog.keyspace.schema
     listed = table.metadata
     topic.removeIndex("data")
     schema._listing = Listing({**schema._listing.every, table.name: listed})
@@ -389,7 +389,7 @@ def test_a_truncated_topic_keeps_its_indexes(rosCas):
     rosCas.truncateTopic("/t")
     (table,) = topic.tables
     assert dict(table.metadata.indexes) == {"data": "_ix1"} and table.metadata.next_shadow == 2
-    shadows = [c for c in rosCas.parts.schema.columns(table.name) if c.startswith("_ix")]
+    shadows = [c for c in rosCas.catalog.keyspace.schema.columns(table.name) if c.startswith("_ix")]
     assert shadows == ["_ix1"]
     store(rosCas, "/t", texts(20))
     assert filled(rosCas, topic, "data") == (2, 2)
@@ -429,8 +429,8 @@ def test_the_index_of_the_key(rosCas, monkeypatch):
     # Rows of an earlier release are not listed as filled; the back-fill goes through them.
     (table,) = topic.tables
     place = (table.name, row.node, row.bucket, row.writer)
-    rosCas.parts.directory.mark(place, 0)
-    rosCas.parts.directory.mark(place, 0, (), rosCas_totals(row), closed=True)
+    rosCas.catalog.keyspace.directory.mark(place, 0)
+    rosCas.catalog.keyspace.directory.mark(place, 0, (), rosCas_totals(row), closed=True)
     assert topic.createIndex("data") == 4
     assert directory_rows(rosCas, table)[0].filled == {"_ix0"}
     assert topic.getData("b").data == "b"

@@ -603,7 +603,7 @@ class TestOtherClients:
         for maker in makers:
             maker.join()
         assert sorted(outcomes) == ["exists", "made"]
-        rosCas.parts.schema.tables(fresh=True)
+        rosCas.catalog.keyspace.schema.tables(fresh=True)
         assert len({t.metadata.key_format for t in rosCas.getTopic("p").tables}) == 1
 
     def test_who_added_a_topic_hears_that_it_is_gone(self, rosCas, other):
@@ -611,7 +611,7 @@ class TestOtherClients:
         assert topic.countTopicData() == 0  # nothing yet, not gone
         topic.addData(String())
         other.removeTopic("g")
-        rosCas.parts.schema.tables(fresh=True)
+        rosCas.catalog.keyspace.schema.tables(fresh=True)
         for ask in (topic.countTopicData, lambda: topic.getData(0, 1), lambda: topic.removeData(0)):
             with pytest.raises(TopicNotFound, match="any more"):
                 ask()
@@ -630,7 +630,7 @@ def test_several_definitions_with_a_key_field(rosCas, cassandra, keyspace):
     assert topic.getData("q").data == "q"
     assert topic.getData(0).data == 0
     for tables in (topic.tables, topic.tables[::-1]):
-        assert Finder(rosCas.parts, "p", "msg_part", tables).of_text("0") == 0
+        assert Finder(rosCas.catalog.keyspace, "p", "msg_part", tables).of_text("0") == 0
     assert topic.keyOfText("0") == 0
     assert topic.keyOfText("q") == "q"
     with pytest.raises(InvalidKey, match="key of these messages"):

@@ -83,7 +83,9 @@ def test_a_killed_run_shows_what_it_stored(cassandra, connect, cql, keyspace):
         finally:
             process.kill()
         process.wait()
-        store.parts.registry.put_loss(Loss("/n", "husky", 7, LossKind.BUFFER_FULL, T0, T0, 3))
+        store.catalog.keyspace.registry.put_loss(
+            Loss("/n", "husky", 7, LossKind.BUFFER_FULL, T0, T0, 3)
+        )
         age(cql, keyspace)
         assert told(store) == {"killed": ("interrupted", {"/n": 5}, True)}
         assert [dict(run.lost) for run in store.runs()] == [{"/n": 3}]
@@ -94,7 +96,7 @@ def test_a_killed_run_shows_what_it_stored(cassandra, connect, cql, keyspace):
 def test_a_run_in_which_nothing_comes_is_alive(rosCas, cql, keyspace, monkeypatch):
     monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.05)
     with begin(rosCas, 7, "quiet", count=0):
-        registry = rosCas.parts.registry
+        registry = rosCas.catalog.keyspace.registry
         age(cql, keyspace)
         deadline = time.monotonic() + 180
         while registry.signs()[7, "husky"].age_sec > STALE_SEC and time.monotonic() < deadline:

@@ -32,8 +32,8 @@ GRAPH = NodeGraph({"/scan": ["/laser"]}, {"/scan": ["/rec", "/map"]}, {}, {"/sca
 
 def test_a_context_comes_back_as_it_was(connect, keyspace):
     with connect(keyspace=keyspace) as store:
-        store.parts.side_tables.make()
-        registry = store.parts.registry
+        store.catalog.keyspace.side_tables.make()
+        registry = store.catalog.keyspace.registry
         for writer, name in ((7, "corridor"), (8, "yard")):
             registry.put_run(Run("r", writer, "recording", name=name), started=True)
         registry.put_context(7, "r", RunContext(PARAMS, GRAPH))
@@ -72,8 +72,8 @@ def test_parameters_are_nested_as_deep_as_can_be_read_back():
 def test_losses_are_kept_beside_the_data(connect, keyspace):
     kinds = list(LossKind)
     with connect(keyspace=keyspace) as store:
-        store.parts.side_tables.make()
-        registry = store.parts.registry
+        store.catalog.keyspace.side_tables.make()
+        registry = store.catalog.keyspace.registry
         assert store.losses() == []
         registry.put_run(Run("r", 7, "recording", name="one"))
         first = Loss("/scan", "r", 7, kinds[0], 10, 20, 3)
@@ -115,7 +115,7 @@ def test_names_and_labels_are_texts(rosCas):
 def test_losses_follow_their_topic(rosCas):
     for topic in ("/a", "/b"):
         rosCas.addTopic(topic, msg_type="std_msgs/String")
-        rosCas.parts.registry.put_loss(Loss(topic, "r", 7, LossKind.NO_TABLE, 10, 20, 3))
+        rosCas.catalog.keyspace.registry.put_loss(Loss(topic, "r", 7, LossKind.NO_TABLE, 10, 20, 3))
     rosCas.renameTopic("/a", "/c")
     assert [(loss.topic, loss.count) for loss in rosCas.losses()] == [("/b", 3), ("/c", 3)]
     rosCas.truncateTopic("/b")

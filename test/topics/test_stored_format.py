@@ -91,7 +91,7 @@ def test_of_several_formats_the_newest_is_kept(rosCas, tmp_path, newest):
     def date(metadata):
         return metadata.with_(date=f"20{30 if metadata.format == newest else 29}-01-01T00:00:00")
 
-    rosCas.parts.schema.change_topic("/scan", date)
+    rosCas.catalog.keyspace.schema.change_topic("/scan", date)
     for another in (record, write, add, add_to_found):
         another(rosCas, tmp_path, None)
     rosCas.getTopic("/scan").addData(String("added"))

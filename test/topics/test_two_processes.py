@@ -92,7 +92,7 @@ def test_a_writer_goes_on_while_its_topic_is_dropped_and_made_anew(
     name, comment, rows = rows_of_the_last_table(cql, keyspace)
     assert told["failure"] == ""
     assert all(t // comment["bucket_ns"] == bucket for _, bucket, t, _ in rows)
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     assert rosCas.getTopic("/t").countTopicData() == len(rows)
 
     stored = {int(text) for node, _, _, text in rows if node != "other"}

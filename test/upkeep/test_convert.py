@@ -85,7 +85,7 @@ def check_conversion(rosCas, source, target):
     assert seen(topic.rows(reverse=True)) == before[::-1]
     assert topic.countTopicData() == len(before) > 0
     assert facts(rosCas) == told
-    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+    assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
 
 
 def test_a_topic_goes_through_all_formats(rosCas):
@@ -173,7 +173,7 @@ def test_messages_under_names(rosCas, key_format):
         assert [topic.getData(key).data for key in keys] == [f"m{n % 30}" for n in range(40)]
     with pytest.raises(InvalidOption, match="cannot be kept in format packed"):
         rosCas.convertTopic("/t", "packed")
-    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+    assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
 
 
 @pytest.mark.parametrize("part", ["header.stamp", "header.seq"])
@@ -203,7 +203,7 @@ def test_what_expires_keeps_about_the_time_that_it_has_left(rosCas, cql, target)
     old = topic.tables[0]
     for n in range(20):
         topic.addData(String(data=str(n)), key=T0 + n * SEC)
-    rosCas.parts.schema.tables(fresh=True)
+    rosCas.catalog.keyspace.schema.tables(fresh=True)
     set_ttl = f'UPDATE {old.qualified} USING TTL %s SET "_conn" = %s WHERE "_node" = %s AND '
     for row in list(topic.rows()):
         place = ("", old.bucket_of(row.t), row.t, row.seq)
@@ -244,7 +244,7 @@ def test_what_goes_wrong_is_said_before_anything_is_made(rosCas):
     fill(rosCas, "ros", 10)
     with pytest.raises(UnknownFormat):
         rosCas.convertTopic("/t", "xml")
-    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+    assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
 
 
 def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch):
@@ -333,7 +333,7 @@ def test_what_comes_into_the_old_table_after_all_is_taken_along(rosCas, connect,
     with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
         row = next(topic.rows())
         handle = writer.connect(row.connection)
-        monkeypatch.setattr(other.parts.schema, "takes_rows", lambda table: True)
+        monkeypatch.setattr(other.catalog.keyspace.schema, "takes_rows", lambda table: True)
 
         def finish_then(*arguments):
             finish(*arguments)
@@ -355,10 +355,10 @@ def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, conne
     with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
         handle = writer.connect(next(topic.rows()).connection)
         # As where it cannot read the comments, or is of an earlier release.
-        monkeypatch.setattr(other.parts.schema, "takes_rows", lambda table: True)
+        monkeypatch.setattr(other.catalog.keyspace.schema, "takes_rows", lambda table: True)
 
         def write_once():
-            rosCas.parts.schema.tables(fresh=True)
+            rosCas.catalog.keyspace.schema.tables(fresh=True)
             if formats(rosCas) == ["json"] and not written_into:
                 written_into.append(handle.table.name)
                 writer.write(handle, T0 + 5, 1, serialize(joint_state(99)))

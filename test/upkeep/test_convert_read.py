@@ -157,16 +157,16 @@ def test_one_that_is_killed_is_done_again(rosCas, cassandra, keyspace, monkeypat
             [sys.executable, "-c", KILLED, *arguments], env=os.environ, timeout=300, check=False
         )
         assert done.returncode == -signal.SIGKILL
-        rosCas.parts.schema.tables(fresh=True)
-        assert len(rosCas.parts.schema.listing().every) == 2
+        rosCas.catalog.keyspace.schema.tables(fresh=True)
+        assert len(rosCas.catalog.keyspace.schema.listing().every) == 2
         assert formats(rosCas) == [target if where == "drop" else "ros"]
         assert seen(topic.rows()) == before
         assert topic.countTopicData() == 300
         if where == "compare":  # into the format that it has: only what was left is removed
             assert rosCas.convertTopic("/t", "ros").messages == 0
-            assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+            assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
     assert rosCas.convertTopic("/t", target).messages == 0
-    assert len(rosCas.parts.schema.listing(fresh=True).every) == 1
+    assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
     assert seen(topic.rows()) == before
     assert facts(rosCas) == told
 
@@ -265,7 +265,7 @@ def test_a_topic_that_is_removed_or_renamed_meanwhile(rosCas, connect, keyspace,
         else:
             with pytest.raises(CassandraRosError, match="remove"):
                 rosCas.convertTopic("/t", "binary")
-            rosCas.parts.schema.tables(fresh=True)
+            rosCas.catalog.keyspace.schema.tables(fresh=True)
             assert rosCas.existTopic("/t") == (how == "truncateTopic")
-    every = rosCas.parts.schema.listing(fresh=True)
+    every = rosCas.catalog.keyspace.schema.listing(fresh=True)
     assert every.every == every.visible

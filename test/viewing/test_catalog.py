@@ -45,7 +45,7 @@ def stored(fresh):
         topic.setMeta(unit="m")
         store.addTopic("/b", "binary", msg_type="std_msgs/Int64").addData(Int64(2), key=NS + SECOND)
         store.addTopic("/none", msg_type="std_msgs/Int64", ttl=3600)
-        put = store.parts.registry.put_loss
+        put = store.catalog.keyspace.registry.put_loss
         put(Loss("/a", "red", 7, LossKind.BUFFER_FULL, NS + 5, NS + 9, 4))
         put(Loss("/gone", "blue", 9, LossKind.UNHEARD, NS - 20, NS - 10, 0))
         yield store

@@ -46,7 +46,7 @@ def store(fresh):
         for floor in ("ground", "first"):
             store.getTopic("/map").addData(String(floor), key=floor)
         loss = Loss("/gone", "husky", 7, LossKind.BUFFER_FULL, EVEN[10], EVEN[20], 11)
-        store.parts.registry.put_loss(loss)
+        store.catalog.keyspace.registry.put_loss(loss)
         yield store
 
 
@@ -257,7 +257,7 @@ def test_a_year_of_many_buckets_costs_what_a_day_costs(fresh, monkeypatch):
     with fresh() as store:
         add(store, "/even", EVEN[:1])
         (table,) = store.getTopic("/even").tables
-        directory = store.parts.directory
+        directory = store.catalog.keyspace.directory
         counted = Counting(directory, monkeypatch)
         first = (T0 // BUCKET // SLOT_BUCKETS + 1) * SLOT_BUCKETS - 500
         buckets = range(first, first + 1200)  # of two partitions

@@ -108,7 +108,7 @@ def verify_bag(
         numbers = chosen_connections(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
         stored = _stored_topics(ros_cas, chosen.values())
-        writers = ros_cas.parts.runs.writers(run)
+        writers = ros_cas.catalog.keyspace.runs.writers(run)
         found = _find_import(ros_cas, reader, stored, nodeID, reading, writers)
         whose = "" if nodeID is None else f" of node {nodeID}"
         whose += "" if run is None else f" of run {run}"
@@ -167,7 +167,7 @@ def verify_content(
         BagError, TopicNotFound, RunNotFound: As of verify_bag.
     """
     renamed = dict(mapping or {})
-    writers = ros_cas.parts.runs.writers(run)
+    writers = ros_cas.catalog.keyspace.runs.writers(run)
     with open_file(path, salvage, large_chunks) as reader:
         numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
@@ -221,7 +221,7 @@ def _find_import(
 
     Those of tables whose keys are not the times of the bag are looked for at all times.
     """
-    parts = ros_cas.parts
+    parts = ros_cas.catalog.keyspace
     nodes = None if node is None else (node,)
     writers: set[tuple[str, int]] = set()
     for table in (table for topic in topics for table in parts.tables.of_topic(topic)):
@@ -230,7 +230,7 @@ def _find_import(
             first, last = -(2**63), 2**63 - 1
         rows = parts.directory.buckets(table.name, first, last, nodes)
         writers.update((row.node, row.writer) for row in rows)
-    imports = (run for run in ros_cas.parts.registry.runs() if run.kind == "import")
+    imports = (run for run in ros_cas.catalog.keyspace.registry.runs() if run.kind == "import")
     runs = [run for run in imports if (run.node, run.writer) in writers]
     runs = [run for run in runs if among is None or run.writer in among]
     if not runs:

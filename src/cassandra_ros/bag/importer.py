@@ -215,7 +215,7 @@ def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: Im
 
 def _writer_id(ros_cas: RosCassandra, reader: MessageFile, node: str, content: BagContent) -> int:
     """Return the writer id of this bag's import: that of an earlier one where there is one."""
-    runs = {run.writer: run for run in ros_cas.parts.registry.runs() if run.node == node}
+    runs = {run.writer: run for run in ros_cas.catalog.keyspace.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)
     if known is not None:
         return known.writer
@@ -245,7 +245,7 @@ def _formats(
     Raises:
         TopicExists: They lie in tables of another format than is asked for: all would be double.
     """
-    parts, found = ros_cas.parts, {}
+    parts, found = ros_cas.catalog.keyspace, {}
     for number in sorted(numbers):
         connection, kept = reader.connections[number], set()
         for table in parts.tables.of_topic(connection.topic):
@@ -273,7 +273,7 @@ def _remove_other_blocks(ros_cas: RosCassandra, handles: Mapping[int, Handle], r
 
     A conversion has made them, or the topic was removed meanwhile: what both hold would be double.
     """
-    parts, whose = ros_cas.parts, Whose((run.node,), frozenset((run.writer,)))
+    parts, whose = ros_cas.catalog.keyspace, Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
     for table in tables.values():
         # What was deleted of it since comes back between what is noted.

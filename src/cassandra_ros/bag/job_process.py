@@ -116,7 +116,9 @@ def bag_writer(
     """Make the writer for a bag or for a part of it."""
     # Blocks are not sealed by time, nor do they depend on the topics that are chosen.
     limits, node = limits_for(len(reader.connections)), check_new_node(node)
-    return MessageWriter(ros_cas.parts, writer_id, format=format, node=node, run=run, limits=limits)
+    return MessageWriter(
+        ros_cas.catalog.keyspace, writer_id, format=format, node=node, run=run, limits=limits
+    )
 
 
 def connect(

@@ -22,14 +22,14 @@ _STRIPES_HELD = 64
 
 def store_sent(ros_cas: RosCassandra, reader: MessageFile, run: Run) -> None:
     """Store what a file, whose content was read before, tells of its messages."""
-    table = SentTimes(ros_cas.parts.side_tables)
+    table = SentTimes(ros_cas.catalog.keyspace.side_tables)
     for stripe, sent in _stripes(reader):
         table.put(run.writer, run.node, stripe, sent)
 
 
 def count_differing(ros_cas: RosCassandra, reader: MessageFile, run: Run) -> int:
     """Count the messages of which the store tells something else than their file."""
-    table, count = SentTimes(ros_cas.parts.side_tables), 0
+    table, count = SentTimes(ros_cas.catalog.keyspace.side_tables), 0
     for stripe, sent in _stripes(reader):
         stored = table.get(run.writer, run.node, stripe) or _nothing()
         equal = (stored.delays == sent.delays) & (stored.sequences == sent.sequences)
@@ -41,7 +41,7 @@ class SentFinder:
     """Finds delay and sequence of stored rows; 0 and 0 where nothing is known, or wanted."""
 
     def __init__(self, ros_cas: RosCassandra, wanted: bool) -> None:
-        table = SentTimes(ros_cas.parts.side_tables)
+        table = SentTimes(ros_cas.catalog.keyspace.side_tables)
         self._any = wanted and table.any()
         self._get = lru_cache(maxsize=_STRIPES_HELD)(table.get)
 

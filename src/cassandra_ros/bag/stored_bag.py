@@ -220,7 +220,7 @@ class Bag:
 
     def _open(self, format: str | None) -> frozenset[int]:
         """Return the writer ids that the bag is of; begin a run where it is to be written."""
-        name, runs = self.filename, self._store.parts.registry.runs()
+        name, runs = self.filename, self._store.catalog.keyspace.registry.runs()
         found = frozenset(run.writer for run in runs_meant(runs, name))
         if self.mode == "r":
             return found or self._absent(name, runs)
@@ -247,7 +247,7 @@ class Bag:
         if os.path.isfile(name):
             raise BagNotFound(f"{place}: store it first: cassandra_bag import {name}")
         try:
-            return self._store.parts.runs.writers(name) or frozenset()
+            return self._store.catalog.keyspace.runs.writers(name) or frozenset()
         except RunNotFound as exc:
             raise BagNotFound(str(exc)) from exc
 
@@ -355,7 +355,7 @@ class Bag:
         self, topics: Sequence[CassandraTopic]
     ) -> Iterator[tuple[str, int, Connection]]:
         tables = {table.name for topic in topics for table in topic.tables}
-        return self._store.parts.connections.of_tables(tables)
+        return self._store.catalog.keyspace.connections.of_tables(tables)
 
     def __iter__(self) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
         return self.read_messages()
@@ -410,7 +410,9 @@ class Bag:
         """Return the number of a new connection, behind those that were in the bag before."""
         if self._numbers is None:
             held = [info.table for info in self._store.info(run=self._before)]
-            stored = self._store.parts.connections.of_tables(held) if self._before else ()
+            stored = (
+                self._store.catalog.keyspace.connections.of_tables(held) if self._before else ()
+            )
             self._numbers = count(max((each.number for _, _, each in stored), default=-1) + 1)
         return next(self._numbers)
 

@@ -161,7 +161,7 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     _hurry_on_interrupt(ros_cas.cassandra.outage)
     if not make:
         try:
-            ros_cas.parts.side_tables.require_keyspace()
+            ros_cas.catalog.keyspace.side_tables.require_keyspace()
         except BaseException:
             ros_cas.close()
             raise

@@ -155,6 +155,6 @@ def _require_pages(folder: Path) -> None:
 def _warn_of_nothing(ros_cas: RosCassandra) -> None:
     """Tell of a keyspace that is not there: it may be misspelt."""
     try:
-        ros_cas.parts.side_tables.require_keyspace()
+        ros_cas.catalog.keyspace.side_tables.require_keyspace()
     except KeyspaceNotFound as exc:
         print(error_line(PROGRAM, f"{exc}; it is shown once it is there"), file=sys.stderr)

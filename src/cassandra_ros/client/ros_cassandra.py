@@ -85,12 +85,12 @@ class RosCassandra:
             InvalidName: It is not a keyspace name.
             KeyspaceNotFound: It is missing and make is false; the text gives the nearest names.
         """
-        parts = Keyspace(self.cassandra, keyspace)
+        opened = Keyspace(self.cassandra, keyspace)
         if make:
-            parts.side_tables.make_keyspace()
+            opened.side_tables.make_keyspace()
         else:
-            parts.side_tables.require_keyspace()
-        self._work_in(parts)
+            opened.side_tables.require_keyspace()
+        self._work_in(opened)
 
     def inKeyspace(self, keyspace: str) -> RosCassandra:
         """Return an object that works in another keyspace over the same connection.
@@ -101,16 +101,16 @@ class RosCassandra:
             InvalidName: It is not a keyspace name.
             KeyspaceNotFound: It is missing; the text gives the nearest names.
         """
-        parts = Keyspace(self.cassandra, keyspace)
-        parts.side_tables.require_keyspace()
+        opened = Keyspace(self.cassandra, keyspace)
+        opened.side_tables.require_keyspace()
         other = copy(self)
-        other._opened = Catalog(parts, self._clock)
+        other._opened = Catalog(opened, self._clock)
         return other
 
-    def _work_in(self, parts: Keyspace) -> None:
+    def _work_in(self, keyspace: Keyspace) -> None:
         if self._opened is not None:
             self._opened.adder.close()
-        self._opened = Catalog(parts, self._clock)
+        self._opened = Catalog(keyspace, self._clock)
 
     def getKeyspaces(self) -> list[KeyspaceInfo]:
         """List the keyspaces of the cluster that hold topics, sorted by name."""
@@ -120,11 +120,6 @@ class RosCassandra:
     def keyspace(self) -> Optional[str]:
         """The connected keyspace's name, or None."""
         return None if self._opened is None else self._opened.keyspace.name
-
-    @property
-    def parts(self) -> Keyspace:
-        """The connected keyspace: schema, directory, registry, rows."""
-        return self.catalog.keyspace
 
     @property
     def catalog(self) -> Catalog:
@@ -149,7 +144,7 @@ class RosCassandra:
         self.close()
 
     def __dir__(self) -> list[str]:
-        return public_names(self, ("cassandra", "parts", "statements"))
+        return public_names(self, ("cassandra", "catalog", "statements"))
 
     def __repr__(self) -> str:
         try:
@@ -273,7 +268,7 @@ class RosCassandra:
             options: ``writer_id format ttl linger_sec block_sec give_up_after_sec run on_loss``, as
                 class MessageWriter describes them.
         """
-        return make_writer(self.parts, node=nodeID, **options)
+        return make_writer(self.catalog.keyspace, node=nodeID, **options)
 
     def info(
         self,
@@ -287,19 +282,19 @@ class RosCassandra:
         Of a node or run there are only the tables in which they have messages.
         """
         tables, whose = self.catalog.tables(check_topics(topics)), self.catalog.whose(nodeID, run)
-        losses = self.parts.runs.losses(None, TimeRange(), whose)
-        return Infos(describe(self.parts.directory, tables, whose, losses))
+        losses = self.catalog.keyspace.runs.losses(None, TimeRange(), whose)
+        return Infos(describe(self.catalog.keyspace.directory, tables, whose, losses))
 
     def runs(self) -> RunList:
         """List the recordings and imports, with state, counts and losses as they are now."""
-        return RunList(list_runs(self.parts, self.catalog.tables(None)))
+        return RunList(list_runs(self.catalog.keyspace, self.catalog.tables(None)))
 
     def runContext(self, run: RunName) -> Optional[RunContext]:
         """Return parameters and node graph at the start of a run; None where none were kept.
 
         Of several runs of one name the one that began last counts. Raises RunNotFound.
         """
-        return self.parts.runs.context(run)
+        return self.catalog.keyspace.runs.context(run)
 
     def losses(
         self,
@@ -315,7 +310,7 @@ class RosCassandra:
         The arguments are those of readMessages: a loss counts whose time range is touched.
         """
         names, time_range = check_topics(topics), TimeRange.between(key, to_key)
-        return self.parts.runs.losses(names, time_range, self.catalog.whose(nodeID, run))
+        return self.catalog.keyspace.runs.losses(names, time_range, self.catalog.whose(nodeID, run))
 
     def readMessages(
         self,
@@ -521,7 +516,7 @@ class RosCassandra:
             TypeMismatch, MissingDependency: A topic holds no transforms; there is no tf2_py.
             InvalidKey, InvalidName.
         """
-        writers = self.parts.runs.writers(run)
+        writers = self.catalog.keyspace.runs.writers(run)
         return lookup_transform(
             self.catalog.get, nodeID, writers, target, source, time, tf, tf_static
         )

@@ -39,7 +39,7 @@ class Past:
         node: Optional[str] = None,
         run: Union[None, str, int] = None,
     ) -> None:
-        ros_cas.parts.runs.writers(run)
+        ros_cas.catalog.keyspace.runs.writers(run)
         self._rosCas, self.topic, self._node, self._run = ros_cas, topic, node, run
 
     def exists(self) -> bool:
@@ -69,8 +69,8 @@ class Past:
             tables = self._rosCas.getTopic(self.topic).tables
         except TopicNotFound:
             return False
-        directory = self._rosCas.parts.directory
-        writers = self._rosCas.parts.runs.writers(self._run)
+        directory = self._rosCas.catalog.keyspace.directory
+        writers = self._rosCas.catalog.keyspace.runs.writers(self._run)
         nodes = None if self._node is None else (self._node,)
         for table in tables:
             if table.named:
@@ -89,5 +89,5 @@ class Past:
 
     def may_be_written(self) -> bool:
         """Say whether a recording has begun in the keyspace that has not ended."""
-        runs = self._rosCas.parts.registry.runs()
+        runs = self._rosCas.catalog.keyspace.registry.runs()
         return any(run.kind == "recording" and run.ended is None for run in runs)

@@ -163,7 +163,7 @@ def makeMap(
     stored = rosCas.getTopic(topic)
     each = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
     nodes = [None if node is None else check_node(node) for node in each]
-    wanted = _Rows(stored, key, to_key, nodes, rosCas.parts.runs.writers(run))
+    wanted = _Rows(stored, key, to_key, nodes, rosCas.catalog.keyspace.runs.writers(run))
     types = {table.msg_type for table in stored.tables}
     if types == {OCCUPANCY_GRID}:
         return _stored_map(wanted, name)

@@ -133,7 +133,7 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
     ):
         rospy.Service(name, kind, partial(_answer, handler, response_class))
     Registration().start()
-    absence = ros_cas.parts.side_tables.absence()
+    absence = ros_cas.catalog.keyspace.side_tables.absence()
     if absence:
         _log.warning("%s; until then no topic is found", absence)
     say(f"services under {rospy.get_name()}")
@@ -210,7 +210,10 @@ class Services:
         if high is not None and high < low:
             raise InvalidKey(f"to_key ({high} ns) lies before key ({low} ns)")
         after = decode_cursor(request.cursor) if request.cursor else None
-        node, run = request.node_id or None, self.ros_cas.parts.runs.writers(request.run or None)
+        node, run = (
+            request.node_id or None,
+            self.ros_cas.catalog.keyspace.runs.writers(request.run or None),
+        )
         if request.where:
             condition = Condition(request.where, node=node, run=run)
             return condition.rows(topic, low, high, after, wanted=most)

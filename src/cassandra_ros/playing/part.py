@@ -116,7 +116,9 @@ class Part:
     def _finder(self) -> LatchedFinder:
         tests = tests_of(self.ros_cas.catalog, self.where, self.node)
         nodes = check_nodes(self.node)
-        return LatchedFinder(self.ros_cas.parts, self._tables, nodes, self.writers, tests)
+        return LatchedFinder(
+            self.ros_cas.catalog.keyspace, self._tables, nodes, self.writers, tests
+        )
 
     def latched(
         self, window: TimeRange, sent: Optional[Sent] = None

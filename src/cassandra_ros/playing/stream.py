@@ -102,9 +102,9 @@ class Stream:
 
     def _find_extents(self) -> List[Extent]:
         asked, ros_cas = self.selection, self._ros_cas
-        self._writers = ros_cas.parts.runs.writers(asked.run)
+        self._writers = ros_cas.catalog.keyspace.runs.writers(asked.run)
         tables, nodes = ros_cas.catalog.tables(self.topics), check_nodes(asked.nodeID)
-        found = extents(ros_cas.parts, tables, nodes, self._writers)
+        found = extents(ros_cas.catalog.keyspace, tables, nodes, self._writers)
         if found:
             return found
         node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
@@ -139,7 +139,7 @@ class Stream:
         )
 
     def _source_names(self) -> Dict[Source, str]:
-        run_names = {run.writer: run.name for run in self._ros_cas.parts.registry.runs()}
+        run_names = {run.writer: run.name for run in self._ros_cas.catalog.keyspace.registry.runs()}
         return source_names(self._extents, run_names, self._align)
 
     def _name_of(self, topic: str, node: str, writer: int) -> str:
@@ -187,7 +187,7 @@ class Stream:
         for extent in self._extents:
             by_table.setdefault(extent.table.name, []).append(extent)
         found: Dict[Tuple[str, str, str], Channel] = {}
-        for name, _, connection in self._ros_cas.parts.connections.of_tables(by_table):
+        for name, _, connection in self._ros_cas.catalog.keyspace.connections.of_tables(by_table):
             metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
             kind = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition

@@ -46,11 +46,11 @@ def plan_topics(
     Args:
         types: Topic → its type as the master knows it; '' = it does not.
     """
-    tables = list(ros_cas.parts.schema.tables(fresh=True).values())
+    tables = list(ros_cas.catalog.keyspace.schema.tables(fresh=True).values())
     found = []
     for topic, msg_type in sorted(types.items()):
         wanted = settings.of(topic)
-        fmt = ros_cas.parts.format_for(topic, asked=wanted.format)
+        fmt = ros_cas.catalog.keyspace.format_for(topic, asked=wanted.format)
         own = [m for m in tables if m.topic == topic and m.format == fmt]
         found.append(
             PlannedTopic(

@@ -297,13 +297,13 @@ class PlaceKeeper:
         for name in moving:
             visits += self._visits(name, low, high)
             placed += self._placed(name, high)
-        self._store.result().parts.place_index.put(visits, placed, self._ttl(moving))
+        self._store.result().catalog.keyspace.place_index.put(visits, placed, self._ttl(moving))
         self._said.update((each.table, each.robot) for each in placed)
         self._noted, self._read_to = high, self._latest
 
     def _take_back(self, moving: Sequence[str]) -> None:
         """Say no more than holds: other poses may be stored than those that were taken."""
-        index = self._store.result().parts.place_index
+        index = self._store.result().catalog.keyspace.place_index
         for name in moving:
             table, first = self._table(name), self._first[name]
             lost = self._losses.last_ns(name)

@@ -493,7 +493,7 @@ class Recording:
     def _save(self) -> None:
         if not is_there(self._store):
             return
-        registry = self._store.result().parts.registry
+        registry = self._store.result().catalog.keyspace.registry
         try:
             # One at a time: what is older must not be written over what is newer.
             with self._saving:

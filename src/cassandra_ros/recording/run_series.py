@@ -296,7 +296,7 @@ class Series:
                     with suppress(TopicNotFound):
                         ros_cas.getTopic(report.topic).removeData(run=run.writer_id)
             topics = [report.topic for report in reports]
-            ros_cas.parts.registry.forget_run(run.writer_id, run.node, topics)
+            ros_cas.catalog.keyspace.registry.forget_run(run.writer_id, run.node, topics)
         except CassandraRosError as exc:
             _log.error("run %s could not be removed (--max-splits): %s", run.name, exc)
 

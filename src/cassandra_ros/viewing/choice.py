@@ -33,7 +33,7 @@ def whose_chosen(call: Call) -> Whose:
         RunNotFound, InvalidName: There is no such run; a nodeID is none.
     """
     nodes, names = call.texts("nodes"), call.texts("runs")
-    runs = call.store.parts.runs
+    runs = call.store.catalog.keyspace.runs
     writers = [runs.writers(name) or frozenset() for name in names or ()]
     return Whose(
         tuple(map(check_node, nodes)) if nodes else None,

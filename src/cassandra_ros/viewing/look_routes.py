@@ -133,7 +133,7 @@ def _messages(call: Call) -> Stream:
     if limit > MAX_PAGE_BYTES:
         raise InvalidOption(f"bytes={limit}: give at most {MAX_PAGE_BYTES}")
     # What is kept under names has no place among what passes by: /api/latest has it.
-    rows = call.store.parts.rows.read(
+    rows = call.store.catalog.keyspace.rows.read(
         [table for table in _shown(call) if not table.named],
         time_range,
         whose=whose_chosen(call),
@@ -182,7 +182,7 @@ class _Finders:
         age = time.monotonic() // _FINDER_SEC
         key = (tuple(table.name for table in tables), whose, age)
         with self._lock:
-            found = self._made.pop(key, None) or Latest(self._store.parts, tables, whose)
+            found = self._made.pop(key, None) or Latest(self._store.catalog.keyspace, tables, whose)
             self._made[key] = found
             while len(self._made) > _MAX_FINDERS:
                 self._made.popitem(last=False)

@@ -94,7 +94,7 @@ def _writers(call: Call) -> Optional[FrozenSet[int]]:
     names = call.texts("runs")
     if not names:
         return None
-    found = (call.store.parts.runs.writers(name) for name in names)
+    found = (call.store.catalog.keyspace.runs.writers(name) for name in names)
     return frozenset().union(*(writers for writers in found if writers is not None))
 
 

@@ -59,7 +59,7 @@ class Mark:
 def _marks(call: Call) -> Json:
     start, end = call.time_ns("start"), call.time_ns("end")
     time_range = TimeRange(start or 0, LAST_NS if end is None else end)
-    whose, limit, parts = whose_chosen(call), listed_at_most(call), call.store.parts
+    whose, limit, parts = whose_chosen(call), listed_at_most(call), call.store.catalog.keyspace
     runs = {(run.writer, run.node): run for run in parts.registry.runs()}
     losses = parts.runs.losses(call.texts("topics") or None, time_range, whose)
     found = [_of_loss(loss, runs) for loss in losses]

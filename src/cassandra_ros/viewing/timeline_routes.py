@@ -40,7 +40,7 @@ def _answer(call: Call) -> Json:
     )
     picture = call.shared(timeline_of).picture(view, call.gone)
     (first, last), scale = picture.extent or (None, None), picture.scale
-    names = {run.writer: run.name for run in call.store.parts.registry.runs()}
+    names = {run.writer: run.name for run in call.store.catalog.keyspace.registry.runs()}
     lanes: List[Json] = [_lane(lane, scale) for lane in picture.lanes]
     runs: List[Json] = [_run(span, names) for span in picture.runs]
     return {

@@ -106,7 +106,9 @@ def _version(store: RosCassandra, wanted: Selected, latched: bool) -> str:
             where=wanted.where or None,
         )
     tables = store.catalog.tables(topics)
-    return content_version(store.parts.directory, tables, time_range, wanted.whose, before)
+    return content_version(
+        store.catalog.keyspace.directory, tables, time_range, wanted.whose, before
+    )
 
 
 def _write(

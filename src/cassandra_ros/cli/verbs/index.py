@@ -103,7 +103,7 @@ def _list(options: argparse.Namespace) -> int:
     with open_store(options) as ros_cas:
         names = stored_topics(ros_cas, options)
         every = ros_cas.getAllTopics() if names is None else map(ros_cas.getTopic, names)
-        directory = ros_cas.parts.directory
+        directory = ros_cas.catalog.keyspace.directory
         states = [
             state for topic in every for state in list_indexes(directory, topic.name, topic.tables)
         ]

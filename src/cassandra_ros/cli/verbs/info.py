@@ -179,7 +179,9 @@ def _find(options: argparse.Namespace) -> _Found:
         infos = ros_cas.info(topics, **asked)
         losses = ros_cas.losses(topics, **asked)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
-        whose = Whose(check_nodes(options.node_id), ros_cas.parts.runs.writers(options.run))
+        whose = Whose(
+            check_nodes(options.node_id), ros_cas.catalog.keyspace.runs.writers(options.run)
+        )
         view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
         timeline = Timeline(ros_cas.catalog)
         activity = timeline.picture(view)

@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     keyspace = options.keyspace
     if options.apply:
         with open_store(options, make=True) as ros_cas:
-            apply_roles(ros_cas.parts.side_tables)
+            apply_roles(ros_cas.catalog.keyspace.side_tables)
         names = [role_name(keyspace, role) for role in ROLES]
         if options.json:
             print_json({"keyspace": keyspace, "roles": names})

@@ -164,7 +164,7 @@ def _chosen(ros_cas: RosCassandra, topic: str, options: argparse.Namespace) -> C
     where = {ros_cas.getTopic(name).name: text for name, text in read_where(options).items()}
     if set(where) - {topic}:
         raise InvalidOption(f"--where is for {topic}, which is drawn, and for no other topic")
-    writers = ros_cas.parts.runs.writers(options.run)
+    writers = ros_cas.catalog.keyspace.runs.writers(options.run)
     return Chosen(start, end, options.node_id, writers, where.get(topic))
 
 
