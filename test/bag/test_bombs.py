@@ -23,11 +23,11 @@ from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
 from cassandra_ros.bag import allowance, chunk
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.job_process import Part
+from cassandra_ros.bag.job_process import ImportTask
 from cassandra_ros.bag.mcap_format import MAGIC, RECORD
-from cassandra_ros.bag.message_file import MAX_STRETCH
-from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.message_file import MAX_BATCH
 from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.tables.directory import Lengths
 
@@ -36,7 +36,7 @@ MIB = 1 << 20
 READ = """
 import re, sys
 from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.errors import BagError
 count = nbytes = 0
 error = ""
@@ -211,16 +211,16 @@ def test_millions_of_tiny_messages_take_little_more_than_their_bytes(tmp_path):
 
 def test_millions_of_tiny_messages_come_in_parts(tmp_path):
     """What stores them makes some hundred bytes of each that it is given at once."""
-    messages = 2 * MAX_STRETCH + 5
+    messages = 2 * MAX_BATCH + 5
     size = messages * len(chunk.message_head(0, 10, 0))
     path = make_bag(tmp_path / "a", [("lz4", size, packed("lz4", size, messages), messages)])
     with open_file(path) as reader:
-        parts = list(reader.stretches(0, {0: (0, 11)}))
-        assert list(reader.stretches(0, {0: (0, 10)})) == []
-    assert [len(part.wires) for part in parts] == [MAX_STRETCH, MAX_STRETCH, 5]
-    positions = [position for part in parts for position in part.positions.tolist()]
+        batches = list(reader.batches(0, {0: (0, 11)}))
+        assert list(reader.batches(0, {0: (0, 10)})) == []
+    assert [len(batch.wires) for batch in batches] == [MAX_BATCH, MAX_BATCH, 5]
+    positions = [position for batch in batches for position in batch.positions.tolist()]
     assert positions == list(range(messages))
-    assert all(len(part.times) == len(part.wires) for part in parts)
+    assert all(len(batch.times) == len(batch.wires) for batch in batches)
 
 
 @pytest.mark.parametrize("compression", sparing(["none", "bz2", "lz4"], ["lz4"]))
@@ -268,10 +268,10 @@ def test_nothing_of_a_bomb_is_stored(rosCas, tmp_path, jobs):
 
 
 def test_a_process_of_an_import_reads_as_the_import_does():
-    part = Part(
+    part = ImportTask(
         ("a.bag", True, True), {1: "ros"}, {1: Lengths(1, 2, False)}, 1, "", {}, {1: (0, 1)}
     )
-    again = Part.from_line(part.to_line())
+    again = ImportTask.from_line(part.to_line())
     assert list(again.opening) == ["a.bag", True, True]
     assert again.spans.keys() == {1}
 

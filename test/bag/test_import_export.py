@@ -542,7 +542,7 @@ def test_two_bags_of_the_same_topics_verify_each_and_export_together(rosCas, tmp
         assert mine == read_with_rosbag(path)[1]
 
 
-def test_a_stretch_of_some_topics(rosCas, bags, tmp_path):
+def test_a_time_range_of_some_topics(rosCas, bags, tmp_path):
     path = bags / "turtlesim_tf.bag"
     import_bag(rosCas, path)
     everything = read_with_rosbag(path)[1]

@@ -19,11 +19,11 @@ from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros1.decoder import DecoderFactory
 
+from cassandra_ros.bag.file_formats import make_file, open_file
 from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.mcap_channel import HEADER, to_channel, to_connection
 from cassandra_ros.bag.mcap_format import RECORD, find_messages, walk
 from cassandra_ros.bag.mcap_writer import McapWriter
-from cassandra_ros.bag.opening import make_file, open_file
 from cassandra_ros.errors import BagError, BagUnindexed
 from cassandra_ros.messages.connection_header import Connection, live_connection
 

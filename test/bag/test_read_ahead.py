@@ -12,16 +12,16 @@ import pytest
 
 from cassandra_ros.bag import bag_read_ahead as read_ahead
 from cassandra_ros.bag.bag_read_ahead import ReadAhead
-from cassandra_ros.bag.message_file import Stretch
+from cassandra_ros.bag.message_file import MessageBatch
 from cassandra_ros.errors import BagError
 
 
 def stretch(number, size):
     places = np.zeros(1, np.int64)
-    return Stretch(number, places, places, [bytes(size)])
+    return MessageBatch(number, places, places, [bytes(size)])
 
 
-def test_stretches_come_in_order_with_their_sizes():
+def test_batches_come_in_order_with_their_sizes():
     with ReadAhead(stretch(n, n % 7) for n in range(500)) as ahead:
         assert [(s.number, size) for s, size in ahead] == [(n, n % 7) for n in range(500)]
 

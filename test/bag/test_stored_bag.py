@@ -122,7 +122,7 @@ def test_topics(bag):
     assert [m.linear.x for _, m, _ in bag.read_messages("/cmd_vel")] == [x for _, x in TWISTS]
 
 
-def test_a_stretch_of_time(bag):
+def test_a_time_range(bag):
     start, end = rospy.Time(T0 // SEC, SEC // 10), genpy.Time(T0 // SEC, SEC // 2)
     found = times(bag.read_messages("/chatter", start, end))
     assert found == [t for t, _, _ in WORDS[1:6]]

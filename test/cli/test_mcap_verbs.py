@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_ros1.decoder import DecoderFactory
 
+from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.opening import open_file
 from cassandra_ros.tables.sent_times import SentTimes
 
 TOPICS = ("/rosout", "/tf_static", "/turtle1/cmd_vel")

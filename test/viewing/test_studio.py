@@ -224,7 +224,7 @@ def test_only_who_has_a_terminal_for_itself_is_asked(whose, reads, tmp_path):
         "import fcntl, sys, termios\n"
         "if sys.argv[1] == 'its own':\n"
         "    fcntl.ioctl(0, termios.TIOCSCTTY, 0)\n"
-        "from cassandra_ros.cli.confirming import person_reads\n"
+        "from cassandra_ros.cli.confirmation import person_reads\n"
         "print(person_reads())"
     )
     try:

@@ -12,24 +12,24 @@ from collections import deque
 from types import TracebackType
 from typing import Iterator, Optional
 
-from cassandra_ros.bag.message_file import Stretch
+from cassandra_ros.bag.message_file import MessageBatch
 
 AHEAD_BYTES = 8 * 1024 * 1024
-"""Of messages that are read and not taken; one stretch always may be."""
+"""Of messages that are read and not taken; one batch always may be."""
 
 
 class ReadAhead:
     """Stretches in the order in which they are read; a context manager, which ends the reading.
 
-    What the reading raises is raised where the next stretch would come.
+    What the reading raises is raised where the next batch would come.
 
     Args:
-        stretches: Nobody else uses the file that they are read from until this has ended.
+        batches: Nobody else uses the file that they are read from until this has ended.
     """
 
-    def __init__(self, stretches: Iterator[Stretch]) -> None:
-        self._stretches = stretches
-        self._read: deque[tuple[Stretch, int]] = deque()
+    def __init__(self, batches: Iterator[MessageBatch]) -> None:
+        self._batches = batches
+        self._read: deque[tuple[MessageBatch, int]] = deque()
         self._held = 0
         self._ended = self._unwanted = False
         self._error: Optional[BaseException] = None
@@ -51,26 +51,26 @@ class ReadAhead:
             self._changed.notify_all()
         self._thread.join()
 
-    def __iter__(self) -> Iterator[tuple[Stretch, int]]:
-        """Yield each stretch, and its serialised bytes."""
+    def __iter__(self) -> Iterator[tuple[MessageBatch, int]]:
+        """Yield each batch, and its serialised bytes."""
         while True:
             with self._changed:
                 while not (self._read or self._ended):
                     self._changed.wait()
                 if not self._read:
                     break
-                stretch, size = self._read.popleft()
+                batch, size = self._read.popleft()
                 self._held -= size
                 self._changed.notify_all()
-            yield stretch, size
+            yield batch, size
         if self._error is not None:
             raise self._error
 
     def _run(self) -> None:
         error: Optional[BaseException] = None
         try:
-            for stretch in self._stretches:
-                if not self._put(stretch):
+            for batch in self._batches:
+                if not self._put(batch):
                     break
         except BaseException as exc:  # noqa: BLE001 - raised by who takes
             error = exc
@@ -78,13 +78,13 @@ class ReadAhead:
             self._error, self._ended = error, True
             self._changed.notify_all()
 
-    def _put(self, stretch: Stretch) -> bool:
-        """Keep a stretch, as soon as there is room; False: nobody wants it any more."""
-        size = sum(map(len, stretch.wires))
+    def _put(self, batch: MessageBatch) -> bool:
+        """Keep a batch, as soon as there is room; False: nobody wants it any more."""
+        size = sum(map(len, batch.wires))
         with self._changed:
             while self._read and self._held + size > AHEAD_BYTES and not self._unwanted:
                 self._changed.wait()
-            self._read.append((stretch, size))
+            self._read.append((batch, size))
             self._held += size
             self._changed.notify_all()
             return not self._unwanted

@@ -16,8 +16,8 @@ from cassandra_ros.bag.allowance import Allowance
 from cassandra_ros.bag.bag_index import BagIndex, IndexPlace
 from cassandra_ros.bag.chunk import (
     MIN_AT_ONCE,
+    ChunkMessages,
     Longs,
-    Places,
     decompress_chunk,
     find_messages,
     unpack_part,
@@ -97,7 +97,7 @@ class BagReader(BagIndex, MessageFile):
         """Count the chunks of each compression (reads the header of every chunk)."""
         return dict(Counter(self._chunk_header(i)[0] for i in range(self.chunk_count)))
 
-    def chunk_content(self, chunk: int) -> tuple[bytes, Places]:
+    def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
         """Read what a chunk holds, and where its messages lie in it; see messages.
 
         Their ids are those of ``connections``.

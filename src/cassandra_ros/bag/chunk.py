@@ -111,7 +111,7 @@ def _roslz4() -> ModuleType:
 Longs = NDArray[np.int64]
 
 
-class Places(NamedTuple):
+class ChunkMessages(NamedTuple):
     """Where the messages of a chunk lie in its content, in its order; a number of each."""
 
     ids: Longs
@@ -176,7 +176,7 @@ MAX_AT_ONCE = 2**20
 _NOTHING = np.zeros((_COLUMNS, 0), np.int64)
 
 
-def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -> Places:
+def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -> ChunkMessages:
     """List the messages of a chunk's unpacked content, which its records must fill exactly.
 
     Args:
@@ -209,10 +209,10 @@ def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -
                 continue
         position = _other_record(content, position, where, found)
     columns = np.frombuffer(found, np.int64).reshape(-1, _COLUMNS).T if found else _NOTHING
-    return Places(*columns)
+    return ChunkMessages(*columns)
 
 
-def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[Places]:
+def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[ChunkMessages]:
     """Read the messages whose records begin at some bytes; None: that is not all there is."""
     if offsets[0] < 0 or offsets[-1] > len(content) - _FIXED_BYTES:
         return None
@@ -227,7 +227,7 @@ def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[Places]
     starts, times = offsets + _FIXED_BYTES, secs * SECOND_NS + nsecs
     if times.max() > MAX_NS or not _fill(content, where, offsets, starts + sizes):
         return None
-    return Places(ids, times, starts, starts + sizes)
+    return ChunkMessages(ids, times, starts, starts + sizes)
 
 
 def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:

@@ -11,10 +11,15 @@ from dataclasses import dataclass, field
 from itertools import groupby, islice
 from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
 
+from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.identity import earlier_writer_id, is_earlier, read_content
-from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections, read_in_order
-from cassandra_ros.bag.opening import open_file
-from cassandra_ros.bag.sent import count_differing
+from cassandra_ros.bag.message_file import (
+    MessageFile,
+    MessageProgress,
+    chosen_connections,
+    read_in_order,
+)
+from cassandra_ros.bag.publish_times import count_differing
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
@@ -74,8 +79,8 @@ def verify_bag(
     path: str | os.PathLike[str],
     topics: Iterable[str] | None = None,
     nodeID: str | None = None,
-    progress: Progress | None = None,
-    reading: Progress | None = None,
+    progress: MessageProgress | None = None,
+    reading: MessageProgress | None = None,
     run: RunName = None,
     salvage: bool = False,
     large_chunks: bool = False,
@@ -140,7 +145,7 @@ def verify_content(
     mapping: Mapping[str, str] | None = None,
     start: Time | None = None,
     end: Time | None = None,
-    progress: Progress | None = None,
+    progress: MessageProgress | None = None,
     run: RunName = None,
     salvage: bool = False,
     large_chunks: bool = False,
@@ -214,7 +219,7 @@ def _find_import(
     reader: MessageFile,
     topics: AbstractSet[str],
     node: str | None,
-    reading: Progress | None,
+    reading: MessageProgress | None,
     among: Writers,
 ) -> Run | None:
     """Find the import of this bag whose rows are to be compared, by the directory's writer ids.
@@ -338,7 +343,7 @@ def _compare(
     reader: MessageFile,
     numbers: AbstractSet[int],
     comparisons: Mapping[str, Comparison],
-    progress: Progress | None,
+    progress: MessageProgress | None,
 ) -> None:
     """Walk through a bag in the order of rosbag, each topic against its stored messages."""
     connections = list(reader.connections.values())

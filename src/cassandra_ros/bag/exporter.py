@@ -9,10 +9,10 @@ from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from typing import Iterable, Iterator, Sequence
 
+from cassandra_ros.bag.file_formats import make_file
 from cassandra_ros.bag.file_writer import FileWriter
-from cassandra_ros.bag.message_file import Progress
-from cassandra_ros.bag.opening import make_file
-from cassandra_ros.bag.sent import SentFinder
+from cassandra_ros.bag.message_file import MessageProgress
+from cassandra_ros.bag.publish_times import SentFinder
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
@@ -56,7 +56,7 @@ def export_bag(
     nodeID: str | None = None,
     compression: str | None = None,
     force: bool = False,
-    progress: Progress | None = None,
+    progress: MessageProgress | None = None,
     where: Conditions = None,
     empty: bool = False,
     run: RunName = None,

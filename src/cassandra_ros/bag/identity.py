@@ -17,8 +17,8 @@ from typing import AbstractSet, Iterable, Mapping, NamedTuple, Union
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cassandra_ros.bag.chunk import Places
-from cassandra_ros.bag.message_file import MessageFile, Progress, SentTimes
+from cassandra_ros.bag.chunk import ChunkMessages
+from cassandra_ros.bag.message_file import MessageFile, MessageProgress, SentTimes
 from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.tables.registry import Run
@@ -37,7 +37,7 @@ _LARGE_BYTES = 4096
 """Messages of this size are hashed where they lie."""
 _AT_ONCE = 1 << 16
 """Maximum number of messages that are made ready for the hash at once."""
-_NOTHING = Places(*(np.zeros(0, np.int64) for _ in Places._fields))
+_NOTHING = ChunkMessages(*(np.zeros(0, np.int64) for _ in ChunkMessages._fields))
 _Part = Union[bytes, memoryview]
 _DAMAGED: list[_Part] = [_MESSAGE.pack(2**32 - 1, 2**64 - 1, 2**64 - 1)]
 """In place of a chunk; no message has this time."""
@@ -64,7 +64,7 @@ class BagContent(NamedTuple):
         return run.labels.get(CONTENT) == self.digest
 
 
-def read_content(reader: MessageFile, reading: Progress | None = None) -> BagContent:
+def read_content(reader: MessageFile, reading: MessageProgress | None = None) -> BagContent:
     """Read all messages of a bag and hash them in the order of the file.
 
     A chunk that is damaged counts as such. Nothing of it can be stored: the import that reaches it
@@ -115,17 +115,17 @@ def _update(digest: hashlib._Hash, parts: Iterable[_Part]) -> None:
         digest.update(part)
 
 
-def _parts(content: bytes, places: Places, rank: Mapping[int, int]) -> Iterable[_Part]:
+def _parts(content: bytes, places: ChunkMessages, rank: Mapping[int, int]) -> Iterable[_Part]:
     """Return what is hashed of a chunk: of each message connection, time and size, its bytes."""
     count = len(places.ids)
     if count <= _AT_ONCE:
         return _parts_at_once(content, places, rank)
     firsts = range(0, count, _AT_ONCE)
-    pages = (Places(*(column[n : n + _AT_ONCE] for column in places)) for n in firsts)
+    pages = (ChunkMessages(*(column[n : n + _AT_ONCE] for column in places)) for n in firsts)
     return chain.from_iterable(_parts_at_once(content, page, rank) for page in pages)
 
 
-def _parts_at_once(content: bytes, places: Places, rank: Mapping[int, int]) -> list[_Part]:
+def _parts_at_once(content: bytes, places: ChunkMessages, rank: Mapping[int, int]) -> list[_Part]:
     if not len(places.ids):
         return []
     heads = np.empty(len(places.ids), _HEAD)
@@ -148,7 +148,7 @@ def _parts_at_once(content: bytes, places: Places, rank: Mapping[int, int]) -> l
 
 
 def _add_times(
-    places: Places, ends: tuple[int, int], latest: dict[int, int], unordered: set[int]
+    places: ChunkMessages, ends: tuple[int, int], latest: dict[int, int], unordered: set[int]
 ) -> None:
     """Note the connections of a chunk of which messages are not in the order of their times."""
     for number in np.unique(places.ids).tolist():

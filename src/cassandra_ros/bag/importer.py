@@ -14,14 +14,14 @@ from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.bag_read_ahead import ReadAhead
 from cassandra_ros.bag.comparison import holds_nothing_else
+from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.file_runs import source_of
 from cassandra_ros.bag.identity import BagContent
-from cassandra_ros.bag.job_process import Part, bag_writer, connect, stretches
+from cassandra_ros.bag.job_process import ImportTask, bag_writer, connect, read_batches
 from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
-from cassandra_ros.bag.message_file import MessageFile, Progress, chosen_connections
-from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.message_file import MessageFile, MessageProgress, chosen_connections
+from cassandra_ros.bag.publish_times import store_sent
 from cassandra_ros.bag.salvage import Salvaged
-from cassandra_ros.bag.sent import store_sent
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -83,8 +83,8 @@ def import_bag(
     format: str | None = None,
     topics: Iterable[str] | None = None,
     nodeID: str = "",
-    progress: Progress | None = None,
-    reading: Progress | None = None,
+    progress: MessageProgress | None = None,
+    reading: MessageProgress | None = None,
     jobs: int = 1,
     salvage: bool = False,
     large_chunks: bool = False,
@@ -148,7 +148,7 @@ def import_bag(
             _remove_other_blocks(ros_cas, handles, run)
             store_sent(ros_cas, reader, run)
             opening = reader.path, salvage, large_chunks
-            task = partial(Part, opening, formats, lengths, writer_id, nodeID, store)
+            task = partial(ImportTask, opening, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
             if not _write_parts(reader, writer, handles, report, progress, parts):
                 _write_messages(reader, writer, handles, report, progress)
@@ -288,11 +288,11 @@ def _write_messages(
     writer: MessageWriter,
     handles: dict[int, Handle],
     report: ImportReport,
-    progress: Progress | None,
+    progress: MessageProgress | None,
 ) -> None:
     whole = dict.fromkeys(handles, (0, MAX_NS + 1))
     try:
-        with ReadAhead(stretches(reader, whole)) as ahead:
+        with ReadAhead(read_batches(reader, whole)) as ahead:
             for (number, positions, times, wires), size in ahead:
                 handle = handles[number]
                 writer.write_run(handle, times, positions, wires)
@@ -314,8 +314,8 @@ def _write_parts(
     writer: MessageWriter,
     handles: dict[int, Handle],
     report: ImportReport,
-    progress: Progress | None,
-    parts: Sequence[Part],
+    progress: MessageProgress | None,
+    parts: Sequence[ImportTask],
 ) -> bool:
     """Store the messages by processes; say whether that was all of them."""
     counts: dict[int, list[int]] = {}

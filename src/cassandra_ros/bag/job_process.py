@@ -19,8 +19,8 @@ from typing import Callable, Dict, Iterator, List, Optional, Tuple
 
 from cassandra_ros.arguments import check_new_node
 from cassandra_ros.bag.bag_read_ahead import ReadAhead
-from cassandra_ros.bag.message_file import MessageFile, Stretch
-from cassandra_ros.bag.opening import open_file
+from cassandra_ros.bag.file_formats import open_file
+from cassandra_ros.bag.message_file import MessageBatch, MessageFile
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.connection_header import Connection
@@ -37,8 +37,8 @@ Span = Tuple[int, int]
 
 
 @dataclass
-class Part:
-    """What one process stores of a bag: of some connections the messages of a stretch of time."""
+class ImportTask:
+    """What one process stores of a bag: of some connections the messages of a batch of time."""
 
     opening: Tuple[str, bool, bool]
     """Arguments of open_file."""
@@ -58,13 +58,13 @@ class Part:
         return json.dumps(asdict(self)) + "\n"
 
     @staticmethod
-    def from_line(line: str) -> Part:
+    def from_line(line: str) -> ImportTask:
         """Read back what to_line wrote."""
         values = json.loads(line)
         for name in ("spans", "formats", "lengths"):  # JSON has only texts as keys
             values[name] = {int(number): value for number, value in values[name].items()}
         values["lengths"] = {number: Lengths(*each) for number, each in values["lengths"].items()}
-        return Part(**values)
+        return ImportTask(**values)
 
 
 @dataclass
@@ -88,7 +88,7 @@ class Stored:
         return Stored(counts, **values)
 
 
-def stretches(reader: MessageFile, spans: Dict[int, Span]) -> Iterator[Stretch]:
+def read_batches(reader: MessageFile, spans: Dict[int, Span]) -> Iterator[MessageBatch]:
     """Read the messages of some connections and times; chunks without any are not unpacked.
 
     Which they are is told by the index: where it is wrong messages are missed.
@@ -101,7 +101,7 @@ def stretches(reader: MessageFile, spans: Dict[int, Span]) -> Iterator[Stretch]:
             if number in info.counts and span[0] <= info.end_ns and info.start_ns < span[1]
         }
         if here:
-            yield from reader.stretches(chunk, here)
+            yield from reader.batches(chunk, here)
 
 
 def bag_writer(
@@ -167,7 +167,7 @@ def _say(line: str) -> None:
     sys.stdout.flush()
 
 
-def _write(part: Part, teller: _Teller) -> None:
+def _write(part: ImportTask, teller: _Teller) -> None:
     """Store the messages of a part; those that the teller has counted are acknowledged then."""
     reader = open_file(*part.opening)
     with RosCassandra(**part.store) as ros_cas, reader:  # type: ignore[arg-type]
@@ -178,7 +178,7 @@ def _write(part: Part, teller: _Teller) -> None:
                 n: connect(writer, reader.connections[n], part.lengths[n], part.formats[n])
                 for n in part.spans
             }
-            with ReadAhead(stretches(reader, part.spans)) as ahead:
+            with ReadAhead(read_batches(reader, part.spans)) as ahead:
                 for (number, positions, times, wires), size in ahead:
                     if teller.ended:
                         break
@@ -193,7 +193,7 @@ def main() -> int:
     # A Ctrl-C reaches all processes of the terminal; ours are told by the one that started them.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, teller.end)
-    part = Part.from_line(sys.stdin.readline())
+    part = ImportTask.from_line(sys.stdin.readline())
     try:
         _write(part, teller)
         stored = Stored(teller.counts)

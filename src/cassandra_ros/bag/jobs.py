@@ -17,8 +17,8 @@ from typing import Iterable, Mapping, Sequence
 
 from cassandra_ros import errors
 from cassandra_ros.bag.identity import BagContent
-from cassandra_ros.bag.job_process import Part, Span, Stored
-from cassandra_ros.bag.message_file import MessageFile, Progress
+from cassandra_ros.bag.job_process import ImportTask, Span, Stored
+from cassandra_ros.bag.message_file import MessageFile, MessageProgress
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.metadata import TopicMetadata
@@ -94,7 +94,7 @@ def _cuts(metadata: TopicMetadata, moments: Sequence[int]) -> list[int]:
 class _Job:
     """One process, and a thread that hears what it says."""
 
-    def __init__(self, part: Part, heard: queue.Queue[tuple[_Job, str]]) -> None:
+    def __init__(self, part: ImportTask, heard: queue.Queue[tuple[_Job, str]]) -> None:
         self.stored: Stored | None = None
         """What it said at its end."""
         self._heard = heard
@@ -107,7 +107,7 @@ class _Job:
         self._listener = threading.Thread(target=self._listen, args=(part,), daemon=True)
         self._listener.start()
 
-    def _listen(self, part: Part) -> None:
+    def _listen(self, part: ImportTask) -> None:
         pipes = self.process.stdin, self.process.stdout
         if pipes[0] is None or pipes[1] is None:
             raise AssertionError("both were asked for")
@@ -140,7 +140,7 @@ class _Job:
 
 
 def run_parts(
-    parts: Iterable[Part], progress: Progress | None, counts: dict[int, list[int]]
+    parts: Iterable[ImportTask], progress: MessageProgress | None, counts: dict[int, list[int]]
 ) -> None:
     """Store parts of a bag, each in a process of its own; return when all of them have ended.
 
@@ -173,7 +173,9 @@ def run_parts(
                 count[1] += size
 
 
-def _hear(running: int, heard: queue.Queue[tuple[_Job, str]], progress: Progress | None) -> None:
+def _hear(
+    running: int, heard: queue.Queue[tuple[_Job, str]], progress: MessageProgress | None
+) -> None:
     """Pass on the progress of so many processes until all have ended; raise what ended one."""
     damage: list[str] = []
     while running:

@@ -18,7 +18,7 @@ from mcap.well_known import MessageEncoding, Profile
 from cassandra_ros.bag import mcap_format as mcapformat
 from cassandra_ros.bag.allowance import Allowance
 from cassandra_ros.bag.bag_index import ChunkInfo
-from cassandra_ros.bag.chunk import Places
+from cassandra_ros.bag.chunk import ChunkMessages
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
 from cassandra_ros.bag.message_file import MessageFile, SentTimes
@@ -131,11 +131,11 @@ class McapReader(MessageFile):
         head = self._chunks[chunk].head
         return head.start_ns, head.end_ns
 
-    def chunk_content(self, chunk: int) -> tuple[bytes, Places]:
+    def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
         """Unpack a chunk, and find its messages of ROS 1 in it, see MessageFile."""
         content, found = self._messages(chunk)
         ids = np.array([self._numbers[c] for c in found.channels.tolist()], np.int64)
-        return content, Places(ids, found.times, found.starts, found.stops)
+        return content, ChunkMessages(ids, found.times, found.starts, found.stops)
 
     def chunk_sent(self, chunk: int) -> SentTimes | None:
         """Tell when the messages of a chunk were sent, see MessageFile."""

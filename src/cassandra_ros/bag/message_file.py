@@ -14,7 +14,7 @@ from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTupl
 import numpy as np
 
 from cassandra_ros.bag.bag_index import ChunkInfo
-from cassandra_ros.bag.chunk import Longs, Places
+from cassandra_ros.bag.chunk import ChunkMessages, Longs
 from cassandra_ros.bag.salvage import Salvaged
 from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.keys import MAX_NS
@@ -22,12 +22,12 @@ from cassandra_ros.messages.connection_header import Connection
 
 LISTED = 10
 """Topics that an error names."""
-MAX_STRETCH = 1 << 16
-"""Maximum number of messages of a Stretch. A chunk may hold millions of empty ones."""
+MAX_BATCH = 1 << 16
+"""Maximum number of messages of a MessageBatch. A chunk may hold millions of empty ones."""
 _AT_ONCE = 1 << 14
 """Number of messages of a chunk whose places are held as Python objects."""
 
-Progress = Callable[[int, int], None]
+MessageProgress = Callable[[int, int], None]
 """Called with the messages and bytes that were handled since the last call."""
 
 Self = TypeVar("Self", bound="MessageFile")
@@ -44,7 +44,7 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
-class Stretch(NamedTuple):
+class MessageBatch(NamedTuple):
     """Messages of one connection that follow each other in one chunk, in its order."""
 
     number: int
@@ -116,7 +116,7 @@ class MessageFile(ABC):
         """Return the first and last time in a chunk as the index has them, ns."""
 
     @abstractmethod
-    def chunk_content(self, chunk: int) -> tuple[bytes, Places]:
+    def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
         """Read what a chunk holds, and where its messages lie in it; see messages.
 
         Their ids are those of ``connections``. Before each message stand 20 bytes or more that
@@ -171,10 +171,10 @@ class MessageFile(ABC):
                 if numbers is None or number in numbers:
                     yield RawMessage(position, number, t_ns, content[start:stop])
 
-    def stretches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[Stretch]:
+    def batches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[MessageBatch]:
         """Read the messages of a chunk, connection by connection; see messages.
 
-        At most MAX_STRETCH come at once.
+        At most MAX_BATCH come at once.
 
         Args:
             spans: Only these connections, and their messages from one time on and before another,
@@ -189,11 +189,11 @@ class MessageFile(ABC):
             since, until = spans[number]
             fits = (places.ids == number) & (places.times >= since) & (places.times < until)
             every = np.flatnonzero(fits)
-            for first in range(0, len(every), MAX_STRETCH):
-                chosen = every[first : first + MAX_STRETCH]
+            for first in range(0, len(every), MAX_BATCH):
+                chosen = every[first : first + MAX_BATCH]
                 ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
                 wires = [content[start:stop] for start, stop in ends]
-                yield Stretch(number, info.first + chosen, places.times[chosen], wires)
+                yield MessageBatch(number, info.first + chosen, places.times[chosen], wires)
 
 
 class Ordered(NamedTuple):

@@ -74,7 +74,7 @@ def _topics_of_files(options: argparse.Namespace) -> List[str] | None:
     """Return the topics of the files of import or verify; None: the verb is another."""
     if getattr(options, "verb", "") not in ("import", "verify"):
         return None
-    from cassandra_ros.bag.opening import open_file
+    from cassandra_ros.bag.file_formats import open_file
 
     files = options.bags if options.verb == "import" else [options.bag]
     found = set()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
-from cassandra_ros.cli.confirming import add_yes_option, confirm
+from cassandra_ros.cli.confirmation import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import verbs_parser
 from cassandra_ros.cli.terminal_text import format_bytes

@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from cassandra_ros.cli.confirming import person_reads, says_yes
+from cassandra_ros.cli.confirmation import person_reads, says_yes
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.errors import DownloadFailed
 from cassandra_ros.viewing.studio import STUDIO_VERSION, install_studio, studio_installed

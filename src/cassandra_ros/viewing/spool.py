@@ -19,10 +19,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Callable, Iterator
 
-from cassandra_ros.bag.message_file import Progress
+from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.errors import CassandraRosError, InvalidOption, StoreUnavailable
 
-Write = Callable[[Path, Progress], None]
+Write = Callable[[Path, MessageProgress], None]
 """Makes a file at a path; meanwhile it calls with (messages, bytes) that were written."""
 _PREFIX = "cassandra_ros_viewer_"
 _LOCK = "lock"

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Iterator
 
 from cassandra_ros.bag.exporter import export_bag, why_empty
-from cassandra_ros.bag.message_file import Progress
+from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.messages.stamps import iso_time
@@ -117,7 +117,7 @@ def _write(
     compression: str | None,
     latched: bool,
     path: Path,
-    progress: Progress,
+    progress: MessageProgress,
 ) -> None:
     try:
         export_bag(

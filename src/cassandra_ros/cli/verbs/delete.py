@@ -19,7 +19,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_origin_options,

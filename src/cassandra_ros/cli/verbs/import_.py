@@ -57,7 +57,7 @@ from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.importer import ImportReport
-    from cassandra_ros.bag.message_file import Progress
+    from cassandra_ros.bag.message_file import MessageProgress
     from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.connection.outage import Outage
 
@@ -127,7 +127,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Import one bag after the other; say at the end what became of each."""
-    from cassandra_ros.bag.opening import files_of
+    from cassandra_ros.bag.file_formats import files_of
 
     outcomes = [
         _Outcome(path)
@@ -169,9 +169,9 @@ def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) 
 
 
 def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
+    from cassandra_ros.bag.file_formats import open_file
     from cassandra_ros.bag.importer import import_bag
     from cassandra_ros.bag.message_file import chosen_connections
-    from cassandra_ros.bag.opening import open_file
 
     with open_file(path, options.salvage, options.allow_large_chunks) as reader:
         names = {connection.topic for connection in reader.connections.values()}
@@ -183,7 +183,7 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
     first, second = MessageBar(f"reading {name}", total), MessageBar(f"importing {name}", count)
     with first, second, SafeInterrupt(ros_cas.cassandra.outage) as stop:
 
-        def shown_by(bar: MessageBar) -> Progress:
+        def shown_by(bar: MessageBar) -> MessageProgress:
             def add(messages: int, size: int) -> None:
                 bar.add(messages)
                 stop.check()

@@ -24,7 +24,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Sequence
 
-from cassandra_ros.cli.confirming import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_store_options,

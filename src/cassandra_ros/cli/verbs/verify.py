@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.comparison import verify_bag, verify_content
-    from cassandra_ros.bag.opening import open_file
+    from cassandra_ros.bag.file_formats import open_file
 
     start, end = read_times(options)
     with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:
