@@ -30,12 +30,12 @@ from cassandra_ros.messages.wire.fields import Unfit
 from cassandra_ros.messages.wire.objects import MIN_TOGETHER, ObjectMaker
 from cassandra_ros.messages.wire.skip import compile_object_check, compile_skip
 
-_lock = threading.RLock()  # genpy generates through global variables
+_lock = threading.RLock()  # genpy keeps the state of its generator in global variables
 _classes: dict[Definition, Any] = {}
 
 
 class RawMessage(genpy.Message):
-    """A message whose definition is unusable: its bytes in ``_buff``, nothing else."""
+    """A message whose definition is unusable: only its bytes, in ``_buff``."""
 
     __slots__ = ["_buff"]
     _slot_types = ["uint8[]"]
@@ -54,17 +54,17 @@ class RawMessage(genpy.Message):
         return type(other) is type(self) and other._buff == self._buff
 
     def serialize(self, buff: Any) -> None:
-        """Write the bytes as they are."""
+        """Write the bytes unchanged."""
         buff.write(self._buff)
 
     def deserialize(self, str: bytes) -> RawMessage:  # noqa: A002 - genpy calls it so
-        """Take the bytes as they are."""
+        """Keep the bytes unchanged."""
         self._buff = bytes(str)
         return self
 
 
 class _Source(importlib.abc.InspectLoader):
-    """Loads a module from text that was generated here."""
+    """Loads a module from source text that this package generated."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -74,7 +74,7 @@ class _Source(importlib.abc.InspectLoader):
 
 
 def installed_definition(msg_type: str) -> Definition:
-    """Return the definition of an installed type; DefinitionError: it is not, or it is broken."""
+    """Return the definition of an installed type; DefinitionError: not installed, or broken."""
     found = installed_class(msg_type)
     if found is None:
         raise DefinitionError(f"message type {msg_type} is not installed on this machine")
@@ -82,9 +82,9 @@ def installed_definition(msg_type: str) -> Definition:
 
 
 def message_class(definition: Definition) -> Any:
-    """Return the installed class of a definition if it agrees, else a generated one.
+    """Return the installed class if it has this definition, else a generated class.
 
-    Raises DefinitionError where genpy cannot make one.
+    Raises DefinitionError where genpy cannot generate a class.
     """
     with _lock:
         if definition not in _classes:
@@ -97,7 +97,7 @@ def message_class(definition: Definition) -> Any:
 
 @lru_cache(maxsize=1024)
 def raw_class(msg_type: str, md5sum: str) -> Any:
-    """Return a class that holds the bytes of messages whose definition is unusable."""
+    """Return a class for messages whose definition is unusable: it holds their bytes."""
     attributes = {"__slots__": [], "_type": msg_type, "_md5sum": md5sum}
     return type("RawMessage", (RawMessage,), attributes)
 
@@ -111,14 +111,14 @@ def _generate(definition: Definition) -> Any:
         _Source(_source(definition)).exec_module(module)
         for msg_type, name in names.items():
             _complete(getattr(module, name), definition, msg_type)
-    except Exception as exc:  # SyntaxError, MemoryError, RecursionError and five more are known
+    except Exception as exc:  # SyntaxError, MemoryError, RecursionError and others
         why = f"{type(exc).__name__}: {str(exc)[:200]}"
         raise DefinitionError(f"genpy cannot make a class of {definition.type}: {why}") from exc
     return getattr(module, names[definition.type])
 
 
 def _source(definition: Definition) -> str:
-    """Do what genpy.dynamic.generate_dynamic does, without its files in /tmp."""
+    """Return the generated source, as genpy.dynamic.generate_dynamic, but without files in /tmp."""
     context = genmsg.MsgContext.create_default()
     load = genmsg.msg_loader.load_msg_from_string
     specs = {name: load(context, render_spec(s), name) for name, s in definition.specs.items()}
@@ -130,7 +130,7 @@ def _source(definition: Definition) -> str:
 
 
 def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
-    """Give a generated class what was kept from genpy: text, md5 and constants."""
+    """Set what genpy was not given: full text, md5 and constants."""
     nested = msg_type != definition.type
     own = definition.nested(msg_type) if nested else definition
     generated._definition = own
@@ -138,12 +138,12 @@ def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
     generated._full_text = own.text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     for constant in own.root.constants:
         name = attribute_name(constant.name)
-        if not hasattr(generated, name):  # a method keeps its name, as in genpy
+        if not hasattr(generated, name):  # as in genpy, a constant replaces no method
             setattr(generated, name, constant.value)
 
 
 def serialize(msg: Any) -> bytes:
-    """Return the wire bytes of a message; TypeMismatch: a field holds what its type cannot."""
+    """Return the wire bytes of a message; TypeMismatch: a value does not fit its field's type."""
     if getattr(type(msg), "_type", None) == "*":
         return bytes(msg._buff)  # RawMessage and rospy.AnyMsg
     buffer = BytesIO()
@@ -156,7 +156,7 @@ def serialize(msg: Any) -> bytes:
 
 
 def deserialize(cls: Any, wire: bytes) -> Any:
-    """Make a message of wire bytes, surplus ignored as in ROS; CorruptMessage: they are none."""
+    """Make a message from wire bytes, surplus bytes ignored; CorruptMessage: malformed bytes."""
     try:
         return _maker(cls)(wire)
     except struct.error as exc:
@@ -167,12 +167,12 @@ def deserialize(cls: Any, wire: bytes) -> Any:
 
 
 def deserialize_all(cls: Any, wires: Sequence[bytes]) -> Iterator[Any]:
-    """Make messages of many wire bytes, as deserialize does of each, in a fraction of the time.
+    """Make many messages, like ``deserialize`` for each, in a fraction of the time.
 
-    They are made as they are taken.
+    The iterator makes each message when it is requested.
 
     Raises:
-        CorruptMessage: One is none; when it is its turn.
+        CorruptMessage: The next message is malformed. Raised by the iterator.
     """
     maker = _object_maker(cls) if len(wires) >= MIN_TOGETHER else None
     if maker is not None:
@@ -201,7 +201,7 @@ def _maker(cls: Any) -> Callable[[bytes], Any]:
     check = compile_object_check(definition.type, definition.specs)
 
     def make(wire: bytes) -> Any:
-        skip(wire, 0)  # genpy cuts strings silently at the end of a short buffer
+        skip(wire, 0)  # genpy does not report a string cut at the end of a short buffer
         if check is not None:
             check(wire)
         return cls().deserialize(wire)
@@ -210,7 +210,7 @@ def _maker(cls: Any) -> Callable[[bytes], Any]:
 
 
 def exact_message(cls: Any, wire: bytes) -> Any:
-    """Make a message of wire bytes that are its own to the last; else CorruptMessage."""
+    """Make a message from wire bytes that must serialise to the same bytes; else CorruptMessage."""
     found = deserialize(cls, wire)
     if serialize(found) != wire:
         raise CorruptMessage(
@@ -221,13 +221,13 @@ def exact_message(cls: Any, wire: bytes) -> Any:
 
 
 def message_of_yaml(cls: Any, text: str) -> Any:
-    """Make a message of what ``rostopic pub`` takes: a mapping of fields, or a list of them all.
+    """Make a message from what ``rostopic pub`` takes: a mapping, or a list of all field values.
 
-    The value of an only field may stand by itself. Aliases (``*name``) are not read: a few hundred
-    bytes of them can stand for any number of values.
+    The value of a single field may be given without a list. Aliases (``*name``) are refused: a few
+    hundred bytes of aliases can expand to any number of values. Only plain YAML values are read.
 
     Raises:
-        TypeMismatch: It is no YAML, or not of that type; nothing but plain values is read.
+        TypeMismatch: The text is not YAML, or does not fit the message type.
     """
     found = cls()
     try:
@@ -236,7 +236,7 @@ def message_of_yaml(cls: Any, text: str) -> Any:
         values = yaml.safe_load(text)
         arguments = values if isinstance(values, list) else [] if values is None else [values]
         genpy.message.fill_message_args(found, arguments)
-        serialize(found)  # who fills it in looks at no number
+        serialize(found)  # fill_message_args does not check numbers
     except (yaml.YAMLError, genpy.MessageException, ValueError, RecursionError) as exc:
         why = " ".join(str(exc).split())[:300]
         raise TypeMismatch(f"the YAML is no {cls._type}: {why}") from exc
@@ -244,7 +244,7 @@ def message_of_yaml(cls: Any, text: str) -> Any:
 
 
 def to_yaml(msg: Any) -> str:
-    """Return what ``rostopic echo`` prints of a message."""
+    """Return the text that ``rostopic echo`` prints for a message."""
     if isinstance(msg, RawMessage):
         return f"# {len(msg._buff)} bytes of {msg._type}, whose definition is unusable"
     return cast(str, genpy.message.strify_message(msg))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Connection headers: who published what on a topic, kept byte for byte."""
+"""Connection headers: who publishes what on a topic, kept byte for byte."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from cassandra_ros.messages.definition import Definition
 _LENGTH = struct.Struct("<I")
 _DEFINITION = b"message_definition"
 LATCHED_FROM = "latched_from"
-"""Field of a connection that a bag has beside the publisher's own, for the message that it had
-latched before the window of the bag: when that was received, ns since 1970."""
+"""Name of a header field that only bags have. It marks the connection of a message that was latched
+before the first message of the bag, and holds the receive time of that message, ns since 1970."""
 
 
 def _text_field(name: str) -> cached_property[str]:
@@ -29,23 +29,23 @@ class Connection:
 
     topic: str
     header: bytes
-    """The fields as ROS writes them: uint32 length (little endian), name=value, and so on."""
+    """Header fields as ROS writes them: for each a uint32 length (little endian) and name=value."""
     number: int = -1
-    """Number of the connection in its bag; -1 when it was live."""
+    """Number of the connection in its bag; -1 for a live connection."""
 
     @cached_property
     def fields(self) -> dict[str, bytes]:
-        """The header's fields by name; CorruptMessage: the bytes are not a connection header."""
+        """The header fields by name. CorruptMessage: the bytes are not a connection header."""
         return {_text(name): value for name, value, _ in _walk(self.header, self.topic)}
 
     type = _text_field("type")
-    """Message type, 'pkg/Name'; '' when the header does not say."""
+    """Message type, 'pkg/Name'; '' when the header has no such field."""
     md5sum = _text_field("md5sum")
-    """md5 of the definition as the publisher gave it; '' when it did not."""
+    """md5 of the definition as the publisher gave it; '' when the header has no such field."""
     definition_text = _text_field("message_definition")
-    """The message definition; bytes that are not UTF-8 are surrogates."""
+    """Message definition; bytes that are not UTF-8 are kept as surrogates."""
     callerid = _text_field("callerid")
-    """Name of the publishing node, or ''."""
+    """Name of the publishing node; '' when the header has no such field."""
 
     @cached_property
     def latching(self) -> bool:
@@ -54,17 +54,19 @@ class Connection:
 
     @property
     def from_before(self) -> bool:
-        """Whether its one message was latched before the window of a bag, see latched_from."""
+        """Whether the message was latched before the bag's first message, see latched_from."""
         try:
             return LATCHED_FROM in self.fields
         except CorruptMessage:
-            return False  # not one that latched_from made
+            return False  # latched_from writes only well-formed headers
 
     def latched_from(self, received_ns: int) -> Connection:
-        """Return the connection for a message that it latched before the window of a bag.
+        """Return the connection for a message that was latched before the first message of a bag.
+
+        A connection that is already marked is returned unchanged.
 
         Args:
-            received_ns: When that was received, ns. One that is marked already stays as it is.
+            received_ns: Receive time of that message, ns since 1970.
         """
         if self.from_before:
             return self
@@ -73,23 +75,24 @@ class Connection:
 
 
 def live_connection(topic: str, header: Mapping[str, str | bytes]) -> Connection:
-    """Make a connection of rospy's ``_connection_header``; any field may be missing."""
+    """Make a connection from rospy's ``_connection_header``; any field may be missing."""
     fields = [_bytes(name) + b"=" + _bytes(value) for name, value in header.items()]
     return Connection(topic, b"".join(_LENGTH.pack(len(field)) + field for field in fields))
 
 
 def api_connection(topic: str, definition: Definition, callerid: str) -> Connection:
-    """Make the connection under which addData stores messages."""
+    """Make the connection of the messages that addData stores."""
     header = {"topic": topic, "type": definition.type, "md5sum": definition.md5sum}
     header.update(message_definition=definition.text, callerid=callerid)
     return live_connection(topic, header)
 
 
 def cut_definition(header: bytes) -> tuple[bytes, int, bytes]:
-    """Take the value of message_definition out of a header.
+    """Cut the value of message_definition out of a header.
 
-    Return the header without it, its offset (-1: none, or a malformed header), and the value. The
-    field's length prefix stays as it was, so that join_definition is the exact inverse.
+    Return the header without the value, the value's offset (-1: no such field, or a malformed
+    header) and the value. The field's length prefix stays unchanged, so that join_definition is
+    the exact inverse.
     """
     try:
         found = [(value, at) for name, value, at in _walk(header, "") if name == _DEFINITION]
@@ -102,13 +105,13 @@ def cut_definition(header: bytes) -> tuple[bytes, int, bytes]:
 
 
 def join_definition(header_without: bytes, offset: int, definition: bytes) -> bytes:
-    """Put the definition back where cut_definition took it from."""
+    """Put the definition back where cut_definition cut it out."""
     rest = header_without
     return rest if offset < 0 else rest[:offset] + definition + rest[offset:]
 
 
 def _walk(header: bytes, topic: str) -> Iterator[tuple[bytes, bytes, int]]:
-    """Yield name, value and the value's offset of each field."""
+    """Yield the name, the value and the value's offset of each field."""
     at, what = 0, f"the connection header of {topic or 'a topic'} is"
     while at < len(header):
         if at + 4 > len(header):

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Message definitions as connection headers and bags carry them, checked before all else.
+"""Message definitions as connection headers and bags carry them, checked before any use.
 
-A definition is text from outside, and genpy executes what it is given: only what was parsed here
-and is rendered anew by render_spec may reach it.
+A definition is text from outside, and genpy executes the text that it is given. Therefore genpy
+gets only text that render_spec writes from a parsed definition.
 """
 
 from __future__ import annotations
@@ -32,25 +32,25 @@ _SEPARATOR = "=" * 80
 
 @dataclass(frozen=True)
 class Definition:
-    """A message type with all that it uses. Equal when type, md5 and arrays are equal.
+    """A message type and all types that it uses. Equal when type, md5 and arrays are equal.
 
-    The md5 alone does not tell them apart: ROS leaves the brackets of arrays of messages out.
+    The md5 alone does not distinguish definitions: ROS omits the brackets of arrays of messages.
     """
 
     type: str
     md5sum: str
     text: str = field(compare=False, repr=False)
-    """The text as it was given."""
+    """Definition text as given."""
     specs: Specs = field(compare=False, repr=False)
-    """The type itself and every type that it uses, directly or not, by name."""
+    """Specs of the type itself and of every type that it uses, directly or not, by type name."""
     md5sums: Mapping[str, str] = field(compare=False, repr=False)
-    """The md5 of each of them."""
+    """md5 of each of these types, by type name."""
     arrays: tuple[tuple[str, str, int | None], ...] = field(repr=False)
-    """Type, field and length (None = any) of each array of messages."""
+    """Type, field and length (None = variable) of each array of messages."""
 
     @property
     def root(self) -> MessageSpec:
-        """The spec of the type itself."""
+        """Spec of the type itself."""
         return self.specs[self.type]
 
     def nested(self, msg_type: str) -> Definition:
@@ -59,18 +59,19 @@ class Definition:
 
 
 def parse_definition(msg_type: str, text: str, md5sum: str | None = None) -> Definition:
-    """Parse and check a full definition (the text of ``gendeps --cat``).
+    """Parse and check a full definition (the text that ``gendeps --cat`` prints).
 
-    Types that the text uses but does not define are taken from installed packages, and only when
-    the md5 of the whole then is md5sum.
+    A type that the text uses but does not define is taken from the installed packages, but only if
+    the md5 of the whole is then md5sum.
 
     Args:
         msg_type: 'pkg/Name'.
-        text: Of the type, then of each that it uses after a line of 80 '=' and 'MSG: pkg/Name'.
-        md5sum: What the md5 must be; None accepts any, but then the text must be complete.
+        text: Definition of the type, then that of each type that it uses, each after a line of 80
+            '=' and a line 'MSG: pkg/Name'.
+        md5sum: Expected md5; None accepts any md5, but requires a complete text.
 
     Raises:
-        DefinitionError: The text is no definition, is hostile, or has another md5.
+        DefinitionError: The text is not a definition, is hostile, or has another md5.
     """
     if not isinstance(text, str) or len(text) > MAX_TEXT:
         raise DefinitionError(f"the definition of {msg_type!r} is no text of at most 1 MiB")
@@ -104,13 +105,13 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
     arrays = tuple((n, f.name, f.length) for n, f in fields if f.is_array and not f.is_primitive)
     definition = Definition(msg_type, md5sums[msg_type], text, specs, md5sums, arrays)
     if missing:
-        # What other packages of this machine gave is kept too: others have them not, or newer ones.
+        # Text from installed packages is kept too: other machines may lack it or have a newer one.
         definition = replace(definition, text=_render_whole(definition, msg_type))
     return definition
 
 
 def _split(msg_type: str, text: str) -> dict[str, str]:
-    """Return the text of each type in a full definition."""
+    """Return the text of each type in a full definition, by type name."""
     sections: dict[str, str] = {}
     name, expect_name = msg_type, False
     lines: list[str] = []
@@ -133,7 +134,7 @@ def _split(msg_type: str, text: str) -> dict[str, str]:
 
 
 def _installed_sections(name: str, msg_type: str, md5sum: str | None) -> dict[str, str]:
-    """Return the text of a missing type, and of what it uses, from the installed packages."""
+    """Return the text of a missing type and of the types that it uses, from installed packages."""
     found = installed_class(name) if md5sum is not None else None
     if found is None:
         lacking = " and which is not installed" if md5sum is not None else ""
@@ -143,21 +144,22 @@ def _installed_sections(name: str, msg_type: str, md5sum: str | None) -> dict[st
 
 
 def render_spec(spec: MessageSpec) -> str:
-    """Write one message type anew, without constants, comments and the types that it uses.
+    """Return the text of one message type, without constants, comments and the types that it uses.
 
-    The only text that may be given to genpy; its md5 differs where there are constants. Names
-    are those of the class's attributes: genpy forgets to rename keywords inside a path.
+    Only this text may be given to genpy. Its md5 differs from the original's if the type has
+    constants. Field names are the attribute names, because genpy does not rename keywords inside a
+    path.
     """
     return "\n".join(f"{f.full_type} {attribute_name(f.name)}" for f in spec.fields)
 
 
 def attribute_name(name: str) -> str:
-    """Return what a field or constant is called in Python: genpy renames ``from`` to ``from_``."""
+    """Return the Python name of a field or constant: genpy renames ``from`` to ``from_``."""
     return name + "_" if keyword.iskeyword(name) or name == "self" else name
 
 
 def _render_whole(definition: Definition, msg_type: str) -> str:
-    """Write the full text of a type, constants included, as ``gendeps --cat`` does."""
+    """Return the full text of a type, constants included, as ``gendeps --cat`` prints it."""
     names = [msg_type]
     for name in names:
         used = (f.type for f in definition.specs[name].fields if not f.is_primitive)
@@ -173,9 +175,9 @@ def _render_whole(definition: Definition, msg_type: str) -> str:
 
 
 def definition_of(msg_class: Any) -> Definition:
-    """Return the definition of a message class or instance; DefinitionError: it is none."""
+    """Return the definition of a message class or instance. DefinitionError: not a message."""
     known = getattr(msg_class, "_definition", None)
-    if isinstance(known, Definition):  # of a class that message_class generated
+    if isinstance(known, Definition):  # message_class generated this class
         return known
     try:
         msg_type, text, md5sum = msg_class._type, msg_class._full_text, msg_class._md5sum

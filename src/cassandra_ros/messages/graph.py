@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A ROS master asked without rospy: it is given up after some seconds."""
+"""Calls to the ROS master without rospy, with a time limit."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _log = logging.getLogger(__name__)
 
 
 class MasterTransport(xmlrpc.client.Transport):
-    """HTTP to a master that gives up after some seconds, with an OSError.
+    """HTTP transport to a master. A call without an answer raises OSError after the time limit.
 
-    Once it was silent the next calls are given up soon, until it answers again.
+    After such a failure the limit is shorter, until the master answers again.
     """
 
     def __init__(self, timeout_sec: float) -> None:
@@ -34,33 +34,33 @@ class MasterTransport(xmlrpc.client.Transport):
         self._silent = False
 
     def make_connection(self, host: str | tuple[str, dict[str, str]]) -> http.client.HTTPConnection:
-        """Connect; see xmlrpc.client.Transport."""
+        """Connect, see xmlrpc.client.Transport."""
         connection = super().make_connection(host)
         connection.timeout = SILENT_SEC if self._silent else self._timeout_sec
         return connection
 
     def request(self, *args: Any, **kwargs: Any) -> Any:
-        """Make a call; see xmlrpc.client.Transport."""
+        """Make a call, see xmlrpc.client.Transport."""
         try:
             answer = super().request(*args, **kwargs)
         except socket.timeout as exc:
             self._silent = True
-            # rospy unpacks number and text of an error, and knows this one as a network's.
+            # rospy unpacks number and text of an error, and takes this number as a network error.
             raise OSError(errno.ENODATA, f"no answer within {self._timeout_sec:g} s") from exc
         if self._silent:
             self._silent = False
-            self.close()  # with its short time
+            self.close()  # the connection still has the short time limit
         return answer
 
 
 def master_proxy(timeout_sec: float = TIMEOUT_SEC) -> Any:
-    """Return the master's API; a call raises an error after so many seconds without an answer."""
+    """Return the master's API. A call without an answer raises an error after timeout_sec."""
     transport = MasterTransport(timeout_sec)
     return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=transport)
 
 
 def master_answers() -> bool:
-    """Say whether a ROS master answers within a second."""
+    """Return whether a ROS master answers within 1 s."""
     try:
         master_proxy().getPid("/cassandra_ros")
     except (OSError, xmlrpc.client.Error, http.client.HTTPException) as exc:
@@ -70,9 +70,10 @@ def master_answers() -> bool:
 
 
 def topic_type(topic: str) -> str | None:
-    """Ask the ROS master for the type of a topic; a missing leading slash is added.
+    """Ask the ROS master for the type of a topic. A missing leading slash is added.
 
-    Return 'pkg/Name', or None: no master answers within a second, or it does not know the topic.
+    Return 'pkg/Name', or None if no master answers within 1 s or the master does not know the
+    topic.
     """
     uri = rosgraph.get_master_uri()
     name = topic if topic.startswith("/") else "/" + topic
@@ -92,10 +93,11 @@ def topic_type(topic: str) -> str | None:
 
 
 def set_parameters(parameters: Iterable[Tuple[str, object]]) -> int:
-    """Set parameters, by their whole names, on the running parameter server; return how many.
+    """Set parameters, given by their full names, on the parameter server; return their number.
 
     Raises:
-        ConnectionFailed: No ROS master answers within 10 s, or it refuses; what was set stays.
+        ConnectionFailed: No ROS master answers within 10 s, or it refuses a parameter. Parameters
+            that were set before stay set.
         InvalidOption: A value cannot be sent over XML-RPC.
     """
     uri, name, count = rosgraph.get_master_uri(), "", 0

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""An indexed field of a message type: what its shadow column holds of a message.
+"""An indexed field of a message type: the value of its shadow column for a message.
 
-An index must never hide a row. What it cannot hold such that the server finds it as the query
-language means it (NaN, long texts, long arrays, what no column holds exactly) is left out of it,
-and the row is marked odd: odd rows are read besides.
+An index must never hide a row. Some values cannot be indexed so that the server finds them as the
+query language compares them (NaN, long texts, long arrays, values that no column holds exactly).
+These are left out, and their rows are marked odd: queries read the odd rows in addition.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from cassandra_ros.messages.wire.layout import FieldColumn, Fixed, element_of
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MAX_TEXT_BYTES = 1024
-"""Longer texts are not indexed; Cassandra refuses rows with an indexed one over 8 KiB."""
+"""Maximum size of an indexed text, bytes. Cassandra refuses rows with indexed texts over 8 KiB."""
 MAX_ELEMENTS = 256
-"""Longer arrays are not indexed."""
+"""Maximum number of elements of an indexed array."""
 
 _Split = Callable[[bytes], Optional[List[bytes]]]
-"""From a column to the encoded values in it; None where they cannot all be held."""
+"""Function from a column to the encoded values in it; None if they cannot all be indexed."""
 
 
 class IndexField:
@@ -35,12 +35,13 @@ class IndexField:
         field: Dotted path of the field, as 'linear.x' or 'transforms.child_frame_id'.
         shadow: Name of the column that carries the index.
         element_type: CQL type of one value.
-        kind: What a value is: as FieldColumn has it, but no array.
-        many: The field is an array, or lies in one of messages: the column is a set of values.
-        cql_type: Of the column.
+        kind: Kind of one value as in FieldColumn, but never 'array'.
+        many: Whether the column is a set of values: the field is an array, or lies in an array of
+            messages.
+        cql_type: CQL type of the shadow column.
 
     Raises:
-        InvalidName: There is no such field, or it cannot be indexed; the text gives the nearest.
+        InvalidName: There is no such field, or it cannot be indexed. The text names similar fields.
     """
 
     def __init__(self, definition: Definition, field: str, shadow: str) -> None:
@@ -67,9 +68,9 @@ class IndexField:
         self.cql_type = f"set<{self.element_type}>" if self.many else self.element_type
 
     def value(self, wire: bytes) -> tuple[bytes | None, bool]:
-        """Return what the shadow column of a message holds, encoded; None = unset.
+        """Return the encoded shadow column of a message (None = unset), and whether the row is odd.
 
-        And whether the field has a value all the same, so that the row must be marked odd.
+        A row is odd if its field has a value that the column does not hold.
         """
         raw = self._pick(wire)
         if raw is None:
@@ -83,18 +84,18 @@ class IndexField:
         found = [value for value in map(self.normal, values) if value is not None]
         if len(found) < len(values):
             return None, True
-        # A set is encoded as a list is; an empty one would be a tombstone.
+            # A set is encoded like a list; an empty set would write a tombstone.
         return (pack_list(list(dict.fromkeys(found))) if found else None), False
 
     def normal(self, raw: bytes) -> bytes | None:
-        """Return one encoded value as the index has it; None where it has none."""
+        """Return one encoded value as the index holds it; None if it cannot be indexed."""
         if self.kind == "float":
             return normal_float(self.element_type, raw)
         return None if len(raw) > MAX_TEXT_BYTES else raw
 
 
 def normal_float(cql_type: str, raw: bytes) -> bytes | None:
-    """Return an encoded number such that equal ones are equal bytes; None where it is NaN."""
+    """Return an encoded number so that equal numbers have equal bytes; None for NaN."""
     (number,) = struct.unpack(CQL_CODES[cql_type], raw)
     if number != number:
         return None  # NaN is equal to nothing
@@ -102,7 +103,7 @@ def normal_float(cql_type: str, raw: bytes) -> bytes | None:
 
 
 def nearest_fields(field: str, able: Sequence[str]) -> str:
-    """Say which fields may have been meant, as the end of an error text."""
+    """Return the fields that may have been meant, as the end of an error text."""
     inside = [name for name in able if name.startswith(field + ".")]
     if inside:
         return f"it is a message, name one of its fields, like {' or '.join(inside[:3])}"

@@ -19,10 +19,9 @@ _log = logging.getLogger(__name__)
 
 @lru_cache(maxsize=1024)
 def installed_class(msg_type: str) -> Any | None:
-    """Return the class of an installed message type, or None; DefinitionError: no 'pkg/Name'.
+    """Return the class of an installed message type, or None; DefinitionError: not a 'pkg/Name'.
 
-    A type name comes from outside: nothing is imported before the package is seen to be a folder
-    that has ``msg/_Name.py``.
+    A type name comes from outside: a package is only imported if its folder has ``msg/_Name.py``.
     """
     package, name = check_type_name(msg_type).split("/")
     if not _has_message(package, name):
@@ -39,7 +38,7 @@ def installed_class(msg_type: str) -> Any | None:
 
 def _has_message(package: str, name: str) -> bool:
     loaded = sys.modules.get(package)
-    if loaded is not None:  # it may have extended its path
+    if loaded is not None:  # an imported package may have extended its path
         folders = getattr(loaded, "__path__", [])
     else:
         try:

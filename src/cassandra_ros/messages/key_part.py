@@ -19,21 +19,21 @@ from cassandra_ros.messages.wire.cql_values import Primitive, encode_value, pack
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 _BEYOND = {"int": struct.error, "float": OverflowError}
-"""What a number raises that is beyond the range of its column: no message has it."""
+"""Exception for a number outside the range of its column, by kind: no message has such a value."""
 
 
 class KeyPart:
-    """One field of a message type: its value in a message, and what finds it in an index.
+    """The key field of a message type: reads it from messages and encodes it for the index.
 
     Attributes:
         field: Dotted path of the field, as 'header.stamp'.
-        digest: The field is an array, and the index holds the md5 of the whole.
-        is_time: The field is a time: rows lie by it, in its order.
-        is_text: The field is a text: whatever a person types can be its value.
-        cql_type: Of the column that carries the index.
+        digest: Whether the field is an array; the index then holds the md5 of all its elements.
+        is_time: Whether the field is a time; rows are then sorted by it.
+        is_text: Whether the field is a text; any typed text can then be its value.
+        cql_type: CQL type of the column that carries the index.
 
     Raises:
-        InvalidKey: There is no such field, or it is not one value.
+        InvalidKey: There is no such field, or it has more than one value.
     """
 
     def __init__(self, definition: Definition, field: str) -> None:
@@ -54,25 +54,26 @@ class KeyPart:
         self.cql_type = "text" if self.digest else column.cql_type
 
     def time(self, wire: bytes) -> int | None:
-        """Return the time in a message, ns; None where it has none that columns can hold."""
+        """Return the time in a message, ns; None if a column cannot hold it."""
         raw = self._pick(wire)
         return None if raw is None else int.from_bytes(raw, "big", signed=True)
 
     def value(self, wire: bytes) -> bytes | None:
-        """Return the value in a message, such that equal values are equal bytes."""
+        """Return the field of a message, encoded so that equal values have equal bytes."""
         raw = self._pick(wire)
         return None if raw is None else self._normal(raw)
 
     def index(self, value: bytes) -> bytes | None:
-        """Return what the index holds of a value; None where it holds nothing."""
+        """Return the index entry of an encoded value; None if the value is not indexed."""
         if self.digest:
             return hashlib.md5(value).hexdigest().encode("ascii")
         return None if len(value) > MAX_TEXT_BYTES else value
 
     def encode(self, value: object) -> bytes | None:
-        """Return the value that somebody asks for as ``value`` does; None: no message has it.
+        """Encode a Python value to compare it with ``value``; None: no message can have this value.
 
-        InvalidKey: it is of another kind than the field.
+        Raises:
+            InvalidKey: The value is of another type than the field.
         """
         try:
             raw = self._encode(value)
@@ -82,7 +83,7 @@ class KeyPart:
         return None if raw is None else self._normal(raw)
 
     def from_text(self, text: str) -> object:
-        """Read a value of the field that a person typed; InvalidKey: the text is none."""
+        """Parse a typed value of the field; InvalidKey: the text is not a value of its type."""
         kind = "list" if self.digest else self._column.kind
         try:
             if kind == "bool":
@@ -112,7 +113,7 @@ class KeyPart:
 
 
 def _plain(kind: str, value: Any) -> Primitive:
-    """Return what somebody gave as a Python value of a column's kind; raises as encode takes it."""
+    """Return a given value as a Python value of a column's kind; raises what ``encode`` catches."""
     if kind in ("bool", "text"):
         if not isinstance(value, bool if kind == "bool" else str):
             raise TypeError(value)
@@ -120,7 +121,7 @@ def _plain(kind: str, value: Any) -> Primitive:
     if isinstance(value, (bool, str, bytes)):
         raise TypeError(value)
     if kind == "float":
-        return float(value)  # 0.1 means the float32 that is nearest
+        return float(value)  # 0.1 means the nearest float32
     if kind == "int":
         if int(value) != value:
             raise ValueError(value)
@@ -134,7 +135,7 @@ def _plain(kind: str, value: Any) -> Primitive:
 
 
 def _array(field_type: str, value: object) -> bytes | None:
-    """Encode a primitive array as on the wire; None where a fixed one has another length."""
+    """Encode a primitive array as on the wire; None if it has not the length of a fixed array."""
     base, _, length = field_type[:-1].partition("[")
     if base in ("uint8", "char") and isinstance(value, (bytes, bytearray)):
         raw = bytes(value)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How deep and how large the messages of a definition are; their md5."""
+"""Nesting depth, size and md5 of message definitions."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, Specs
 MAX_DEPTH = 64
 MAX_FIXED_BYTES = 1 << 26
 OBJECT_BYTES = 16
-"""What a message in a fixed array is counted with at least, for it may have no bytes itself."""
+"""Bytes counted for each message in a fixed array: an empty message takes memory too."""
 MAX_LEAVES = 1 << 12
-"""Fields of a message when those of its messages are written out: it grows exponentially."""
+"""Maximum number of fields of a message, nested fields included. It can grow exponentially with
+the nesting depth."""
 
 
 @dataclass(frozen=True)
@@ -24,18 +25,18 @@ class _Shape:
     leaves: int
     least_bytes: int
     objects: int
-    """Messages that one such message consists of, itself included; var. arrays count as empty."""
+    """Number of messages in one such message, itself included; variable arrays count as empty."""
 
 
 def check_shape(msg_type: str, specs: Specs) -> None:
-    """Check that a type is finite and of a size that a machine can bear; else DefinitionError."""
+    """Check that a type is not recursive and within depth and size limits; else DefinitionError."""
     _shape(msg_type, specs, {}, ())
 
 
 def object_counts(msg_type: str, specs: Specs) -> dict[str, int] | None:
-    """Return the objects in a message of each type where a few bytes can mean many of them.
+    """Return the number of objects in a message of each type, if a few bytes can mean many objects.
 
-    That takes a message without bytes inside another one. None: there is none.
+    That is possible only if a message without bytes is nested in the type; else return None.
     """
     done: dict[str, _Shape] = {}
     _shape(msg_type, specs, done, ())
@@ -72,7 +73,7 @@ def _shape(name: str, specs: Specs, done: dict[str, _Shape], path: tuple[str, ..
 
 
 def _count(name: str, field: Field, element: _Shape) -> int | None:
-    """Elements of a field, None where the message carries their number."""
+    """Return the number of elements of a field; None if the message carries it."""
     if not field.is_array or field.length is None:
         return None if field.is_array else 1
     if field.length * max(1, element.least_bytes) > MAX_FIXED_BYTES:
@@ -81,9 +82,9 @@ def _count(name: str, field: Field, element: _Shape) -> int | None:
 
 
 def compute_md5(msg_type: str, specs: Specs) -> dict[str, str]:
-    """Return the md5 of a checked type and of all that it uses, as genmsg computes it.
+    """Return the md5 of a checked type and of each type that it uses, as genmsg computes it.
 
-    It covers constants, then fields; names of message types are replaced by their md5.
+    The md5 covers the constants, then the fields; message types are replaced by their md5.
     """
     sums: dict[str, str] = {}
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One message definition, line by line: fields and constants, nothing believed unchecked.
+"""Parser of one message definition: fields and constants, every line checked.
 
-The grammar is genmsg's, narrowed where genmsg lets text pass that becomes code later: names are
-ASCII identifiers and constants are literals of their type.
+The grammar is genmsg's, but stricter where genmsg accepts text that later becomes code: names
+must be ASCII identifiers, and constants must be literals of their type.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ CODES = {
     "time": "Q",
     "duration": "q",
 }
-"""struct codes of primitive types on the wire; a time or duration is read as one integer."""
+"""struct codes of the primitive types on the wire. A time or duration is read as one integer."""
 PRIMITIVE_SIZES = {name: struct.calcsize("<" + code) for name, code in CODES.items()}
 PRIMITIVE_SIZES["string"] = 4
-"""Bytes on the wire; of a string its length prefix, the least that it takes."""
+"""Size of a primitive value on the wire, bytes; for a string the size of its length prefix."""
 
 MAX_NAME = 255
 
@@ -60,26 +60,26 @@ class Field:
 
     name: str
     type: str
-    """Primitive name or 'pkg/Name', without the array's brackets."""
+    """Primitive type or 'pkg/Name', without the array's brackets."""
     is_array: bool = False
     length: int | None = None
-    """Elements of a fixed array; None when the message carries the number."""
+    """Number of elements of a fixed array; None if the message carries it."""
     declared: str = ""
-    """The type as written, brackets included: what the md5 is computed from."""
+    """Type as written, brackets included; the md5 is computed from it."""
 
     @property
     def base(self) -> str:
-        """The type with the old names resolved: byte is int8, char is uint8."""
+        """Type with the old names resolved: byte is int8, char is uint8."""
         return _ALIASES.get(self.type, self.type)
 
     @property
     def is_primitive(self) -> bool:
-        """Whether the elements are no messages."""
+        """Whether the elements are primitive values, not messages."""
         return self.type in PRIMITIVE_SIZES
 
     @property
     def full_type(self) -> str:
-        """The resolved type with brackets, as 'float64[9]'."""
+        """Resolved type with brackets, as 'float64[9]'."""
         if not self.is_array:
             return self.type
         return f"{self.type}[{'' if self.length is None else self.length}]"
@@ -93,12 +93,12 @@ class Constant:
     type: str
     value: int | float | bool | str
     text: str
-    """The value as written: what the md5 is computed from."""
+    """Value as written; the md5 is computed from it."""
 
 
 @dataclass(frozen=True)
 class MessageSpec:
-    """One message type: its fields in the order of the wire, and its constants."""
+    """One message type: its fields in wire order, and its constants."""
 
     type: str
     fields: tuple[Field, ...]
@@ -106,18 +106,18 @@ class MessageSpec:
 
 
 Specs = Mapping[str, MessageSpec]
-"""A type and all that it uses, by name."""
+"""Specs of a type and of all types that it uses, by type name."""
 
 
 def check_type_name(name: str) -> str:
-    """Return name if it is a message type, 'pkg/Name', or raise DefinitionError."""
+    """Return the name if it is a message type, 'pkg/Name', else raise DefinitionError."""
     if not isinstance(name, str) or len(name) > MAX_NAME or not _IS_TYPE.fullmatch(name):
         raise DefinitionError(f"{str(name)[:80]!r} is not a message type: expected pkg/Name")
     return name
 
 
 def parse_spec(msg_type: str, text: str) -> MessageSpec:
-    """Parse the lines of the .msg file of one type, a checked name; raises DefinitionError."""
+    """Parse the .msg text of one type, whose name is already checked; raises DefinitionError."""
     package = msg_type.split("/")[0]
     fields: list[Field] = []
     constants: list[Constant] = []
@@ -137,8 +137,8 @@ def parse_spec(msg_type: str, text: str) -> MessageSpec:
 
 
 def resolve_type(name: str, package: str) -> str:
-    """Return the full name of a message type that a definition in package mentions."""
-    if name in ("Header", "roslib/Header"):  # roslib: where Header lay before 2010
+    """Return the full name of a message type that is mentioned in a definition of a package."""
+    if name in ("Header", "roslib/Header"):  # in roslib until 2010
         return "std_msgs/Header"
     return name if "/" in name else f"{package}/{name}"
 
@@ -171,7 +171,7 @@ def _parse_field(code: str, package: str) -> Field:
     _check_name(name, "field")
     base, is_array = match["base"], match["array"] is not None
     if base not in PRIMITIVE_SIZES:
-        # genmsg knows the short name Header only where no brackets follow.
+        # genmsg knows the short name Header only without brackets.
         base = f"{package}/{base}" if base == "Header" and is_array else resolve_type(base, package)
         check_type_name(base)
     length = int(match["length"]) if is_array and match["length"] else None
@@ -182,7 +182,7 @@ def _parse_constant(code: str, line: str) -> Constant:
     type_ = code.split()[0].split("=")[0]
     if type_ not in PRIMITIVE_SIZES or type_ in ("time", "duration"):
         raise DefinitionError(f"{type_[:80]!r} is not the type of a constant")
-    # A string is everything right of the '=', comments included.
+        # A string is the whole text right of the '=', including '#'.
     source = line if type_ == "string" else code
     left, _, right = source.partition("=")
     name = _check_name(left.strip()[len(type_) :].strip(), "constant")

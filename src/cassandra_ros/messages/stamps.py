@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Times: the row key Stamp, and every form in which a person may write a time."""
+"""Times: the row key Stamp, and the conversion of every form in which a time may be given."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 SECONDS_BELOW = 10**12
-"""An integer time below is 17 minutes after 1970, or was meant as seconds."""
+"""Limit below which an integer time was probably meant as seconds: as ns it would be less than
+17 minutes after 1970."""
 LENGTHS_BELOW = 10**9
-"""Where a time or a length may be given, a number below is one of seconds: 31 years; as a time
-it would lie before 2001."""
+"""Limit below which a number is a length in seconds, where a time or a length may be given. It is
+31 years; as a time it would be before 2001."""
 
 Time = Union[genpy.Time, datetime, "np.datetime64", int, float, Decimal, str]
-"""Whatever means a time, see to_ns. genpy.Time: also Stamp and rospy.Time; datetime: also
+"""Any form of a time, see to_ns. genpy.Time includes Stamp and rospy.Time; datetime includes
 pandas.Timestamp."""
 Length = Union[genpy.Duration, timedelta, "np.timedelta64", int, float, Decimal]
-"""Whatever means a length of time; a number is seconds."""
+"""Any form of a length of time; a number means seconds."""
 
-# A statement computes lengths of hundreds of digits; Python rounds a product to 28.
+# Statements can compute lengths with hundreds of digits; Python's default context rounds to 28.
 _EXACT = Context(prec=1000)
 _EPOCH = datetime(1970, 1, 1)
 _DECIMAL = re.compile(r"[0-9]+\.?[0-9]*|\.[0-9]+")
@@ -44,8 +45,8 @@ _ISO = re.compile(
 def seconds_to_ns(seconds: Any) -> int:
     """Convert seconds (int, float, Decimal) to nanoseconds, rounded half to even.
 
-    The shortest decimal text of a float is what was meant: 0.1 is 100,000,000 ns. Raises InvalidKey
-    where it is no finite number.
+    A float means its shortest decimal text: 0.1 is 100,000,000 ns. Raises InvalidKey if the value
+    is not a finite number.
     """
     if isinstance(seconds, Integral):
         return int(seconds) * SECOND_NS
@@ -78,10 +79,11 @@ def _ordering(compare: Callable[[float, float], bool]) -> Callable[[Stamp, objec
 class Stamp(genpy.Time):
     """Key of a stored message: a ROS time with exact nanosecond arithmetic.
 
-    ``stamp + 5`` and ``stamp - 0.1`` mean seconds; minus stops at 0. Durations, timedelta and their
-    kin of numpy and pandas go too. ``str(stamp)`` is the integer nanoseconds. ``==`` and ``hash``
-    are genpy.Time's; ``<`` and its kin also take whatever to_ns does but text: int is nanoseconds,
-    float seconds, from both sides.
+    ``stamp + 5`` and ``stamp - 0.1`` mean seconds; a difference stops at 0. Durations, timedelta
+    and the time lengths of numpy and pandas can be added and subtracted too. ``str(stamp)`` is the
+    integer nanoseconds. ``==`` and ``hash`` are genpy.Time's. ``<``, ``<=``, ``>`` and ``>=`` also
+    take every form that to_ns takes except text, on either side: an int means nanoseconds, a float
+    seconds.
 
     Attributes:
         node: nodeID of the row, None when the stamp came from no row.
@@ -91,7 +93,7 @@ class Stamp(genpy.Time):
 
     __slots__ = ["node", "seq", "table"]
     __array_ufunc__ = None
-    """Numpy leaves sums and comparisons with its numbers to us."""
+    """Tells numpy to leave sums and comparisons with its numbers to this class."""
 
     def __init__(
         self,
@@ -111,8 +113,8 @@ class Stamp(genpy.Time):
     def from_ns(
         cls, ns: int, node: str | None = None, seq: int | None = None, table: str | None = None
     ) -> Stamp:
-        """Make a stamp of integer nanoseconds since 1970; InvalidKey after 2106 or before 1970."""
-        # As often as messages are read, and six times as quick as by __init__.
+        """Make a stamp from integer ns since 1970; InvalidKey: before 1970 or after 2106."""
+        # Called for every message that is read; six times as fast as __init__.
         ns = int(ns)
         if not 0 <= ns <= MAX_NS:
             check_ns(ns)
@@ -123,7 +125,7 @@ class Stamp(genpy.Time):
 
     @classmethod
     def from_sec(cls, float_secs: float) -> Stamp:
-        """Make a stamp of seconds; exact, where genpy's own truncates."""
+        """Make a stamp from seconds; exact, while genpy's method truncates."""
         return cls(float_secs)
 
     @property
@@ -166,15 +168,15 @@ class Stamp(genpy.Time):
 
 
 def _is_number(value: object) -> bool:
-    # numpy counts its lengths of time among the whole numbers.
+    # numpy.timedelta64 is registered as an Integral.
     return isinstance(value, (Real, Decimal)) and not isinstance(value, (bool, np.timedelta64))
 
 
 def _object_ns(value: Any) -> int | None:
-    """Return the nanoseconds of an object that is a time and nothing else, or None.
+    """Return the ns since 1970 of an object whose type is a time; None for other types.
 
-    One without a zone is in UTC, as the times of numpy and pandas and those that the store gives.
-    Raises InvalidKey where it is one that is no time (NaT), or finer than nanoseconds.
+    A time without a zone is in UTC, like the times of numpy, pandas and the store. Raises
+    InvalidKey for a missing time (NaT) and for one finer than nanoseconds.
     """
     if isinstance(value, genpy.Time):
         return int(value.to_nsec())
@@ -182,7 +184,8 @@ def _object_ns(value: Any) -> int | None:
         if value != value:
             raise InvalidKey(f"{value!r} is not a time: the value is missing")
         zone = value.utcoffset()
-        # A pandas.Timestamp has nanoseconds beside; what it subtracts to is bounded to 292 years.
+        # A pandas.Timestamp has an extra attribute for ns; its difference would overflow at
+        # 292 years.
         local = datetime(*value.timetuple()[:6], value.microsecond) - _EPOCH
         return _delta_ns(local - (zone or timedelta())) + int(getattr(value, "nanosecond", 0))
     if isinstance(value, np.datetime64):
@@ -191,7 +194,7 @@ def _object_ns(value: Any) -> int | None:
 
 
 def _delta_ns(value: timedelta) -> int:
-    # Those of a pandas.Timedelta have nanoseconds beside.
+    # A pandas.Timedelta has an extra attribute for ns.
     whole = (value.days * 86_400 + value.seconds) * 10**6 + value.microseconds
     return whole * 1000 + int(getattr(value, "nanoseconds", 0))
 
@@ -205,9 +208,9 @@ def _numpy_ns(value: Any, unit: str) -> int:
 
 
 def length_object_ns(value: Any) -> int | None:
-    """Return the nanoseconds of an object that is a length of time and nothing else, or None.
+    """Return the ns of an object whose type is a length of time; None for other types.
 
-    Raises InvalidKey where it is one that is missing (NaT), or finer than nanoseconds.
+    Raises InvalidKey for a missing length (NaT) and for one finer than nanoseconds.
     """
     if isinstance(value, genpy.Duration):
         return int(value.to_nsec())
@@ -219,13 +222,13 @@ def length_object_ns(value: Any) -> int | None:
 
 
 def _offset_ns(value: Any) -> int | None:
-    """Return the nanoseconds of something that can be added to a stamp, or None."""
+    """Return the ns of a value that can be added to a stamp; None for other values."""
     ns = length_object_ns(value)
     return seconds_to_ns(value) if ns is None and _is_number(value) else ns
 
 
 def duration_ns(value: object) -> int:
-    """Return the ns of any Length; InvalidKey where it is none, or below 0."""
+    """Return the ns of a Length; InvalidKey: not a Length, or negative."""
     ns = _offset_ns(value)
     if ns is None or ns < 0:
         known = "seconds, at least 0, a genpy.Duration or a timedelta"
@@ -234,28 +237,28 @@ def duration_ns(value: object) -> int:
 
 
 def _comparable(value: Any) -> int | float | None:
-    """Nanoseconds of something that a stamp can be compared with, or None."""
+    """Return the ns of a value that can be compared with a stamp; None for other values."""
     ns = _object_ns(value)
     if ns is not None or not _is_number(value):
         return ns
     if isinstance(value, Integral):
         return int(value)
     if value != value or value in (float("inf"), float("-inf")):
-        return float(value)  # compares as IEEE says
+        return float(value)  # infinity and NaN compare as in IEEE 754
     return seconds_to_ns(value)
 
 
 def to_ns(value: object) -> int:
-    """Return the nanoseconds since 1970 of any form of a time: the one place that decides it.
+    """Return the ns since 1970 of a time in any form. No other function decides what a form means.
 
     Args:
-        value: genpy.Time (exact; Stamp and rospy.Time are such), datetime, pandas.Timestamp or
+        value: genpy.Time (exact; includes Stamp and rospy.Time), datetime, pandas.Timestamp or
             numpy.datetime64 (without a zone: UTC), int (nanoseconds), float or Decimal (seconds),
-            or text: ISO 8601 (no zone means UTC, up to 9 digits), only digits (nanoseconds), or
+            or text: ISO 8601 (without a zone: UTC; up to 9 digits), only digits (nanoseconds), or
             digits with a point (seconds).
 
     Raises:
-        InvalidKey: It is none of these, or outside 1970 to 2106.
+        InvalidKey: The value has none of these forms, or is outside 1970 to 2106.
     """
     ns = _object_ns(value)
     if ns is not None:
@@ -270,22 +273,22 @@ def to_ns(value: object) -> int:
 
 
 class When(NamedTuple):
-    """A time, or how far it is from another one."""
+    """A time, or an offset from another time."""
 
     ns: int
-    """Since 1970, or since (or before) the other one."""
+    """Nanoseconds since 1970, or offset from the other time."""
     relative: bool
 
 
 def time_or_length(value: object) -> When:
-    """Read what may be a time or a length of time.
+    """Return a value that may be a time or a length of time.
 
-    A number below LENGTHS_BELOW is a length in seconds, as wherever a length is meant; from there
-    on it is a time, as wherever one is meant: an int is nanoseconds, a float seconds.
+    A number below LENGTHS_BELOW is a length in seconds. Any other number is a time: an int in
+    nanoseconds, a float in seconds.
 
     Raises:
-        InvalidKey: It is neither, negative, beyond 2106, or an int between (below SECONDS_BELOW),
-            which was probably meant as seconds since 1970.
+        InvalidKey: The value is neither, negative, or after 2106; or it is an int from
+            LENGTHS_BELOW to SECONDS_BELOW, which was probably meant as seconds since 1970.
     """
     if not _is_number(value):
         return When(to_ns(value), False) if is_time(value) else When(duration_ns(value), True)
@@ -331,13 +334,13 @@ def _iso_to_ns(match: re.Match[str]) -> int:
 
 
 def written_time_ns(text: str) -> int:
-    """Return the nanoseconds since 1970 of a time as a person writes it, in an option or a URL.
+    """Return the ns since 1970 of a time as typed in an option or a URL.
 
-    As to_ns, but a whole number of less than 13 digits is seconds, as users of rosbag write them:
-    what is larger lies far behind the end of ROS time as seconds.
+    Like to_ns, but a whole number of less than 13 digits means seconds, as in rosbag's options:
+    a larger number of seconds is long after the end of ROS time.
 
     Raises:
-        InvalidKey: It is none, or outside 1970 to 2106; the text says what may be written.
+        InvalidKey: The text is not a time, or outside 1970 to 2106. The error text lists the forms.
     """
     whole = re.fullmatch(r"\s*([0-9]{1,40})\s*", text)
     try:
@@ -351,16 +354,16 @@ def written_time_ns(text: str) -> int:
 
 
 def is_iso_text(text: str) -> bool:
-    """Say whether a text is a time in ISO 8601."""
+    """Return whether a text is a time in ISO 8601."""
     return _ISO.fullmatch(text.strip()) is not None
 
 
 def is_time(value: object) -> bool:
-    """Say whether a value is an object that is a time (not a number or text that means one)."""
+    """Return whether the type of a value is a time (not a number or text that means one)."""
     return isinstance(value, (genpy.Time, datetime, np.datetime64))
 
 
 def iso_time(ns: int) -> str:
-    """Return nanoseconds since 1970 as ISO 8601, like 2013-05-08T14:06:20.123456789Z."""
+    """Return ns since 1970 as ISO 8601, like 2013-05-08T14:06:20.123456789Z."""
     seconds, rest = divmod(ns, SECOND_NS)
     return f"{_EPOCH + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"

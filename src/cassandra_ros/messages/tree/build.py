@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From a tree of plain values back to wire bytes: the inverse of ``read``, built the same way.
+"""Conversion of a tree of plain values to wire bytes: the inverse of ``read``, built the same way.
 
-Trees come from texts that anybody may have changed: all that is no message of the type is refused.
+Trees come from texts that anyone may have edited: a tree that does not fit the type is refused.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from cassandra_ros.messages.tree.read import NUMBER_CODES, TIME_CODES, number_ru
 from cassandra_ros.messages.wire.build import BUILD_ERRORS
 
 AsBytes = Callable[[object], bytes]
-"""From what a text holds for uint8[] and char[] to their bytes; raises ValueError, TypeError."""
+"""Function from the text form of uint8[] or char[] to bytes; raises ValueError, TypeError."""
 
 _Write = Callable[[object, List[bytes]], None]
-"""(value, bytes so far) -> nothing."""
+"""(value, bytes so far) -> nothing; appends the value."""
 _Step = Callable[[Dict[str, object], List[bytes]], None]
-"""(tree of a message, bytes so far) -> nothing; it writes one or several fields."""
+"""(tree of a message, bytes so far) -> nothing; appends one or several fields."""
 
 _ERRORS = (*BUILD_ERRORS, AttributeError, KeyError, RecursionError)
 _pack_length = struct.Struct("<I").pack
 
 
 def plain_bytes(value: object) -> bytes:
-    """Return the bytes of uint8[] or char[], given as such or as a list of numbers."""
+    """Return the bytes of uint8[] or char[], given as bytes or as a list of numbers."""
     if type(value) is bytes:
         return value
     values = _list(value, None)
@@ -44,10 +44,11 @@ def plain_bytes(value: object) -> bytes:
 def tree_builder(
     definition: Definition, as_bytes: AsBytes = plain_bytes
 ) -> Callable[[object], bytes]:
-    """Return the function from trees of a definition to wire bytes, compiled once.
+    """Return the function that converts trees of a definition to wire bytes, compiled once.
 
-    It takes any object and raises CorruptMessage: fields are missing, there are others, a number
-    is out of range, nsecs are not within a second, an array has another length, ...
+    The function takes any object and raises CorruptMessage where the tree does not fit: a field is
+    missing or unknown, a number is out of range, nsecs are not within a second, an array has
+    another length than its field.
     """
     write = _Compiler(definition, as_bytes).message(definition.type)
 
@@ -64,7 +65,7 @@ def tree_builder(
 
 
 class _Compiler:
-    """Makes the functions that write the messages of one definition."""
+    """Makes the functions that write messages of one definition."""
 
     def __init__(self, definition: Definition, as_bytes: AsBytes) -> None:
         self._specs = definition.specs
@@ -117,7 +118,7 @@ def _mapping(tree: object, count: int) -> dict[str, object]:
 
 
 def _check_bools(values: Sequence[object], bools: bool) -> None:
-    if bools:  # struct takes anything for a bool, and bools for numbers
+    if bools:  # struct takes any object as a bool, and bools as numbers
         if not all(type(value) is bool for value in values):
             raise ValueError("a bool is neither true nor false")
     elif bool in map(type, values):

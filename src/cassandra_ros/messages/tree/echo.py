@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What ``rostopic echo`` prints of a message, made from its tree: no message object is needed.
+"""The text that ``rostopic echo`` prints for a message, made from its tree without an object.
 
-It follows genpy's strify_message to the letter, its quirks included: char[] is printed as bytes.
+It is the same as genpy's strify_message to the letter, quirks included: char[] prints as bytes.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from cassandra_ros.messages.spec import Field
 from cassandra_ros.messages.tree.read import NUMBER_CODES, TIME_CODES, MessageTree
 
 _Print = Callable[[Any, str], str]
-"""(value of a field, indentation of the lines below) -> text behind 'name: '."""
+"""(value of a field, indentation of its further lines) -> text after 'name: '."""
 _Lines = Callable[[MessageTree, str], List[str]]
 
 _CACHED = 128
-"""Longer strings are seldom the same twice."""
+"""Maximum length of a cached string, characters. Longer strings rarely repeat."""
 _PLAIN = re.compile(r"[ !#-\[\]-~]{1,70}")
-"""Text that yaml only puts quotes around: printable, and short enough for one line."""
+"""Text that yaml only quotes: printable characters that need no escape, short enough for a line."""
 
 
 @lru_cache(maxsize=512)
 def echo_printer(definition: Definition) -> Callable[[MessageTree], str]:
-    """Return the function that prints the trees of a definition, compiled once."""
+    """Return the function that prints trees of a definition, compiled once."""
     lines = _Compiler(definition).message(definition.type)
     return lambda tree: "\n".join(lines(tree, ""))
 
 
 class _Compiler:
-    """Makes the functions that print the messages of one definition."""
+    """Makes the functions that print messages of one definition."""
 
     def __init__(self, definition: Definition) -> None:
         self._specs = definition.specs
@@ -57,7 +57,7 @@ class _Compiler:
         if not field.is_array:
             return self._one(field.type)
         show = self._array(field)
-        # Words in place of an array that was too long.
+        # The tree has a text in place of an array that was too long.
         return lambda value, indent: _quoted(value) if type(value) is str else show(value, indent)
 
     def _one(self, type_: str) -> _Print:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From wire bytes to a tree of plain values, as the text formats print it.
+"""Conversion of wire bytes to a tree of plain values, as the text formats print it.
 
 A message is a dict by the definition's field names, a time or duration a dict of secs and nsecs,
-uint8[] and char[] are bytes, other arrays lists. What is too long for a text is never read: the
-tree has the words of ``rostopic echo --noarr`` in its place.
+uint8[] and char[] are bytes, other arrays lists. An array or string that is too long for a text is
+not read: the tree holds the text that ``rostopic echo --noarr`` prints in its place.
 """
 
 from __future__ import annotations
@@ -22,59 +22,59 @@ from cassandra_ros.messages.wire.skip import compile_field_skip, short_buffer
 
 TIME_CODES = {"time": "<II", "duration": "<ii"}
 NUMBER_CODES = {name: code for name, code in CODES.items() if name not in TIME_CODES}
-"""struct codes of all primitive types but string, time and duration."""
+"""struct codes of all primitive types except string, time and duration."""
 
 MessageTree = Dict[str, "TreeValue"]
 TreeValue = Union[bool, int, float, str, bytes, List["TreeValue"], MessageTree]
 
-# The least that things take in any text, in characters: what the budget is charged.
+# Minimum number of characters of a value in any text format: the amount charged to the budget.
 _NUMBER = 2
 _FIELD = 4
 _TIME = 10
 _MANY = 1024
-"""Numbers in an array from which it pays to look how long their text is."""
+"""Minimum length of an array of numbers whose exact text length is computed and charged."""
 
 
-class TooLong(Exception):  # noqa: N818 - not an error: the next limits are tried
-    """The text of a message would exceed the budget of its reader."""
+class TooLong(Exception):  # noqa: N818 - not an error: the caller tries its next limits
+    """The text of a message would exceed the budget."""
 
 
 @dataclass
 class Budget:
-    """What a tree may hold."""
+    """Limits on the size of a tree."""
 
     left: int
-    """Characters of the text; reading stops as soon as it must become longer."""
+    """Characters still allowed; reading stops as soon as the text must become longer."""
     byte: int
-    """What a byte of uint8[] or char[] takes at least, in characters."""
+    """Minimum number of characters for one byte of uint8[] or char[]."""
     elements: int
-    """Longer arrays are not read, only counted."""
+    """Maximum number of elements of an array that is read; longer arrays are replaced by a text."""
     text: int
-    """Longer strings are not read, only counted; in bytes."""
+    """Maximum size of a string that is read, bytes; longer strings are replaced by a text."""
     shortened: bool = False
-    """Whether words stand in place of some array or string."""
+    """Whether an array or string was replaced by a text."""
 
     def charge(self, characters: int) -> None:
-        """Take characters off; raise TooLong where there are not so many left."""
+        """Subtract characters; raise TooLong if fewer are left."""
         self.left -= characters
         if self.left < 0:
             raise TooLong
 
 
 _Read = Callable[[bytes, int, Budget], Tuple[TreeValue, int]]
-"""(wire bytes, offset, budget) -> value, offset behind it."""
+"""(wire bytes, offset, budget) -> value, offset after it."""
 _ReadMessage = Callable[[bytes, int, Budget], Tuple[MessageTree, int]]
 _Step = Callable[[MessageTree, bytes, int, Budget], int]
-"""(tree to fill, wire bytes, offset, budget) -> offset behind the fields."""
+"""(tree to fill, wire bytes, offset, budget) -> offset after the fields."""
 _Elements = Callable[[bytes, int, int, Budget], Tuple[TreeValue, int]]
-"""(wire bytes, offset, number of elements, budget) -> value, offset behind it."""
+"""(wire bytes, offset, number of elements, budget) -> value, offset after it."""
 
 _length = struct.Struct("<I").unpack_from
 _CONTINUATION = bytes(range(0x80, 0xC0))
 
 
 def number_runs(fields: Sequence[Field]) -> Iterator[tuple[list[Field], struct.Struct | None]]:
-    """Yield fields in order: numbers (or bools) side by side with what reads them, others alone."""
+    """Yield runs of numbers (or bools) with the struct that reads the run; other fields alone."""
 
     def kind(field: Field) -> bool | str:
         number = not field.is_array and field.base in NUMBER_CODES
@@ -95,10 +95,11 @@ class TreeReader:
         self._read, self._weight = self._message(definition.type)
 
     def read(self, wire: bytes, budget: Budget) -> MessageTree | None:
-        """Return the tree of a message; surplus bytes are ignored, bad UTF-8 becomes U+FFFD.
+        """Return the tree of a message, or None if its text certainly exceeds the budget.
 
-        Any bytes will do. The budget, a new one, bounds memory and time and says afterwards what
-        was shortened. None: the text certainly has more characters. CorruptMessage: bytes lack.
+        Surplus bytes are ignored, bad UTF-8 becomes U+FFFD. The budget must be new: it limits
+        memory and time, and holds afterwards whether something was shortened. CorruptMessage: the
+        bytes end early.
         """
         try:
             budget.charge(self._weight)
@@ -109,7 +110,7 @@ class TreeReader:
             raise CorruptMessage(f"{len(wire)} bytes are no {self.type}: {exc}") from exc
 
     def _message(self, name: str) -> tuple[_ReadMessage, int]:
-        """Return the reader of a message and what its text takes at least, arrays aside."""
+        """Return the reader of a message type and the minimum length of its text without arrays."""
         if name not in self._memo:
             weight = 0
             steps: list[_Step] = []
@@ -198,7 +199,7 @@ def _string(wire: bytes, at: int, budget: Budget) -> tuple[TreeValue, int]:
 
 
 def _characters(wire: bytes, at: int, end: int) -> int:
-    """Count characters piece by piece: a string may be as large as a message."""
+    """Return the number of characters, counted in pieces: a string may fill the whole message."""
     pieces = (wire[i : min(i + 65536, end)] for i in range(at, end, 65536))
     return sum(len(piece.translate(None, _CONTINUATION)) for piece in pieces)
 
@@ -219,7 +220,7 @@ def _number_elements(field: Field) -> _Elements:
             budget.charge(count * budget.byte)
             return wire[at:end], end
         values = list(struct.unpack_from(f"<{count}{code}", wire, at))
-        if count >= _MANY:  # JSON has no blanks behind its commas
+        if count >= _MANY:  # JSON has no blanks after its commas
             budget.charge(len(str(values)) - count - count * _NUMBER)
         return values, end
 

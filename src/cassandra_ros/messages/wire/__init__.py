@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Serialised messages to columns of format ``ros`` and back, without message objects.
+"""Conversion of serialised messages to columns of format ``ros`` and back, without objects.
 
-All is compiled once per definition. ``plan`` joins the parts, and is what other rooms use: only
-``values``, ``layout`` and ``skip`` are also used by themselves.
+Converters are compiled once per definition. Other rooms use ``wire_plan``, which joins the parts;
+only ``cql_values``, ``layout`` and the field sizes are also used directly.
 """

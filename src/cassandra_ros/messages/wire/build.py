@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From columns back to wire bytes: the inverse of ``walk``, built the same way."""
+"""Conversion of columns to wire bytes: the inverse of ``walk``, built the same way."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from cassandra_ros.messages.wire.cql_values import FROM_NS, split_equal, split_l
 from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
 
 Columns = Sequence[bytes]
-"""Values in CQL's encoding; a None among them ends in TypeError."""
+"""Column values in CQL's encoding; a None among them raises TypeError."""
 Step = Callable[[Columns, List[bytes]], None]
-"""(columns, wire bytes so far) -> nothing."""
+"""(columns, wire bytes so far) -> nothing; appends one or several fields."""
 
 BUILD_ERRORS = (struct.error, TypeError, ValueError, OverflowError, IndexError)
-"""What columns that no message made can raise."""
+"""Exceptions that malformed columns can raise."""
 
 _pack_length = struct.Struct("<I").pack
 
 
 def compile_build(segments: Sequence[Segment], first: int = 0) -> list[Step]:
-    """Return the steps that turn all columns of a type, from one on, into a message."""
+    """Return the steps that build a message from the columns of a type, beginning at ``first``."""
     steps: list[Step] = []
     for fixed, tail in segments:
         if fixed:
@@ -98,7 +98,7 @@ def _texts(index: int, length: int | None) -> Step:
 
 
 def _elements(tail: Tail, first: int) -> Step:
-    """Elements of variable size: each is built as a message of its own."""
+    """Return the step for elements of variable size: each is built like a message."""
     after, length, steps = first + len(tail.columns), tail.length, compile_build(tail.element)
     sizes = [size for _, size in columns_of(tail.element)]
     splits = [split_list if size is None else split_equal(size) for size in sizes]
@@ -114,7 +114,7 @@ def _elements(tail: Tail, first: int) -> Step:
 
 
 def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> Step:
-    """Elements of fixed size: column by column, then all at once."""
+    """Return the step for elements of fixed size: column by column, then all packed at once."""
     after, splits = first + len(fixed), [unpack_numbers(f) for f in fixed]
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
 
@@ -127,7 +127,7 @@ def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> Step:
 
 
 def _count(lists: Sequence[Sized], length: int | None, parts: list[bytes]) -> None:
-    """Check that lists have the length of their array, and write it where it is not fixed."""
+    """Check that all lists have the length of their array; write the length of a variable array."""
     count = len(lists[0])
     if any(len(values) != count for values in lists) or length not in (None, count):
         raise struct.error("the lists of an array of messages differ in length")

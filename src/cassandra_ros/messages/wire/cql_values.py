@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How CQL encodes values and lists: from the wire and from Python, and back.
+"""CQL's encoding of values and lists, from the wire and from Python, and back.
 
-A list is an int32 number of elements, then the int32 length and the bytes of each.
+A list is an int32 number of elements, then the int32 length and the bytes of each element.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cassandra_ros.messages.wire.layout import FieldColumn, Fixed
 from cassandra_ros.messages.wire.skip import fixed_size
 
 Primitive = Union[bool, int, float, str]
-"""A value of one column that is neither a list nor a blob; times are int nanoseconds."""
+"""Python value of a column that is neither a list nor a blob; times are int nanoseconds."""
 Decoder = Callable[[bytes], Any]
 
 CQL_CODES = {
@@ -30,7 +30,7 @@ CQL_CODES = {
     "float": ">f",
     "double": ">d",
 }
-"""struct codes of CQL's types of fixed size."""
+"""struct codes of the CQL types of fixed size."""
 EMPTY_LIST = b"\0\0\0\0"
 _LOW = 0xFFFFFFFF
 
@@ -40,7 +40,7 @@ _length = struct.Struct("<I").unpack_from
 
 
 def encode_value(cql_type: str, value: Primitive) -> bytes:
-    """Encode a Python value; struct.error, OverflowError, UnicodeEncodeError: it is none of it."""
+    """Encode a Python value; struct.error, OverflowError, UnicodeEncodeError: it does not fit."""
     if isinstance(value, str):
         return value.encode("utf-8")
     if cql_type == "varint":
@@ -51,7 +51,7 @@ def encode_value(cql_type: str, value: Primitive) -> bytes:
 
 
 def pack_varint(value: int) -> bytes:
-    """Encode a value >= 0 as CQL varint: two's complement in as few bytes as hold it."""
+    """Encode a value >= 0 as a CQL varint: two's complement in as few bytes as possible."""
     return value.to_bytes(value.bit_length() // 8 + 1, "big")
 
 
@@ -62,7 +62,7 @@ def pack_list(values: Sequence[bytes]) -> bytes:
 
 
 def split_list(raw: bytes) -> list[bytes]:
-    """Return the encoded elements of a list; struct.error: it is none."""
+    """Return the encoded elements of a list; struct.error: the bytes are not a list."""
     (count,) = _unpack_size(raw, 0)
     values, end = [], 4
     for _ in range(count):
@@ -77,20 +77,20 @@ def split_list(raw: bytes) -> list[bytes]:
 
 
 def pack_equal(size: int) -> Callable[[Sequence[bytes]], bytes]:
-    """Return the encoder of a list of at least one, whose encoded elements all have this size."""
+    """Return the encoder of a non-empty list whose encoded elements all have this size in bytes."""
     prefix = _pack_size(size)
     return lambda values: _pack_size(len(values)) + prefix + prefix.join(values)
 
 
 def split_equal(size: int) -> Callable[[bytes], list[bytes]]:
-    """Return the inverse of pack_equal; it raises struct.error."""
+    """Return the inverse of pack_equal; the function raises struct.error."""
     encode, unit = pack_equal(size), size + 4
 
     def split(raw: bytes) -> list[bytes]:
         if raw == EMPTY_LIST:
             return []
         values = [raw[at : at + size] for at in range(8, len(raw), unit)]
-        if len(raw) % unit != 4 or encode(values) != raw:  # the last one may be cut
+        if len(raw) % unit != 4 or encode(values) != raw:  # the last element may be cut short
             raise struct.error("a list column has a malformed element")
         return values
 
@@ -98,7 +98,7 @@ def split_equal(size: int) -> Callable[[bytes], list[bytes]]:
 
 
 def unpack_numbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
-    """Return the inverse of pack_numbers; it raises struct.error and OverflowError."""
+    """Return the inverse of pack_numbers; the function raises struct.error and OverflowError."""
     if fixed.special == "uint64":
         return lambda raw: [_varint(value) for value in split_list(raw)]
     size, unpack = fixed.cql_size, struct.Struct(">i" + fixed.big).iter_unpack
@@ -119,7 +119,10 @@ def unpack_numbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
 
 
 def pack_numbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes | None]:
-    """Return the encoder of a list of wire codes; if strict, None where one is not held exactly."""
+    """Return the encoder of a list of numbers as on the wire.
+
+    If strict, it returns None for a list with a number that the column cannot hold exactly.
+    """
     size, special, convert = fixed.cql_size, fixed.special, TO_NS.get(fixed.special)
     if special == "uint64":
         return lambda values: pack_list([pack_varint(value) for value in values])
@@ -135,7 +138,7 @@ def pack_numbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes 
 
 
 def _are_exact(special: str, values: Sequence[int]) -> bool:
-    """Whether all bytes are bools, or the nsecs of all times and durations below 10**9."""
+    """Return whether all bytes are bools, or all times and durations have nsecs below 10**9."""
     if special == "bool":
         return max(values, default=0) <= 1
     return all(0 <= value >> 32 < SECOND_NS for value in values)
@@ -165,16 +168,16 @@ def _ns_to_duration(ns: int) -> int:
 
 
 TO_NS = {"time": _time_to_ns, "duration": _duration_to_ns}
-"""From what lies on the wire, read as one uint64 or int64, to nanoseconds; FROM_NS goes back."""
+"""Functions from a time as on the wire, read as one uint64 or int64, to ns; inverse of FROM_NS."""
 FROM_NS = {"time": _ns_to_time, "duration": _ns_to_duration}
 
 
 def compile_decoder(column: FieldColumn, specs: Specs) -> Decoder:
-    """Return the function from a column to the value that a query compares and a person reads.
+    """Return the function from a column to the value that queries compare and results show.
 
     Numbers are int or float, times int nanoseconds, text str (bytes that are not UTF-8 replaced),
     uint8[] and char[] bytes, other arrays lists, arrays of messages in an array lists of dicts,
-    arrays of empty messages their number. It raises struct.error and ValueError.
+    arrays of empty messages their number of elements. It raises struct.error and ValueError.
     """
     if column.is_list:
         element = compile_decoder(
@@ -213,7 +216,7 @@ def _array(type_: str, raw: bytes) -> bytes | list[Any]:
 
 
 def _read(wire: bytes, at: int, field: Field, specs: Specs) -> tuple[Any, int]:
-    """Read a field as on the wire; return its value and the offset behind it."""
+    """Read a field as on the wire; return its value and the offset after it."""
     count = field.length if field.is_array else 1
     if count is None:
         (count,) = _length(wire, at)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The values of fields of many serialised messages, as genpy would read them, a field at a time."""
+"""Field values of many serialised messages, as genpy would read them, one field at a time."""
 
 from __future__ import annotations
 
@@ -14,42 +14,42 @@ from numpy.typing import NDArray
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES
 
 Cells = NDArray[np.uint8]
-"""Bytes of many messages: (messages, size)."""
+"""Bytes of many messages: (messages, bytes)."""
 Places = NDArray[np.int64]
-"""Where in the bytes the messages are, each at the same field."""
+"""Offsets in the buffer, one for each message, all of the same field."""
 Column = Iterator[Any]
-"""The values of a field, message after message."""
+"""Values of a field, message after message."""
 
 MAX_PERIOD = 16
-"""Elements of an array whose strings are looked at as if each had its own, which stays."""
+"""Maximum period of elements whose strings are compared, to decode equal ones only once."""
 _BYTES = ("uint8", "char")
 _U4 = np.dtype("<u4")
 
 
 class Unfit(Exception):
-    """These messages have to be made one by one; some may be none."""
+    """These messages cannot be made together, but only one by one; some may be malformed."""
 
 
 class Wires:
-    """Serialised messages, all in one buffer."""
+    """Serialised messages in one buffer."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
 
     def cut(self, ats: Places, size: int) -> Cells:
-        """Return so many bytes from each place on: (places, size)."""
+        """Return ``size`` bytes from each offset on: (offsets, size)."""
         every: NDArray[Any] = np.ndarray(
             (len(self.data) - size + 1,), f"V{size}", self.data, 0, (1,)
         )
         return every[ats].view(np.uint8).reshape(len(ats), size)
 
     def lengths(self, ats: Places) -> Places:
-        """Read the length of a string or array at each place."""
+        """Return the length of the string or array at each offset."""
         every: NDArray[Any] = np.ndarray((len(self.data) - 3,), _U4, self.data, 0, (1,))
         return every[ats].astype(np.int64)
 
     def slices(self, ats: Places, ends: Places) -> List[bytes]:
-        """Return the bytes from each place to its end."""
+        """Return the bytes from each offset to its end."""
         data = self.data
         return [data[at:end] for at, end in zip(ats.tolist(), ends.tolist())]
 
@@ -58,7 +58,7 @@ class Columns:
     """The columns of a message's fields.
 
     Attributes:
-        objects: How many objects and tuples are in those of a message, on the average.
+        objects: Average number of objects and tuples in the columns of one message.
     """
 
     def __init__(self) -> None:
@@ -72,32 +72,32 @@ class Columns:
 
 
 class Group(NamedTuple):
-    """Messages, or elements of the arrays of messages, one after the other."""
+    """Messages, or elements of the arrays of messages, in sequence."""
 
     wires: Wires
     ats: Places
-    """Where they have been read to."""
+    """Offset up to which each message is read."""
     ends: Places
-    """Where the messages end in which they lie."""
+    """Offset at which the message that contains it ends."""
     period: int
-    """So many make the same sequence again and again, if arrays are like each other."""
+    """Number of elements after which the sequence of elements repeats, if all arrays are alike."""
 
     def checked(self, ats: Places) -> Places:
-        """Return places if they lie in their messages; else raises Unfit."""
+        """Return the offsets if all lie within their messages; else raise Unfit."""
         if (ats > self.ends).any():
             raise Unfit
         return ats
 
 
 class Run:
-    """Fields of fixed size, one behind the other."""
+    """Adjacent fields of fixed size."""
 
     def __init__(self) -> None:
         self.size = 0
         self._readers: List[Callable[[Cells, int], Iterable[Any]]] = []
 
     def add(self, type_: str, length: Optional[int]) -> None:
-        """Add a field of a primitive type; length: of an array, None = it is none."""
+        """Add a field of a primitive type; length: of a fixed array, None = a single value."""
         at, code = self.size, CODES[type_]
         self.size += PRIMITIVE_SIZES[type_] * (1 if length is None else length)
         if length is None:
@@ -106,7 +106,7 @@ class Run:
             self._readers.append(_array(type_, code, at, length))
 
     def read(self, group: Group, out: Columns) -> Places:
-        """Append the columns of the fields; return where they end."""
+        """Append the columns of the fields; return the offsets after them."""
         ends = group.checked(group.ats + self.size)
         cells = group.wires.cut(group.ats, self.size)
         for reader in self._readers:
@@ -114,7 +114,7 @@ class Run:
         return ends
 
     def skip(self, wires: Wires, ats: Places) -> Places:
-        """Return where they end."""
+        """Return the offsets after the fields."""
         return ats + self.size
 
 
@@ -141,20 +141,20 @@ def _array(type_: str, code: str, at: int, length: int) -> Callable[[Cells, int]
 
 
 def _tuples(type_: str, cells: Cells, layout: str) -> Iterable[Any]:
-    """Return what genpy makes of arrays: lists of bools, tuples of other numbers."""
+    """Return arrays as genpy makes them: lists of bools, tuples of other numbers."""
     found = struct.iter_unpack(layout, cells.data)
     return map(list, found) if type_ == "bool" else found
 
 
 class Numbers:
-    """An array of primitives with its length."""
+    """An array of primitives with a length prefix."""
 
     def __init__(self, type_: str) -> None:
         self._type = type_
         self._unit, self._code = PRIMITIVE_SIZES[type_], CODES[type_]
 
     def read(self, group: Group, out: Columns) -> Places:
-        """Append its column; return where it ends."""
+        """Append its column; return the offsets after it."""
         lengths = group.wires.lengths(group.ats)
         begins = group.ats + 4
         ends = group.checked(begins + self._unit * lengths)
@@ -173,15 +173,15 @@ class Numbers:
         return struct.unpack_from(f"<{length}{self._code}", data, at)
 
     def skip(self, wires: Wires, ats: Places) -> Places:
-        """Return where it ends."""
+        """Return the offsets after it."""
         return ats + 4 + self._unit * wires.lengths(ats)
 
 
 class Text:
-    """A string with its length."""
+    """A string with its length prefix."""
 
     def read(self, group: Group, out: Columns) -> Places:
-        """Append its column; return where it ends."""
+        """Append its column; return the offsets after it."""
         wires, begins = group.wires, group.ats + 4
         ends = group.checked(begins + wires.lengths(group.ats))
         period = group.period
@@ -194,12 +194,12 @@ class Text:
         return ends
 
     def skip(self, wires: Wires, ats: Places) -> Places:
-        """Return where it ends."""
+        """Return the offsets after it."""
         return ats + 4 + wires.lengths(ats)
 
 
 def _same(wires: Wires, begins: Places, ends: Places) -> Optional[bytes]:
-    """Return the bytes that stand at all places; None: they differ."""
+    """Return the bytes that are the same at all offsets; None if they differ."""
     size = int(ends[0] - begins[0])
     if not (ends - begins == size).all():
         return None
@@ -210,4 +210,4 @@ def _same(wires: Wires, begins: Places, ends: Places) -> Optional[bytes]:
 
 
 def _decode(raw: bytes) -> str:
-    return raw.decode("utf-8", "rosmsg")  # as genpy: what is no UTF-8 is told of, and kept
+    return raw.decode("utf-8", "rosmsg")  # as genpy: bytes that are not UTF-8 are logged and kept

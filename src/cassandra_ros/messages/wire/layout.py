@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the fields of a message lie on the wire, and which column holds each of them.
+"""Layout of a message on the wire, and the column that holds each field.
 
-A message is a row of segments: fields of fixed size, then at most one field of variable size,
-whose length ends the fixed part. Each segment is read and written with one struct.
+A message is a sequence of segments. A segment is fields of fixed size, then at most one field of
+variable size, whose length prefix belongs to the fixed part. Each segment is read and written
+with one struct.
 """
 
 from __future__ import annotations
@@ -18,38 +19,38 @@ from cassandra_ros.messages.wire.skip import Skip, compile_field_skip, fixed_siz
 
 @dataclass(frozen=True)
 class FieldColumn:
-    """One column of format ``ros``, which holds one field."""
+    """A column of format ``ros``, which holds one field."""
 
     name: str
-    """Path of the field: 'transform.translation.x', 'transforms.child_frame_id'."""
+    """Path of the field, as 'transform.translation.x' or 'transforms.child_frame_id'."""
     cql_type: str
     kind: str
-    """What the column holds, or each element of its list:
+    """Kind of value in the column, or in each element of its list:
 
     'int', 'float', 'bool', 'text', 'time', 'duration' (both in ns), 'array' (a blob of the
     elements as on the wire, without their number) or 'wire' (a blob of the whole field as on the
-    wire; of an array of empty messages only their number).
+    wire; for an array of empty messages only their number).
     """
     field_type: str
-    """ROS type of the field, as 'float64[9]'; of a list of structs, of the field in one element."""
+    """ROS type of the field, as 'float64[9]'; in an array of messages, its type in one element."""
     is_list: bool = False
     """Whether the column is a frozen list: string[], or a field in an array of messages."""
     array: str = ""
-    """Path of the array of messages over whose elements the list runs, or ''."""
+    """Path of the array of messages whose elements the list follows, or ''."""
 
     @property
     def element_type(self) -> str:
-        """CQL type of one value: of an element where the column is a list."""
+        """CQL type of one value; for a list, of one element."""
         return self.cql_type[len("frozen<list<") : -2] if self.is_list else self.cql_type
 
     @property
     def is_scalar(self) -> bool:
-        """Whether the column holds one value, neither list nor array."""
+        """Whether the column holds a single value, not a list or array."""
         return not self.is_list and self.kind not in ("array", "wire")
 
 
 class Fixed(NamedTuple):
-    """A field that always takes the same number of bytes."""
+    """A field of fixed size."""
 
     column: FieldColumn
     little: str
@@ -58,34 +59,35 @@ class Fixed(NamedTuple):
     """struct code of the same value in CQL."""
     cql_size: int
     special: str = ""
-    """'time', 'duration', 'bool' or 'uint64': more is to do than turning the bytes round."""
+    """'time', 'duration', 'bool' or 'uint64' if more than the byte order changes between wire and
+    CQL; else ''."""
 
 
 @dataclass(frozen=True)
 class Tail:
-    """A field of variable size (or an array of structs), which ends a segment."""
+    """A field of variable size (or an array of messages), which ends a segment."""
 
     kind: str
     """'bytes', 'text', 'texts', 'wire' or 'elements'."""
     skip: Skip
-    """Finds the end of the field, its length included."""
+    """Function that finds the end of the field, its length prefix included."""
     columns: tuple[FieldColumn, ...]
-    """Those of the field, or of its elements' fields."""
+    """Columns of the field, or of the fields of its elements."""
     unit: int = 1
-    """Bytes of an element, for 'bytes' and 'text'."""
+    """Size of an element, bytes; for 'bytes' and 'text'."""
     length: int | None = None
-    """Elements of a fixed array; None when their number is on the wire."""
+    """Number of elements of a fixed array; None if the message carries it."""
     element: tuple[Segment, ...] = ()
-    """Layout of one element, for 'elements'."""
+    """Layout of one element; for 'elements'."""
 
     @property
     def has_count(self) -> bool:
-        """Whether the fixed part of the segment ends with the length of this field."""
+        """Whether the fixed part of the segment ends with the length prefix of this field."""
         return self.length is None and self.kind != "wire"
 
 
 class Segment(NamedTuple):
-    """Fields of fixed size, then at most one of variable size."""
+    """Fields of fixed size, then at most one field of variable size."""
 
     fixed: Tuple[Fixed, ...]
     tail: Optional[Tail]
@@ -102,7 +104,7 @@ _SCALARS = {
     "uint32": ("I", "q", "bigint", "int", ""),
     "int64": ("q", "q", "bigint", "int", ""),
     "uint64": ("Q", "Q", "varint", "int", "uint64"),
-    # As integers: a float of Python would make signalling NaNs quiet.
+    # Floats are copied as integers: a Python float would change signalling NaNs to quiet ones.
     "float32": ("I", "I", "float", "float", ""),
     "float64": ("Q", "Q", "double", "float", ""),
     "time": ("Q", "q", "bigint", "time", "time"),
@@ -113,7 +115,7 @@ _SCALARS = {
 def layout(
     msg_type: str, specs: Specs, prefix: str = "", inside: bool = False
 ) -> tuple[Segment, ...]:
-    """Return the segments of a checked message type; see _items."""
+    """Return the segments of a checked message type, see _items."""
     segments: list[Segment] = []
     fixed: list[Fixed] = []
     for item in _items(msg_type, specs, prefix, inside):
@@ -128,7 +130,7 @@ def layout(
 
 
 def columns_of(segments: tuple[Segment, ...]) -> Iterator[tuple[FieldColumn, int | None]]:
-    """Yield all columns in the order of the wire, and their bytes in CQL, None where they vary."""
+    """Yield all columns in wire order with their size in CQL in bytes, None if it varies."""
     for segment in segments:
         for fixed in segment.fixed:
             yield fixed.column, None if fixed.special == "uint64" else fixed.cql_size
@@ -137,14 +139,14 @@ def columns_of(segments: tuple[Segment, ...]) -> Iterator[tuple[FieldColumn, int
 
 
 def element_of(column: FieldColumn) -> Fixed:
-    """Return how one element of a primitive array lies on the wire, and what would hold it."""
+    """Return the layout of one element of a primitive array, and the column that would hold it."""
     return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
 
 
 def _items(msg_type: str, specs: Specs, prefix: str, inside: bool) -> Iterator[Fixed | Tail]:
-    """Yield the fields of the message at path ``prefix`` ('' or 'a.b.') on the wire.
+    """Yield the fields of the message at path ``prefix`` ('' or 'a.b.') in wire order.
 
-    ``inside`` an element of an array, the arrays become blobs.
+    If ``inside`` (an element of an array of messages), arrays are stored as blobs.
     """
     for field in specs[msg_type].fields:
         name = prefix + field.name
@@ -169,7 +171,7 @@ def _array(name: str, field: Field, specs: Specs, inside: bool) -> Iterator[Fixe
     length, unit = field.length, fixed_size(field.type, specs)
     skip = compile_field_skip(field, specs)
     if length is not None and 0 in (length, unit):
-        return  # takes no bytes: no column either
+        return  # an array without bytes gets no column
     column = FieldColumn(name, "blob", "wire", field.full_type)
     if unit and field.is_primitive:
         column = replace(column, kind="array")

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Message objects of many serialised messages at once, field by field.
 
-What genpy's deserialize does for one message in bytecode is done here for a field of all messages
-by numpy, struct and map: the offsets of all messages move over their fields together, a run of
-fields of fixed size is cut out of all messages at once, and slots are filled one after the other,
-each in some hundred objects: all at once would be so many that Python's collector goes through them
-again and again, though they live no longer than genpy's. The objects are those that genpy would
-have made, to the types of their values.
+genpy's deserialize reads one message at a time. Here numpy, struct and map read one field of all
+messages at a time: the offsets of all messages move over the fields together, adjacent fields of
+fixed size are cut out of all messages at once, and then the attributes are set one after the
+other. Objects are made in batches of a few hundred: a larger batch would start Python's garbage
+collector again and again. The objects equal those of genpy, also in the types of their values.
 """
 
 from __future__ import annotations
@@ -51,17 +50,18 @@ from cassandra_ros.messages.wire.fields import (
 from cassandra_ros.messages.wire.skip import fixed_size
 
 MIN_TOGETHER = 24
-"""Fewer messages are quicker made one by one."""
+"""Minimum number of messages made together. Fewer are faster one by one."""
 MIN_LIVE = 4
-"""Arrays whose elements differ in size are walked together if so many go on, on the average."""
+"""Minimum average number of arrays, per element index, that are walked together if their elements
+differ in size."""
 MAX_OBJECTS = 500
-"""So many are made at once: below what starts Python's collector."""
+"""Maximum number of objects made in one batch, below the threshold of Python's collector."""
 _STAMPS: Dict[str, Tuple[Any, str]] = {
     "time": (genpy.Time, "uint32"),
     "duration": (genpy.Duration, "int32"),
 }
 _NUMBERS = frozenset(CODES) - frozenset(_STAMPS)
-"""Types of numbers: what else is no string becomes an object."""
+"""Types of numbers. All other types except string become objects."""
 
 
 class _Array:
@@ -71,7 +71,7 @@ class _Array:
         self._length, self._size, self._element = length, size, element
 
     def read(self, group: Group, out: Columns) -> Places:
-        """Append its column; return where it ends."""
+        """Append its column; return the offsets after it."""
         begins, counts = self._counts(group.wires, group.ats)
         most, total = int(counts.max()), int(counts.sum())
         group.checked(begins + counts * self._element.least)
@@ -93,7 +93,7 @@ class _Array:
         return group.checked(ends)
 
     def _counts(self, wires: Wires, ats: Places) -> Tuple[Places, Places]:
-        """Return where the elements begin, and how many they are."""
+        """Return the offsets of the first elements, and the numbers of elements."""
         if self._length is None:
             return ats + 4, wires.lengths(ats)
         return ats, np.full(len(ats), self._length)
@@ -101,7 +101,7 @@ class _Array:
     def _walk(
         self, wires: Wires, begins: Places, counts: Places, firsts: Places
     ) -> Tuple[Places, Places]:
-        """Return where each element begins, message by message, and where the arrays end."""
+        """Return the offset of each element, in order, and the offsets after the arrays."""
         if int(counts.sum()) < MIN_LIVE * int(counts.max()):
             raise Unfit
         ats, ends = np.empty(int(counts.sum()), np.int64), begins.copy()
@@ -114,13 +114,13 @@ class _Array:
         return ats, ends
 
     def skip(self, wires: Wires, ats: Places) -> Places:
-        """Return where it ends."""
+        """Return the offsets after it."""
         begins, counts = self._counts(wires, ats)
         if self._size is not None:
             return begins + counts * self._size
         if not counts.any():
             return begins
-        # Checked as well when it is read; here lest it be walked for ever.
+        # ``read`` checks this too; here the check keeps a malformed count from looping for ever.
         if (begins + counts * self._element.least > len(wires.data)).any():
             raise Unfit
         return self._walk(wires, begins, counts, np.cumsum(counts) - counts)[1]
@@ -130,19 +130,19 @@ _Step = Union[Run, Numbers, Text, _Array]
 
 
 class _Objects(NamedTuple):
-    """How objects are made of the columns of their fields."""
+    """How the objects of one class are made from the columns of their fields."""
 
     cls: Any
     slots: List[Tuple[Callable[[Any, Any], object], Union[int, _Objects]]]
-    """What sets a field, and the number of its column, or how the message in it is made."""
+    """For each field its setter, and the index of its column or how the message in it is made."""
 
     @property
     def size(self) -> int:
-        """How many objects it is, without those of its columns."""
+        """Number of objects made for one message, without those in its columns."""
         return 1 + sum(s.size for _, s in self.slots if not isinstance(s, int))
 
     def make(self, columns: Sequence[Column], count: int) -> List[Any]:
-        """Make the next ones."""
+        """Make the next ``count`` objects."""
         made = list(map(object.__new__, repeat(self.cls, count)))
         for put, source in self.slots:
             values = columns[source] if isinstance(source, int) else source.make(columns, count)
@@ -151,20 +151,20 @@ class _Objects(NamedTuple):
 
 
 class _Element:
-    """A message, time or string, with all that it holds.
+    """A message, time or string with all its fields.
 
     Attributes:
-        least: Bytes that it takes at least.
+        least: Minimum size on the wire, bytes.
     """
 
     def __init__(self, steps: List[_Step], objects: Optional[_Objects], least: int) -> None:
         self._steps, self._objects, self.least = steps, objects, least
 
     def make(self, group: Group) -> Tuple[Iterator[Any], Places, float]:
-        """Read objects, or texts: they are made as they are taken.
+        """Read objects or texts, which are made when the iterator is advanced.
 
         Returns:
-            They, where they end, and how many objects each is on the average.
+            Iterator over them, the offsets after them, and the average number of objects in each.
         """
         columns, ats = Columns(), group.ats
         for step in self._steps:
@@ -176,7 +176,7 @@ class _Element:
         return chain.from_iterable(made), ats, weight
 
     def skip(self, wires: Wires, ats: Places) -> Places:
-        """Return where they end."""
+        """Return the offsets after them."""
         for step in self._steps:
             ats = step.skip(wires, ats)
         return ats
@@ -190,13 +190,13 @@ def _by_and_by(
 
 
 class _Compiler:
-    """Turns a checked definition into steps; Unfit: its classes are not as genpy makes them."""
+    """Compiles a checked definition to steps. Unfit: the classes are not as genpy makes them."""
 
     def __init__(self, cls: Any, definition: Definition) -> None:
         self._cls, self._root = cls, definition.type
         self._specs: Specs = definition.specs
         if object_counts(self._root, self._specs) is not None:
-            raise Unfit  # messages without bytes in others
+            raise Unfit  # it contains messages without bytes
 
     def element(self, type_: str) -> _Element:
         """Compile a message type, 'time', 'duration' or 'string'."""
@@ -208,7 +208,7 @@ class _Compiler:
         return _Element(steps, objects, max(1, _least(type_, self._specs)))
 
     def _objects(self, type_: str, steps: List[_Step], columns: List[int]) -> _Objects:
-        """Add the steps that read a message; columns: how many there are so far."""
+        """Append the steps that read a message. ``columns`` holds the number of columns so far."""
         cls, fields = self._class(type_)
         slots: List[Tuple[Callable[[Any, Any], object], Union[int, _Objects]]] = []
         for field in fields:
@@ -237,7 +237,7 @@ class _Compiler:
             last.add(field.type, field.length if field.is_array else None)
 
     def _class(self, type_: str) -> Tuple[Any, Sequence[Field]]:
-        """Return the class of a type and its fields."""
+        """Return the class and the fields of a type."""
         if type_ in _STAMPS:
             cls, half = _STAMPS[type_]
             fields: Sequence[Field] = [Field("secs", half), Field("nsecs", half)]
@@ -256,7 +256,7 @@ class _Compiler:
         return cls, fields
 
     def _found(self, type_: str) -> Any:
-        """Return the class that genpy's code makes objects of, where it names a type."""
+        """Return the class of which genpy's generated code makes the objects of a nested type."""
         if type_ == self._root:
             return self._cls
         package, _, name = type_.partition("/")
@@ -273,7 +273,7 @@ def _fixed(type_: str, specs: Specs) -> Optional[int]:
 
 
 def _least(type_: str, specs: Specs) -> int:
-    """Return the bytes that a message takes at least."""
+    """Return the minimum size of a message on the wire, bytes."""
     if type_ in PRIMITIVE_SIZES:
         return PRIMITIVE_SIZES[type_]
     return sum(
@@ -285,14 +285,14 @@ def _least(type_: str, specs: Specs) -> int:
 
 
 class ObjectMaker:
-    """Makes the objects of one class out of serialised messages.
+    """Makes the objects of one class from serialised messages.
 
     Args:
-        cls: A class of messages.
-        definition: What it says of itself.
+        cls: Message class.
+        definition: Definition of the class.
 
     Raises:
-        Unfit: Something is not as genpy makes it, or one object could hold too many others.
+        Unfit: The class is not as genpy makes it, or a few bytes could mean very many objects.
     """
 
     def __init__(self, cls: Any, definition: Definition) -> None:
@@ -305,21 +305,22 @@ class ObjectMaker:
         ]
 
     def make(self, data: bytes, starts: Places, sizes: Places) -> Iterator[Any]:
-        """Make the objects of messages that lie anywhere in a buffer, at least one.
+        """Make the objects of at least one message, at any offsets in a buffer.
 
         Raises:
-            Unfit: They are too different, or one of them is none; at once.
+            Unfit: The messages differ too much, or one is malformed. Raised before the first
+                object.
         """
         group = Group(Wires(data), starts, starts + sizes, 1)
         try:
             made, *_ = self._whole.make(group)
-        except (IndexError, ValueError, struct.error) as exc:  # a length points out of the buffer
+        except (IndexError, ValueError, struct.error) as exc:  # a length exceeds the buffer
             raise Unfit from exc
         codecs.lookup_error("rosmsg").msg_type = self._cls._type  # type: ignore[attr-defined]
         return map(self._canonical, made) if self._stamps else made
 
     def _canonical(self, message: Any) -> Any:
-        # genpy makes the times of the message itself canonical, not those in its messages.
+        # genpy makes the times in the message itself canonical, but not those in nested messages.
         for name in self._stamps:
             stamp = getattr(message, name)
             if not 0 <= stamp.nsecs < SECOND_NS:

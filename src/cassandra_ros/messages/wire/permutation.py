@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The columns of many messages of one layout at once: a permutation of their bytes.
+"""Conversion of many messages of one layout to columns at once, as a permutation of their bytes.
 
-Where the lengths of all strings and arrays are the same, each byte of a row is a byte of the
-message or a constant; only times are computed. What ``walk`` does field by field one ``take`` of
-numpy then does for all messages of a batch, and its inverse gives the messages of a page.
+If all strings and arrays have the same lengths, each byte of a row is a byte of the message or a
+constant; only times are computed. One numpy ``take`` then does for a batch of messages what
+``walk`` does field by field, and the inverse gives the messages of a page of rows.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail
 from cassandra_ros.messages.wire.stacked import Bytes, Places
 
 MAX_PIECES = 4096
-"""Values in the columns of a message that is permuted: each element of a list is one."""
+"""Maximum number of values in the columns of a permuted message; a list element is one value."""
 _BYTE_VALUES = np.arange(256, dtype=np.uint8)
 _length = struct.Struct("<I").unpack_from
 _pack_size = struct.Struct(">i").pack
 
 
 class _Stamp(NamedTuple):
-    """A time or duration."""
+    """A time or duration field."""
 
     at: int
-    """In the message."""
+    """Offset in the message, bytes."""
     to: int
-    """In the row."""
+    """Offset in the row, bytes."""
     code: str
 
 
@@ -41,9 +41,9 @@ class _Value(NamedTuple):
 
     size: int
     runs: Tuple[Tuple[int, int], ...]
-    """Where its bytes lie in the message, and how many; -1 - value for a constant."""
+    """Offset and number of its bytes in the message, run by run; offset -1 - byte is a constant."""
     stamp: Optional[Tuple[int, str]] = None
-    """Where a time lies, and the code of its halves; it is computed."""
+    """Offset of a time in the message and numpy code of its halves; the value is computed."""
 
 
 class Unfit(ValueError):
@@ -51,16 +51,17 @@ class Unfit(ValueError):
 
 
 class Permutation:
-    """Turns messages of the layout of one of them into rows: each column's size, then its bytes.
+    """Converts messages with the layout of a given one to rows: each column after its size.
 
     Attributes:
-        wire_size, row_size: Bytes of a message, and of its row.
+        wire_size: Size of a message, bytes.
+        row_size: Size of its row, bytes.
     """
 
     def __init__(self, segments: Sequence[Segment], wire: bytes) -> None:
         self._wire, self.wire_size = wire, len(wire)
         self._runs: List[Tuple[int, int]] = []
-        """Of the bytes of a row: from where to where in the message and the constants behind it."""
+        """Ranges of source bytes of a row, in the message followed by the 256 byte constants."""
         self._size = self._pieces = 0
         self._stamps: List[_Stamp] = []
         self._bools: List[int] = []
@@ -80,10 +81,8 @@ class Permutation:
         self._invert()
         del self._wire, self._runs, self._bools, self._texts, self._size
 
-    # ---------------------------------------------------------------- messages and rows
-
     def rows(self, wires: Bytes) -> Tuple[Bytes, NDArray[np.bool_]]:
-        """Return the rows of messages, (messages, bytes), and which of them are exact."""
+        """Return the rows of messages, (messages, bytes), and which rows are exact."""
         count, size = wires.shape
         good = np.ones(count, np.bool_)
         if len(self._bool_at):
@@ -103,7 +102,7 @@ class Permutation:
         return rows, good
 
     def _invert(self) -> None:
-        """Find where in a row each byte of the message lies, and what else the row must hold."""
+        """Compute the offset in a row of each byte of the message, and the constants of rows."""
         size = self.wire_size
         constant = self._from >= size
         for stamp in self._stamps:
@@ -113,14 +112,14 @@ class Permutation:
         held = self._from < size
         self._back = np.zeros(size, np.int64)
         self._back[self._from[held]] = np.flatnonzero(held)
-        lost = np.ones(size, np.bool_)  # lengths of strings and arrays
+        lost = np.ones(size, np.bool_)  # bytes of length prefixes
         lost[self._from[held]] = False
         lost[self._time_at.ravel()] = False
         self._lost = np.flatnonzero(lost)
         self._lengths = np.frombuffer(self._wire, np.uint8)[self._lost]
 
     def wires(self, rows: Bytes) -> Tuple[Bytes, NDArray[np.bool_]]:
-        """Return the messages of rows, (rows, bytes), and which rows are such of this layout."""
+        """Return the messages of rows, (rows, bytes), and which rows have this layout."""
         good: NDArray[np.bool_] = rows.take(self._constant_at, axis=1) == self._constants
         good = good.all(axis=1)
         wires = rows.take(self._back, axis=1)
@@ -133,10 +132,11 @@ class Permutation:
             wires[:, at : at + 8] = parts.view(np.uint8)
         return wires, good
 
-    # ---------------------------------------------------------------- layout
-
     def _segment(self, segment: Segment, at: int, out: Optional[List[_Value]]) -> int:
-        """Note the columns of a segment, or list their values; return where it ends."""
+        """Add the columns of a segment, or append its values to ``out``.
+
+        Return the offset after it.
+        """
         for fixed in segment.fixed:
             value = self._fixed(fixed, at)
             at += struct.calcsize("<" + fixed.little)
@@ -151,7 +151,7 @@ class Permutation:
     def _fixed(self, fixed: Fixed, at: int) -> _Value:
         size = struct.calcsize("<" + fixed.little)
         if fixed.special == "uint64":
-            raise Unfit  # as many bytes as its value needs
+            raise Unfit  # a varint has no fixed size
         if fixed.special in ("time", "duration"):
             code = "<u4" if fixed.special == "time" else "<i4"
             return _Value(8, (), stamp=(at, code))
@@ -213,8 +213,6 @@ class Permutation:
             self._list([values[n] for values in elements])
         return at
 
-    # ---------------------------------------------------------------- rows
-
     def _list(self, values: Sequence[_Value]) -> None:
         size = 4 + sum(4 + value.size for value in values)
         self._constant(_pack_size(size) + _pack_size(len(values)))
@@ -228,7 +226,7 @@ class Permutation:
         self._constant(_pack_size(value.size))
         if value.stamp is not None:
             self._stamps.append(_Stamp(value.stamp[0], self._size, value.stamp[1]))
-            self._constant(bytes(8))  # it is computed
+            self._constant(bytes(8))  # the time is computed
         for first, length in value.runs:
             self._add(first, length)
 

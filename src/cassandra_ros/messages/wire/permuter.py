@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Many messages of one type to the columns of their rows, and back: not one by one."""
+"""Conversion of many messages of one type to the columns of their rows and back, in batches."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ from cassandra_ros.messages.wire.stacked import Places, Stack, by_size, stacker,
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MIN_ROWS = 8
-"""Of fewer messages of a layout each is quicker walked by itself, ..."""
+"""Minimum number of messages of one layout that are permuted. Fewer are faster one by one."""
 MAX_BYTES = 2048
-"""... and larger ones: most of those is an array, which is copied as quickly."""
+"""Maximum size of a permuted message, bytes. A larger one is mostly an array, which is copied."""
 MAX_KEPT = 64
-"""Permutations of a type that are kept."""
+"""Maximum number of permutations cached for one type."""
 MAX_LAYOUTS = 8
-"""So many layouts are looked for among rows of one size."""
+"""Maximum number of layouts tried for rows of one size."""
 
 
 class Permuter:
-    """Turns messages of one type into columns and back, those that share their layout with others.
+    """Converts messages of one type to columns and back, those of one layout at once.
 
-    Where only texts and arrays of numbers vary they need not.
+    Messages of different layouts are converted at once too, if only texts and arrays of numbers
+    vary.
     """
 
     def __init__(self, definition: Definition) -> None:
@@ -44,12 +45,12 @@ class Permuter:
             self._pieces = None
         self._kept: Dict[Tuple[int, bytes], Optional[Permutation]] = {}
         self._rows: Dict[Tuple[int, int], List[Permutation]] = {}
-        """Those of rows and messages of some sizes."""
+        """Permutations by row size and message size, bytes."""
 
     def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
-        """Return of each message its columns, each one's size before it; None: it is to be walked.
+        """Return for each message its columns, each after its size; None: convert it by ``walk``.
 
-        So are all that walk does not find to be exact.
+        None is also returned for messages whose columns are inexact.
         """
         found: List[Optional[bytes]] = [None] * len(wires)
         if len(wires) < MIN_ROWS:
@@ -72,7 +73,7 @@ class Permuter:
 
     def _permutation(self, stack: Stack) -> Optional[Permutation]:
         key = len(stack.planes), stack.layout.lengths.tobytes()
-        kept = self._kept  # other threads may begin a new one meanwhile
+        kept = self._kept  # another thread may replace the cache meanwhile
         if key in kept:
             return kept[key]
         made = self._made(stack.planes[:, 0].tobytes())
@@ -90,14 +91,16 @@ class Permuter:
     def wires(
         self, data: bytes, starts: Places, ends: Places, sizes: Places
     ) -> List[Optional[bytes]]:
-        """Return the messages of rows: of their columns, each one's size before it.
+        """Return the messages of rows; a row is its columns, each after its size.
 
         Args:
-            data: Where the rows lie, each from one of the starts to one of the ends.
-            sizes: Of the messages.
+            data: Buffer with the rows.
+            starts: Offset of each row.
+            ends: Offset after each row.
+            sizes: Size of each message, bytes.
 
         Returns:
-            None for each that is to be built by itself: it may be one or none.
+            The messages; None for each that must be built alone, and whose row may be malformed.
         """
         found: List[Optional[bytes]] = [None] * len(starts)
         if len(starts) < MIN_ROWS:
@@ -109,7 +112,7 @@ class Permuter:
         changes = np.diff(lengths[order]).astype(bool) | np.diff(sizes[order]).astype(bool)
         for members in np.split(order, np.flatnonzero(changes) + 1):
             length = int(lengths[members[0]])
-            # What is left of an expired row ends before its columns would begin.
+            # The rest of an expired row ends before its columns.
             if len(members) >= MIN_ROWS and length > 0 and sizes[members[0]] <= MAX_BYTES:
                 self._built(data, starts, length, sizes, members, found)
         return found
@@ -123,7 +126,7 @@ class Permuter:
         members: Places,
         found: List[Optional[bytes]],
     ) -> None:
-        """Find the messages of rows that are equally long."""
+        """Set the messages of rows of equal size."""
         key = length, int(sizes[members[0]])
         known = self._rows.get(key, [])
         rows = windows(np.frombuffer(data, np.uint8), length)[starts[members]]
@@ -142,7 +145,7 @@ class Permuter:
                 return
 
     def _learn(self, key: Tuple[int, int], row: bytes) -> Optional[Permutation]:
-        """Return the permutation of the layout of a row; None: it has none."""
+        """Return the permutation for the layout of a row; None if there is no permutation."""
         try:
             made = self._made(self._plan.build(_columns(row)))
         except (CorruptMessage, struct.error):
@@ -151,14 +154,14 @@ class Permuter:
         return made if fits else None
 
     def _keep(self, key: Tuple[int, int], known: List[Permutation]) -> None:
-        kept = self._rows  # other threads may begin a new one meanwhile
+        kept = self._rows  # another thread may replace the cache meanwhile
         if key not in kept and len(kept) >= MAX_KEPT:
             kept = self._rows = {}
         kept[key] = known
 
 
 def _columns(row: bytes) -> List[Optional[bytes]]:
-    """Cut a row into its columns; raises struct.error."""
+    """Split a row into its columns; raises struct.error."""
     found: List[Optional[bytes]] = []
     at = 0
     while at < len(row):

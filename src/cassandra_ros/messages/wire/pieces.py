@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages of any sizes to rows and back at once, where only texts and arrays of numbers vary.
+"""Conversion of messages of any size to rows and back, if only texts and arrays of numbers vary.
 
-Such a message is a few pieces of fixed size, each before something of any length that lies in the
-row as in the message. The pieces of all messages are permuted together, the rest is copied.
+Such a message consists of a few segments: bytes of fixed size, then a text or array with the same
+bytes in message and row. The fixed bytes of all messages are permuted together, the rest is copied.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ _Good = NDArray[np.bool_]
 
 
 class _Piece(NamedTuple):
-    """What has a fixed size, and what lies behind it."""
+    """One segment: its fixed bytes, and the variable field after them."""
 
     permutation: Optional[Permutation]
-    """None: there is nothing of a fixed size."""
+    """Permutation of the fixed bytes; None if there are no fixed bytes."""
     unit: int
-    """Bytes of an element of what lies behind it; 0 = nothing does."""
+    """Size of an element of the variable field, bytes; 0 = no variable field."""
     is_text: bool
 
     def turn(self, data: Bytes, ats: Places, back: bool) -> Tuple[Bytes, _Good, int]:
-        """Permute what begins at some places; return also how many bytes each of them takes."""
+        """Permute the fixed bytes at some offsets; return also the number of bytes read at each."""
         if self.permutation is None:
             return np.zeros((len(ats), 0), np.uint8), np.ones(len(ats), np.bool_), 0
         size = self.permutation.row_size if back else self.permutation.wire_size
@@ -39,17 +39,17 @@ class _Piece(NamedTuple):
         return (*(self.permutation.wires if back else self.permutation.rows)(found), size)
 
     def size(self, back: bool) -> int:
-        """Return how many bytes it takes up to what varies."""
+        """Return the number of bytes before the variable data, length prefix included."""
         fixed = self.permutation
         own = 0 if fixed is None else fixed.row_size if back else fixed.wire_size
         return own + (4 if self.unit else 0)
 
 
 class Pieces:
-    """Turns messages of one type into rows, and rows into messages.
+    """Converts messages of one type to rows, and rows to messages.
 
     Raises:
-        Unfit: Of the type other things vary, too.
+        Unfit: Fields other than texts and arrays of numbers vary in size.
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
@@ -65,13 +65,16 @@ class Pieces:
             raise Unfit
 
     def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
-        """Return of each message its columns, each behind its size; None: it is to be walked."""
+        """Return for each message its columns, each after its size.
+
+        None: convert it by ``walk``.
+        """
         sizes = np.fromiter(map(len, wires), np.int64, len(wires))
         ends = np.cumsum(sizes)
         return self._turned(b"".join(wires), ends - sizes, ends, back=False)
 
     def wires(self, data: bytes, starts: Places, ends: Places) -> List[Optional[bytes]]:
-        """Return the messages of rows, each from one place to another; None: that is none."""
+        """Return the messages of rows from ``starts`` to ``ends``; None for a malformed row."""
         return self._turned(data, starts, ends, back=True)
 
     def _turned(
@@ -83,7 +86,7 @@ class Pieces:
             good &= ats + piece.size(back) <= ends
             if not good.any():
                 return [None] * len(starts)
-            # What is no message is not looked at any more, but keeps its place.
+            # A malformed message is not read further, but keeps its index.
             ats = np.where(good, ats, ats[good][0])
             turned, fine, size = piece.turn(every, ats, back)
             good &= fine
@@ -107,9 +110,9 @@ class Pieces:
 
 
 def _lengths(data: Bytes, ats: Places, unit: int, back: bool) -> Tuple[Bytes, Places, _Good]:
-    """Read how many bytes lie behind some places, and turn what says so.
+    """Read the length prefixes at some offsets; return them converted, and the sizes in bytes.
 
-    On the wire that is a number of elements, in a row one of bytes.
+    On the wire a length prefix counts elements, in a row bytes.
     """
     found = np.ascontiguousarray(windows(data, 4)[ats])
     if back:
@@ -124,6 +127,6 @@ def _lengths(data: Bytes, ats: Places, unit: int, back: bool) -> Tuple[Bytes, Pl
 
 
 def split_rows(rows: Bytes) -> List[bytes]:
-    """Return the bytes of each row."""
+    """Return the bytes of each row as a list."""
     size, data = rows.shape[1], rows.tobytes()
     return [data[at : at + size] for at in range(0, len(data), size)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a message or field ends on the wire, and how many objects genpy would make of it."""
+"""End offsets of messages and fields on the wire, and the number of objects genpy would make."""
 
 from __future__ import annotations
 
@@ -11,31 +11,33 @@ from cassandra_ros.messages.shape import object_counts
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES, Field, Specs
 
 Skip = Callable[[bytes, int], int]
-"""(wire bytes, offset of a field) -> offset behind it; raises struct.error where they end."""
+"""(wire bytes, offset of a field) -> offset after it; raises struct.error if the bytes end
+early."""
 
 MAX_SURPLUS = 1 << 20
-"""Objects that a message may have beyond one for each byte."""
+"""Maximum number of objects in a message in addition to one object per byte."""
 
 _length = struct.Struct("<I").unpack_from
 
 
 class _Counted(NamedTuple):
-    """A string, or an array of elements that have one size."""
+    """A string, or an array of elements of fixed size."""
 
     unit: int
-    """Bytes of each element that is counted."""
+    """Size of each counted element, bytes."""
 
     def end(self, wire: bytes, at: int) -> int:
-        """Find where it ends."""
+        """Return the offset after it."""
         return at + 4 + self.unit * int(_length(wire, at)[0])
 
 
 _Parts = List[Union[int, _Counted, Skip]]
-"""Numbers of bytes, and functions that find an end (and may find one behind that of the bytes)."""
+"""Sizes in bytes, and functions that find an end offset. These may return an offset after the end
+of the buffer."""
 
 
 def short_buffer() -> struct.error:
-    """Return the error to raise where a buffer ends too early."""
+    """Return the error to raise if a buffer ends too early."""
     return struct.error("the buffer ends before the message does")
 
 
@@ -45,20 +47,20 @@ def compile_skip(msg_type: str, specs: Specs) -> Skip:
 
 
 def compile_field_skip(field: Field, specs: Specs) -> Skip:
-    """Return the function that finds the end of one field, count of an array included."""
+    """Return the function that finds the end of one field, length prefix included."""
     return _chain(_parts([field], specs))
 
 
 def fixed_size(type_: str, specs: Specs) -> int | None:
-    """Return the bytes that everything of a type takes, None when they vary."""
+    """Return the size in bytes of every value of a type, None if it varies."""
     return _size(_parts([Field("", type_)], specs))
 
 
 def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], object] | None:
-    """Return the check that a message would not become too many objects; it raises struct.error.
+    """Return the check that a message does not mean too many objects; it raises struct.error.
 
-    An array of empty messages takes four bytes, whatever it counts; genpy makes an object of each.
-    None: the type has no such array, and the size of a message bounds its objects.
+    An array of empty messages takes four bytes whatever its count, but genpy makes an object for
+    each element. None: the type has no such array, so that its size limits the number of objects.
     """
     objects = object_counts(msg_type, specs)
     if objects is None:
@@ -68,7 +70,7 @@ def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], objec
         left = len(wire) + MAX_SURPLUS
 
         def message(name: str, at: int) -> int:
-            """Count the objects in the arrays of a message; return where it ends."""
+            """Count the objects in the arrays of a message; return the offset after the message."""
             nonlocal left
             for field in specs[name].fields:
                 if field.is_primitive:
@@ -142,7 +144,7 @@ def _chain(parts: _Parts) -> Skip:
 
 
 def _plain_chain(parts: _Parts) -> Skip:
-    """Skip bytes and what is counted: most messages are no more, and are skipped in one loop."""
+    """Return the skip function of the usual case, only fixed sizes and counted fields: one loop."""
     pairs, before = [], 0
     for part in parts:
         if isinstance(part, int):
@@ -171,7 +173,8 @@ def _skip_of(part: int | _Counted | Skip) -> Skip:
 
 
 def _skip_elements(element: _Parts, length: int | None) -> Skip:
-    # One part reads a count, which fails behind the end by itself; more of them are checked there.
+    # A single element function reads a count, which fails after the end of the bytes by itself. A
+    # chain checks for the end.
     first = element[0]
     step = _chain(element) if len(element) > 1 or isinstance(first, int) else _skip_of(first)
 

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fields of many messages at once, as numpy arrays out of their bytes.
+"""Fields of many messages at once, as numpy arrays over the bytes of the messages.
 
-Messages of equal size mostly have their fields at the same places: one of them is walked, and the
-others have its layout if the lengths of their strings and arrays are the same. Messages that
-share a layout with few are left to whoever walks them one by one.
+Messages of equal size mostly have one layout: the fields lie at the same offsets. One of them is
+walked, and the others have its layout if the lengths of all their strings and arrays are the same.
+The caller walks messages of rare layouts one by one.
 """
 
 from __future__ import annotations
@@ -22,64 +22,65 @@ from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, Specs
 from cassandra_ros.messages.wire.skip import fixed_size, short_buffer
 
 Bytes = NDArray[np.uint8]
-"""Of messages as planes: row k holds byte k of every message."""
+"""Bytes of messages. As planes: row k holds byte k of every message."""
 Places = NDArray[np.int64]
 Numbers = NDArray[Any]
 
 MIN_STACKED = 8
-"""Fewer messages of a layout are quicker walked one by one ..."""
+"""Minimum number of messages of one layout. Fewer are faster walked one by one, unless large."""
 LARGE_BYTES = 4096
-"""... unless they are so large."""
+"""Size from which a message is large, bytes: a single large message is treated as a stack too."""
 MAX_PARTS = 8
-"""So many layouts are looked for among messages of one size."""
+"""Maximum number of layouts tried for messages of one size."""
 MAX_SIZES = 128
-"""Sizes of messages whose layouts are kept ..."""
+"""Maximum number of message sizes whose layouts are cached for one type."""
 MAX_LAYOUTS = 4
-"""... and layouts of each."""
+"""Maximum number of layouts cached for one message size."""
 LENGTHS_EACH = 16
-"""So many lengths of strings and arrays, for each message that may share them, are looked at."""
+"""Maximum number of lengths of strings and arrays in a layout, for each message that may share
+it."""
 MAX_STRIDED = 64
-"""Places of a field that are read one by one."""
+"""Maximum number of offsets of a field that are read one by one."""
 MAX_KEPT = 4096
-"""Bytes of lengths and elements in a layout that is kept."""
+"""Maximum number of length bytes and element offsets in a cached layout."""
 DTYPES = {
     name: np.dtype("u1" if name == "bool" else "<" + code.replace("?", "B"))
     for name, code in CODES.items()
 }
-"""As a primitive type lies on the wire; a time or duration as one integer."""
+"""numpy type of each primitive type on the wire; a time or duration is one integer."""
 _PARTS = {"time": np.dtype("<u4"), "duration": np.dtype("<i4")}
 _NOWHERE: Places = np.zeros(0, np.int64)
 _length = struct.Struct("<I").unpack_from
 
 
 class Texts(NamedTuple):
-    """Where a string lies: its bytes, behind their number."""
+    """Offset and size of the bytes of a string, in bytes, after the length prefix."""
 
     at: int
     size: int
 
 
 class Elements(NamedTuple):
-    """Where an array of primitives lies, in each of the messages that have it."""
+    """Offsets of an array of primitives, one in each message that contains it, and its length."""
 
     ats: Places
     length: int
 
 
 class Layout:
-    """Where in a message its fields lie, by their dotted path.
+    """Offsets of all fields in a message, by dotted path.
 
-    Inside of an array of messages a field lies at several places, in the order of the wire.
+    A field inside an array of messages has several offsets, in wire order.
 
     Args:
-        most: So many lengths it may have; struct.error: it has more, or the bytes are no message.
+        most: Maximum number of lengths. struct.error: there are more, or the bytes are malformed.
 
     Attributes:
-        texts: Of strings.
-        arrays: Of arrays of numbers.
-        end: Bytes that the message takes.
-        prefixes: Where the bytes of lengths lie.
-        lengths: What stands there.
+        texts: Strings, by path.
+        arrays: Arrays of numbers, by path.
+        end: Size of the message, bytes.
+        prefixes: Offsets of the bytes of all length prefixes.
+        lengths: Bytes at these offsets.
     """
 
     def __init__(self, definition: Definition, wire: bytes, most: int) -> None:
@@ -104,16 +105,19 @@ class Layout:
         del self._wire, self._found, self._counted
 
     def numbers(self, path: str) -> Places:
-        """Return where a number, bool or time lies; nowhere in an array without elements."""
+        """Return the offsets of a number, bool or time; empty if its array of messages is empty."""
         return self._numbers.get(path, _NOWHERE)
 
     def fits(self, planes: Bytes) -> NDArray[np.bool_]:
-        """Say of each message whether it has this layout; all are of the same size."""
+        """Return for each message whether it has this layout; all must have the same size."""
         same: NDArray[np.bool_] = (planes[self.prefixes] == self.lengths[:, None]).all(axis=0)
         return same
 
     def _message(self, msg_type: str, prefix: str, at: int) -> int:
-        """Note where the fields of a message lie; return where it ends. Raises struct.error."""
+        """Record the offsets of a message's fields; return the offset after it.
+
+        Raises struct.error.
+        """
         for field in self._specs[msg_type].fields:
             path = prefix + field.name
             if field.type == "string":
@@ -166,7 +170,7 @@ class Layout:
         return end
 
     def _fixed(self, msg_type: str, prefix: str, ats: Places) -> None:
-        """Note where the fields of messages of a type of fixed size lie, all at once."""
+        """Record the offsets of the fields of all elements of an array of fixed-size messages."""
         for field in self._specs[msg_type].fields:
             path, size = prefix + field.name, _size_of(field.type, self._specs) or 0
             count = 1 if field.length is None else field.length
@@ -181,13 +185,13 @@ class Layout:
 
 
 class Head:
-    """Where the numbers lie that all messages of a type have at the same places.
+    """Offsets of the numbers that are the same in all messages of a type.
 
-    Those are the ones before the first string, or array of any length.
+    These are the numbers before the first string or variable array.
 
     Attributes:
-        size: Bytes before it.
-        texts, arrays, lengths: Nothing, as of a Layout that has none.
+        size: Number of bytes before that string or array.
+        texts, arrays, lengths: Empty; they make a Head usable like a Layout.
     """
 
     def __init__(self, definition: Definition) -> None:
@@ -202,11 +206,14 @@ class Head:
         return path in self._ats
 
     def numbers(self, path: str) -> Places:
-        """Return where a number, bool or time lies."""
+        """Return the offset of a number, bool or time."""
         return self._ats[path]
 
     def _message(self, msg_type: str, prefix: str, at: int) -> Tuple[int, bool]:
-        """Note where the fields of a message lie; return where they end, and if that is its end."""
+        """Record the offsets of a message's fields.
+
+        Return the offset after, and whether all are fixed.
+        """
         for field in self._specs[msg_type].fields:
             path, size = prefix + field.name, _size_of(field.type, self._specs)
             if field.is_array:
@@ -231,15 +238,15 @@ def _size_of(type_: str, specs: Specs) -> Optional[int]:
 
 
 class Stack(NamedTuple):
-    """Messages of one layout, or what all of a type begin with."""
+    """Messages of one layout, or the heads of messages of one type."""
 
     layout: Union[Layout, Head]
     members: Places
-    """Which they are."""
+    """Indices of the messages, as the caller numbers them."""
     planes: Bytes
 
     def numbers(self, path: str, base: str, chosen: slice = slice(None)) -> Numbers:
-        """Return a field of a primitive type: (places, messages); times as ns, a bool as 0 or 1."""
+        """Return a primitive field: (offsets, messages). Times are in ns, a bool is 0 or 1."""
         return read_numbers(self.planes, self.layout.numbers(path)[chosen], base)
 
     def array(self, path: str, base: str) -> Numbers:
@@ -252,13 +259,13 @@ class Stack(NamedTuple):
         return read_numbers(self.planes, np.concatenate([_NOWHERE, *parts]), base)
 
     def element(self, path: str, index: int, base: str) -> Numbers:
-        """Return one element of an array of numbers that lies at one place; as numbers."""
+        """Return one element of an array of numbers that occurs once in a message."""
         found = self.layout.arrays.get(path, [])
         ats = [e.ats + index * PRIMITIVE_SIZES[base] for e in found if index < e.length]
         return read_numbers(self.planes, ats[0] if ats else _NOWHERE, base)
 
     def texts(self, path: str) -> List[bytes]:
-        """Return the different values of a string, or of all strings of an array."""
+        """Return the distinct values of a string, or of all strings of an array."""
         found: Dict[bytes, None] = {}
         for at, size in dict.fromkeys(self.layout.texts.get(path, [])):
             rows = self.planes[at : at + size]
@@ -274,7 +281,7 @@ class Stacker:
     """Finds the layouts of messages of one type.
 
     Attributes:
-        head: What all of them begin with, whatever their size.
+        head: Offsets that all messages of the type share, whatever their size.
     """
 
     def __init__(self, definition: Definition) -> None:
@@ -283,15 +290,15 @@ class Stacker:
         self._kept: Dict[int, Tuple[Layout, ...]] = {}
 
     def stacks(self, planes: Bytes, members: Places) -> Tuple[List[Stack], Places]:
-        """Divide messages of equal size by their layout.
+        """Group messages of equal size by their layout.
 
         Args:
             planes: (size, messages).
-            members: By what each is known.
+            members: Index of each message.
 
         Returns:
-            Those that share one, and the members left over, which are to be walked one by one:
-            also what is no message.
+            The stacks, and the indices of the remaining messages, which must be walked one by one
+            and may be malformed.
         """
         size, count = planes.shape
         least = 1 if size >= LARGE_BYTES else MIN_STACKED
@@ -315,10 +322,10 @@ class Stacker:
         return found, _joined([*rest, members[left]])
 
     def heads(self, groups: Iterable[Tuple[Bytes, Places]]) -> Stack:
-        """Return what messages of any size begin with; those that are shorter are left out.
+        """Return the heads of messages of any size as one stack; shorter messages are left out.
 
         Args:
-            groups: Planes and members of the messages of each size.
+            groups: Planes and indices of the messages of each size.
         """
         size = self.head.size
         long = [(planes[:size], members) for planes, members in groups if len(planes) >= size]
@@ -328,14 +335,17 @@ class Stacker:
         return Stack(self.head, np.concatenate([members for _, members in long]), planes)
 
     def heads_of(self, wires: Sequence[bytes]) -> Stack:
-        """Return what messages begin with; those that are shorter are left out."""
+        """Return the heads of serialised messages as one stack; shorter ones are left out."""
         size = self.head.size
         members = np.flatnonzero(np.fromiter(map(len, wires), np.int64, len(wires)) >= size)
         joined = np.frombuffer(b"".join([w[:size] for w in wires if len(w) >= size]), np.uint8)
         return Stack(self.head, members, joined.reshape(len(members), size).T)
 
     def _layout(self, wire: Bytes, most: int) -> Optional[Layout]:
-        """Return the layout of a message; None: it is none, or has more than so many lengths."""
+        """Return the layout of a message.
+
+        None: it is malformed, or has more than ``most`` lengths.
+        """
         kept = self._kept.get(len(wire), ())
         for layout in kept:
             if layout.fits(wire[:, None])[0]:
@@ -356,19 +366,19 @@ stacker = lru_cache(maxsize=512)(Stacker)
 
 
 def as_planes(wires: Sequence[bytes]) -> Bytes:
-    """Return messages of equal size as planes; no bytes but those of the whole are copied."""
+    """Return messages of equal size as planes; the bytes are joined once, not copied further."""
     joined = np.frombuffer(b"".join(wires), np.uint8)
     return joined.reshape(len(wires), len(joined) // len(wires)).T
 
 
 def windows(data: Bytes, size: int) -> Bytes:
-    """Return the views of so many bytes that begin at each byte; (places, size)."""
+    """Return a view of ``size`` bytes from each offset on: (offsets, size)."""
     shape = max(0, len(data) - size + 1), size
     return np.lib.stride_tricks.as_strided(data, shape, (1, 1), writeable=False)
 
 
 def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
-    """Divide messages by their size: which they are, and their planes."""
+    """Yield the indices and the planes of the messages of each size."""
     if len(set(map(len, wires))) == 1:
         yield np.arange(len(wires)), as_planes(wires)
         return
@@ -380,10 +390,13 @@ def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
 
 
 def read_numbers(planes: Bytes, ats: Places, base: str) -> Numbers:
-    """Return what lies at some places of all messages: (places, messages); see Stack.numbers."""
+    """Return the numbers at some offsets of all messages: (offsets, messages).
+
+    See Stack.numbers.
+    """
     unit, messages = PRIMITIVE_SIZES[base], planes.shape[1]
     if len(ats) <= MAX_STRIDED and planes.T.flags.c_contiguous:
-        # The messages stand one behind the other: each number is looked at where it lies.
+        # The messages are adjacent in memory: each number is read in place.
         found = np.empty((len(ats), messages), f"<u{unit}")
         for row, at in zip(found, ats.tolist()):
             row[:] = np.ndarray((messages,), row.dtype, planes.T, at, (len(planes),))

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From wire bytes to columns: closures over structs, compiled once per definition.
+"""Conversion of wire bytes to columns, by closures over structs, compiled once per definition.
 
 A segment becomes a head (one little-endian unpack, one big-endian pack, one split into columns;
-returns the length of the tail), the head's size, and a tail. No step raises anything but
-struct.error, and none allocates more than the buffer justifies. An offset may come to lie behind
-the end of the bytes: the next step fails there, and who walks a whole message looks at the last.
+returns the length of the tail), the head's size, and a tail. Steps raise only struct.error, and
+allocate no more memory than the buffer justifies. A step may return an offset after the end of
+the bytes: then the next step fails, and the caller checks the last offset.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ Out = List[Optional[bytes]]
 _Head = Callable[[bytes, int, Out, List[int]], int]
 """(wire, offset, columns so far, marks of inexact columns) -> length of the tail."""
 _Tail = Callable[[bytes, int, int, Out, List[int]], int]
-"""(wire, offset, length, columns, marks) -> offset behind the field."""
+"""(wire, offset, length, columns, marks) -> offset after the field."""
 Step = Tuple[_Head, int, Optional[_Tail]]
 
 _unpack_length = struct.Struct("<I").unpack_from
 
 
 def compile_walk(segments: Sequence[Segment], strict: bool, wanted: Container[str]) -> list[Step]:
-    """Return the steps that turn a message into the wanted columns, by name.
+    """Return the steps that convert a message to the columns named in ``wanted``.
 
     If strict, a column that cannot hold its field exactly is None and marked, else it holds the
     nearest value.
@@ -52,7 +52,7 @@ def compile_walk(segments: Sequence[Segment], strict: bool, wanted: Container[st
 
 
 def walk_message(steps: Sequence[Step], wire: bytes, at: int, out: Out, odd: list[int]) -> int:
-    """Append the columns of a message and the marks of inexact ones; return the offset behind."""
+    """Append the columns of a message and the marks of inexact ones; return the offset after it."""
     for head, size, tail in steps:
         count = head(wire, at, out, odd)
         at += size
@@ -62,7 +62,7 @@ def walk_message(steps: Sequence[Step], wire: bytes, at: int, out: Out, odd: lis
 
 
 def _choose(fixed: Sequence[Fixed], wanted: Container[str]) -> tuple[list[Fixed], str]:
-    """Return the wanted fields, and the struct codes that read them and pass over the others."""
+    """Return the wanted fields, and struct codes that read them and skip the other fields."""
     kept = [f.column.name in wanted for f in fixed]
     codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, kept)]
     return [f for f, keep in zip(fixed, kept) if keep], "<" + "".join(codes)
@@ -70,7 +70,7 @@ def _choose(fixed: Sequence[Fixed], wanted: Container[str]) -> tuple[list[Fixed]
 
 def _head(codes: struct.Struct, used: Sequence[Fixed], has_length: bool, strict: bool) -> _Head:
     unpack = codes.unpack_from
-    if not used:  # () where nothing but padding is skipped, which must be there all the same
+    if not used:  # a struct of padding only still checks that the bytes exist
         return lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
     pack = struct.Struct(">" + "".join(f.big for f in used) + "I" * has_length).pack
     cut = struct.Struct("".join(f"{f.cql_size}s" for f in used) + "4x" * has_length).unpack
@@ -144,7 +144,7 @@ def _is_utf8(text: bytes) -> bool:
     if text.isascii():
         return True
     try:
-        text.decode()  # Cassandra's own check is laxer
+        text.decode()  # stricter than Cassandra's own check
     except UnicodeDecodeError:
         return False
     return True
@@ -188,7 +188,7 @@ def _texts(length: int | None, strict: bool) -> _Tail:
 def _numbers(
     fixed: Sequence[Fixed], length: int | None, strict: bool, wanted: Container[str]
 ) -> _Tail:
-    """Elements of fixed size: all at once, column by column."""
+    """Return the tail for elements of fixed size: all at once, column by column."""
     used, codes = _choose(fixed, wanted)
     unpack, size = struct.Struct(codes).iter_unpack, struct.calcsize(codes)
     encoders = [pack_numbers(f, strict) for f in used]
@@ -208,7 +208,7 @@ def _numbers(
 
 
 def _elements(field: Tail, strict: bool, wanted: Container[str]) -> _Tail:
-    """Elements of variable size: each as a message of its own, then turned into lists."""
+    """Return the tail for elements of variable size: each is walked like a message."""
     steps, length = compile_walk(field.element, strict, wanted), field.length
     sizes = [size for column, size in columns_of(field.element) if column.name in wanted]
     encoders = [pack_list if size is None else pack_equal(size) for size in sizes]
@@ -222,7 +222,7 @@ def _elements(field: Tail, strict: bool, wanted: Container[str]) -> _Tail:
             rows.append(row)
         if not rows:
             out.extend([EMPTY_LIST] * len(encoders))
-        columns = cast("Iterator[Sequence[bytes]]", zip(*rows))  # a None in them has its mark
+        columns = cast("Iterator[Sequence[bytes]]", zip(*rows))  # a None among them is marked
         for encode, column in zip(encoders, columns):
             out.append(None if marks and None in column else encode(column))
         odd += marks

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Wire plans: serialised messages to columns in CQL's encoding, and back, without objects."""
+"""Wire plans: conversion of serialised messages to columns in CQL's encoding, and back."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ MAX_COLUMNS = 64
 
 
 class WirePlan:
-    """What is to be done with the bytes of one message type, compiled from its definition.
+    """Compiled conversions for the bytes of one message type.
 
     Attributes:
-        columns: The columns in the order of the wire. Where all fields would need more than
-            64, only the first 64 scalar ones; arrays would otherwise be stored twice.
-        all_columns: Those of all fields.
-        complete: Whether no field was left without a column, so that ``build`` works.
+        columns: The columns in wire order. If all fields would need more than 64, only the first
+            64 scalar ones; arrays would otherwise be stored twice.
+        all_columns: The columns of all fields.
+        complete: Whether every field has a column, so that ``build`` works.
     """
 
     def __init__(self, definition: Definition) -> None:
@@ -45,14 +45,15 @@ class WirePlan:
     def walk(self, wire: bytes) -> tuple[Out, bool]:
         """Return the columns of a message in CQL's encoding, and whether they are inexact.
 
-        Any bytes will do. A column that cannot hold its field exactly is None; the columns are
-        also inexact where bytes are left over, or where there is no message (then all are None).
+        Any bytes are accepted. A column that cannot hold its field exactly is None. The columns are
+        also inexact if surplus bytes follow, or if the bytes are malformed (then all columns are
+        None).
         """
         out, odd = _walk(self._steps, wire)
         return [None] * len(self.columns) if out is None else out, odd
 
     def walk_scalars(self, wire: bytes) -> tuple[Out, bool]:
-        """Turn a large message into columns, leaving lists and arrays out (None)."""
+        """Return the scalar columns of a large message; lists and arrays are None."""
         out, odd = _walk(self._scalar_steps, wire)
         columns: Out = [None] * len(self.columns)
         for i, column in zip(self._scalar_at, out or ()):
@@ -60,7 +61,7 @@ class WirePlan:
         return columns, odd or len(self._scalar_at) < len(columns)
 
     def build(self, columns: Sequence[bytes | None]) -> bytes:
-        """Turn columns back; CorruptMessage: one is missing or malformed, or not all were kept."""
+        """Return the message of columns; CorruptMessage: a column is missing or malformed."""
         name = self.definition.type
         if not self.complete or len(columns) != len(self.columns):
             raise CorruptMessage(f"a row of {name} has {len(columns)} columns, not all its fields")
@@ -87,15 +88,15 @@ class WirePlan:
         return self._decoders[index]
 
     def column(self, name: str) -> FieldColumn | None:
-        """Return the one of ``all_columns`` that holds a field."""
+        """Return the column of ``all_columns`` that holds a field, or None."""
         return next((column for column in self.all_columns if column.name == name), None)
 
     def reader(self, names: Sequence[str]) -> Callable[[bytes], list[Any]]:
-        """Return the function from wire bytes to the values of some of ``all_columns``, by name.
+        """Return the function from wire bytes to the Python values of some of ``all_columns``.
 
-        What ``walk`` gives as None is read as its nearest value: bool byte 2 as True, nsecs over
-        10**9 as they add up, text that is not UTF-8 with U+FFFD. It raises CorruptMessage; an
-        unknown name raises InvalidExpression.
+        A field that ``walk`` returns as None is read as its nearest value: bool byte 2 as True,
+        nsecs of 10**9 and more carried over to seconds, text that is not UTF-8 with U+FFFD. The
+        function raises CorruptMessage; an unknown name raises InvalidExpression.
         """
         steps, places = self._compile_cut(names)
         columns = {column.name: column for column in self.all_columns}
@@ -113,7 +114,7 @@ class WirePlan:
     def picker(self, name: str) -> Callable[[bytes], bytes | None]:
         """Return the function from wire bytes to one of ``all_columns``, in CQL's encoding.
 
-        It gives None where the column cannot hold the field exactly or the bytes are no message.
+        It returns None if the column cannot hold the field exactly, or the bytes are malformed.
         """
         steps = compile_walk(self._segments, True, (name,))
 
@@ -126,7 +127,7 @@ class WirePlan:
     def cutter(self, names: Sequence[str]) -> Callable[[bytes], list[bytes]]:
         """Return the function from wire bytes to some of ``all_columns``, in CQL's encoding.
 
-        As ``reader``, undecoded: a column may be bool byte 2, or text that is not UTF-8.
+        Like ``reader``, but not decoded: a column may be bool byte 2, or text that is not UTF-8.
         """
         steps, places = self._compile_cut(names)
 
@@ -139,7 +140,7 @@ class WirePlan:
         return cut
 
     def _compile_cut(self, names: Sequence[str]) -> tuple[list[Step], list[int]]:
-        """Return what cuts the named columns out, and where each then stands."""
+        """Return the steps that read the named columns, and the index of each in their output."""
         found = [column.name for column in self.all_columns if column.name in names]
         for name in names:
             if name not in found:
@@ -151,7 +152,7 @@ class WirePlan:
 
 
 def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out | None, bool]:
-    """Return the columns of a message, None where it is none, and whether they are inexact."""
+    """Return the columns of a message (None: malformed bytes), and whether they are inexact."""
     out: Out = []
     odd: list[int] = []
     try:

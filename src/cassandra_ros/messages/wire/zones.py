@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Zone maps: the least and the greatest value of each field over the messages of a block.
+"""Zone maps: minimum and maximum of each field over the messages of a block.
 
-They bound what a condition sees of a field: text as it is read (what is no UTF-8 replaced), times
-as ns. NaN is in no order and left out; zeros are −0.0 below and 0.0 above, for Cassandra tells
-them apart. A long text is bounded by what it begins with.
+They bound the values that a condition compares: text as it is read (bytes that are not UTF-8
+replaced), times as ns. NaN has no order and is left out. A minimum of zero is −0.0 and a maximum
+0.0, because Cassandra distinguishes them. A long text is bounded by its beginning.
 """
 
 from __future__ import annotations
@@ -26,33 +26,34 @@ from cassandra_ros.messages.wire.wire_plan import wire_plan
 MAX_FIELDS = 64
 MAX_TEXT_BYTES = 64
 MAX_WALKED = 256
-"""Values of a message that stands alone: to look at more it is quicker to look at them together."""
+"""Maximum number of values of a message that is measured alone. Beyond it, numpy is faster."""
 LOW, HIGH = "_min.", "_max."
-"""What the names of the columns begin with; the field's column follows."""
+"""Prefixes of the names of the zone columns, before the name of the field's column."""
 _Found = Dict[str, List[Any]]
-"""By field: values among which are the least and the greatest."""
+"""Candidate values for minimum and maximum, by field."""
 _LAST = "\U0010ffff".encode("utf-8")
-"""Above all other characters."""
+"""The greatest character, encoded."""
 
 
 class Zones(NamedTuple):
-    """What is known of the values in a block."""
+    """Bounds of the values in a block."""
 
     values: Sequence[Optional[bytes]]
-    """Encoded, in the order of the zone columns; None = unset, for there is no value."""
+    """Encoded bounds in the order of the zone columns; None = unset, because no message has a
+    value."""
     nan: Tuple[str, ...]
-    """Fields of which a value is NaN, sorted."""
+    """Names of the fields with a NaN value, sorted."""
     odd: bool
-    """Some field may have values that the zones do not bound: read the block in any case."""
+    """Whether a field may have values outside its bounds: the block must then always be read."""
 
 
 class ZoneMap:
-    """Finds the bounds of the fields of one message type.
+    """Computes the bounds of the fields of one message type.
 
     Attributes:
-        fields: The fields that have bounds, by their column of format ``ros``: those of one value,
-            also inside of an array of messages; at most 64.
-        columns: Name and CQL type of the columns that hold the bounds, two for each field.
+        fields: Columns of format ``ros`` whose fields have bounds, by name: fields of one value,
+            also inside an array of messages; at most 64.
+        columns: CQL type of the columns that hold the bounds, by name; two for each field.
     """
 
     def __init__(self, definition: Definition) -> None:
@@ -67,19 +68,19 @@ class ZoneMap:
         self._stacker = stacker(definition)
         self._read = plan.reader(list(self.fields))
         self._by_head = all(name in self._stacker.head for name in self.fields)
-        """Messages of all sizes have their fields at the same places."""
+        """Whether all fields have the same offsets in messages of all sizes."""
         self._few = True
-        """No message that stood alone had more values than MAX_WALKED."""
+        """Whether no message that was measured alone had more than MAX_WALKED values."""
         self._skip = compile_skip(definition.type, definition.specs)
         self._texts = [name for name, column in self.fields.items() if column.kind == "text"]
         self._numbers: Dict[str, List[str]] = {}
-        """Of each primitive type the fields."""
+        """Field names by primitive type."""
         for name, column in self.fields.items():
             if column.kind != "text":
                 self._numbers.setdefault(column.field_type, []).append(name)
 
     def measure(self, wires: Sequence[bytes]) -> Zones:
-        """Find the bounds over some serialised messages; any bytes will do."""
+        """Return the bounds over some serialised messages; any bytes are accepted."""
         found: _Found = {name: [] for name in self.fields}
         nan: Set[str] = set()
         if len(wires) == 1 and self._few:
@@ -97,14 +98,14 @@ class ZoneMap:
         return Zones(zones, tuple(sorted(nan)), odd)
 
     def _add_heads(self, wires: Sequence[bytes], found: _Found, nan: Set[str]) -> bool:
-        """Add the bounds of messages of any size; return whether one of them is none."""
+        """Add the bounds of messages of any size; return whether one is malformed."""
         stack = self._stacker.heads_of([wire for wire in wires if self._is_one(wire)])
         if len(stack.members):
             self._add_stack(stack, found, nan)
         return len(stack.members) < len(wires)
 
     def _is_one(self, wire: bytes) -> bool:
-        """Say whether bytes are a message."""
+        """Return whether bytes are a well-formed message."""
         try:
             self._skip(wire, 0)
         except struct.error:
@@ -112,7 +113,7 @@ class ZoneMap:
         return True
 
     def _add_sizes(self, wires: Sequence[bytes], found: _Found, nan: Set[str]) -> bool:
-        """Add the bounds of messages size by size; return whether one of them is none."""
+        """Add the bounds of messages size by size; return whether one is malformed."""
         odd = False
         for members, planes in by_size(wires):
             stacks, rest = self._stacker.stacks(planes, members)
@@ -140,7 +141,7 @@ class ZoneMap:
                     found[name] += ends
 
     def _add_one(self, wire: bytes, found: _Found, nan: Set[str]) -> bool:
-        """Add the values of one message; return whether it is one."""
+        """Add the values of one message; return whether it is well-formed."""
         try:
             values = self._read(wire)
         except CorruptMessage:
@@ -155,12 +156,12 @@ class ZoneMap:
 
 
 def _ends(values: Numbers) -> Tuple[List[Any], List[Any], Tuple[List[bool], List[bool]]]:
-    """Return of each row least and greatest value, whether it has NaN, and whether other values."""
+    """Return for each row minimum, maximum, whether it has NaN, and whether it has other values."""
     nan = values != values if values.dtype.kind == "f" else None
     if nan is None or not nan.any():
         without = [False] * len(values), [True] * len(values)
         return values.min(axis=1).tolist(), values.max(axis=1).tolist(), without
-    # Not numpy.fmin: after a signalling NaN it forgets what came before.
+    # numpy.fmin would forget the values before a signalling NaN.
     low = np.where(nan, np.inf, values).min(axis=1)
     high = np.where(nan, -np.inf, values).max(axis=1)
     return low.tolist(), high.tolist(), (nan.any(axis=1).tolist(), (~nan).any(axis=1).tolist())
@@ -172,7 +173,7 @@ def _has_bounds(column: FieldColumn) -> bool:
 
 
 def _encoded(column: FieldColumn, values: Sequence[Any]) -> Tuple[Optional[bytes], Optional[bytes]]:
-    """Encode the least and the greatest of some values, without NaN; None: there is none."""
+    """Encode the minimum and maximum of values without NaN; None if there are no values."""
     if not values:
         return None, None
     low, high = min(values), max(values)
@@ -193,7 +194,7 @@ def _above(text: str) -> Optional[bytes]:
     if len(raw) <= MAX_TEXT_BYTES:
         return raw
     head = _head(raw)
-    # Nothing that begins so is greater, unless it goes on with the last character itself.
+    # No text with this beginning is greater, unless it continues with the greatest character.
     return None if raw.startswith(_LAST, len(head)) else head + _LAST
 
 
