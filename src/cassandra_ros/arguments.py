@@ -18,8 +18,9 @@ from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
 from cassandra_ros.metadata import FACTS
 
 MAX_NAME_BYTES = 256
-"""Maximum length of a new name: of a topic, a robot, a run or a label, and of a label's text. What
-was stored under a longer name by an earlier version is still read and deleted."""
+"""Maximum length of a new name, bytes of UTF-8: of a topic, a robot, a run or a label, and of the
+text of a label. Reading and deleting take longer names, too: another client may have written them.
+"""
 MAX_MESSAGE_NAME_BYTES = 4096
 MAX_NODE_BYTES = 61_411
 """Maximum length of a nodeID that is asked for. Beside a name, a time and a counter a partition key

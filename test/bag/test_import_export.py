@@ -23,7 +23,7 @@ from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.exporter import export_bag
-from cassandra_ros.bag.identity import earlier_writer_id, read_content
+from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.message_file import match_topics
 from cassandra_ros.errors import (
@@ -270,9 +270,7 @@ def test_two_types_with_unusable_definitions_get_two_tables(rosCas, cql, tmp_pat
     assert tables_of(rosCas) == both
 
 
-def test_types_that_share_a_table_of_an_earlier_release_stay_there(
-    rosCas, connect, cql, tmp_path, monkeypatch
-):
+def test_types_that_share_a_table_stay_there(rosCas, connect, cql, tmp_path, monkeypatch):
     path = two_unusable_types(tmp_path / "a.mcap")
     with monkeypatch.context() as earlier:
         earlier.setattr(metadata, "message_kind", lambda md5sum, msg_type: (md5sum, ""))
@@ -394,18 +392,6 @@ def long_bag(path, changed=-1, count=2500):
     return path
 
 
-def import_as_before(rosCas, path, numbers=(0, 1), most=2500, nodeID=""):
-    """Store a bag as a release did that noted no content; of an interrupted import the run too."""
-    with BagReader(path) as reader:
-        writer_id = earlier_writer_id(reader, nodeID)
-        run = Run(nodeID, writer_id, "import", path.name, str(path), "binary")
-        with rosCas.messageWriter(writer_id=writer_id, run=run, nodeID=nodeID) as writer:
-            handles = {n: writer.connect(c) for n, c in reader.connections.items() if n in numbers}
-            for message in islice(reader.messages(handles.keys()), most):
-                writer.write(handles[message.number], message.t_ns, message.position, message.data)
-    return writer_id
-
-
 def test_bags_that_differ_in_the_middle_lie_side_by_side(rosCas, cql, tmp_path):
     paths = [long_bag(tmp_path / "a.bag"), long_bag(tmp_path / "b.bag", changed=1250)]
     first = import_bag(rosCas, paths[0])
@@ -421,37 +407,6 @@ def test_bags_that_differ_in_the_middle_lie_side_by_side(rosCas, cql, tmp_path):
         assert stored_rows(rosCas) == both
         assert verify_bag(rosCas, path).equal
     assert len(rosCas.runs()) == 2
-
-
-@pytest.mark.parametrize("part", [{}, {"numbers": {0}}, {"most": 700}])
-def test_what_an_earlier_release_imported_keeps_its_id(rosCas, tmp_path, part):
-    path = long_bag(tmp_path / "a.bag")
-    writer_id = import_as_before(rosCas, path, **part)
-    rows = stored_rows(rosCas)
-    assert verify_bag(rosCas, path).equal == (not part)
-    path = path.rename(tmp_path / "b.bag")
-    assert import_bag(rosCas, path, topics=["/a"]).writer_id == writer_id
-    assert part or stored_rows(rosCas) == rows
-    for _ in range(2):
-        assert import_bag(rosCas, path).writer_id == writer_id
-        assert len(stored_rows(rosCas)) == 2500
-        assert verify_bag(rosCas, path).equal
-    assert len(rosCas.runs()) == 1
-
-
-@pytest.mark.parametrize("part", [{}, {"numbers": {0}}, {"most": 1300}])
-def test_no_other_bag_takes_the_id_of_an_earlier_import(rosCas, tmp_path, part):
-    """Bags that differ in the middle had one id; whose rows lie under it only they tell."""
-    paths = [long_bag(tmp_path / "a.bag"), long_bag(tmp_path / "b.bag", changed=1250)]
-    writer_id = import_as_before(rosCas, paths[0], **part)
-    rows = stored_rows(rosCas)
-    assert verify_bag(rosCas, paths[1]).differences > 0
-    assert import_bag(rosCas, paths[1]).writer_id != writer_id
-    assert [row for row in stored_rows(rosCas) if split_seq(row[2])[0] == writer_id] == rows
-    assert import_bag(rosCas, paths[0]).writer_id == writer_id
-    assert len(stored_rows(rosCas)) == 5000
-    for path in paths:
-        assert verify_bag(rosCas, path).equal
 
 
 def test_an_id_that_is_another_bags_by_chance_is_not_taken(rosCas, tmp_path):

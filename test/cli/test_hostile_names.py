@@ -143,7 +143,7 @@ def test_new_names_have_a_length_that_people_can_read(rosCas):
     with rosCas.messageWriter(writer_id=8, run=run):
         pass
     assert [each.name for each in rosCas.runs()] == [fits]
-    # What an earlier version stored under a longer name is still asked for.
+    # What another client stored under a longer name is still found.
     assert rosCas.info(nodeID=longer) == []
 
 

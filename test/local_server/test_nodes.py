@@ -57,7 +57,7 @@ def test_the_memory_follows_the_heap():
 
 @pytest.mark.parametrize("before", [None, 0o755, 0o777])
 def test_other_users_read_neither_data_nor_logs(tmp_path, before):
-    """Also not those that an earlier release has made. test_secure.py has clusters with a login."""
+    """Also where the folders stood before. test_secure.py has clusters with a login."""
     made = node(directory=tmp_path / "cluster" / "node1")
     if before is not None:
         for folder in (made.directory, made.directory / "logs"):

@@ -426,7 +426,7 @@ def test_the_index_of_the_key(rosCas, monkeypatch):
     assert check(rosCas, topic, "data", data, "a") == [2]
     with pytest.raises(InvalidOption, match="it is the key_part"):
         topic.removeIndex("data")
-    # Rows of an earlier release are not listed as filled; the back-fill goes through them.
+    # Rows that are not listed as filled: the back-fill goes through them.
     (table,) = topic.tables
     place = (table.name, row.node, row.bucket, row.writer)
     rosCas.catalog.keyspace.directory.mark(place, 0)

@@ -12,7 +12,7 @@ from itertools import groupby, islice
 from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.identity import earlier_writer_id, is_earlier, read_content
+from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.message_file import (
     MessageFile,
     MessageProgress,
@@ -200,16 +200,6 @@ def _leave_out(reader: MessageFile, numbers: AbstractSet[int], report: VerifyRep
     return early
 
 
-def holds_nothing_else(ros_cas: RosCassandra, reader: MessageFile, found: Run) -> bool:
-    """Say whether an import has rows, and each of them is a message of this bag."""
-    topics = {c.topic for c in reader.connections.values()}
-    report = VerifyReport(reader.path, "")
-    stored = _stored_topics(ros_cas, topics)
-    comparison = _by_place(ros_cas, reader, stored, found, None, report)
-    _compare(reader, reader.connections.keys(), dict.fromkeys(topics, comparison), None)
-    return report.equal_messages > 0 and report.differences == report.missing
-
-
 def _stored_topics(ros_cas: RosCassandra, names: Iterable[str]) -> AbstractSet[str]:
     return {topic.name for topic in ros_cas.getAllTopics()}.intersection(names)
 
@@ -242,9 +232,6 @@ def _find_import(
         return None
     content = read_content(reader, reading)
     found = {run.node: run for run in runs if content.is_of(run)}
-    for run in filter(is_earlier, runs):
-        if run.node not in found and run.writer == earlier_writer_id(reader, run.node):
-            found[run.node] = run
     if len(found) > 1:
         names = ", ".join(map(repr, sorted(found)))
         raise InvalidKey(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from concurrent.futures import ThreadPoolExecutor
-from itertools import chain, takewhile
+from itertools import chain
 from struct import Struct
 from typing import AbstractSet, Iterable, Mapping, NamedTuple, Union
 
@@ -23,11 +23,8 @@ from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.tables.registry import Run
 
-EARLIER_SAMPLE = 1000
-"""Messages at each end of the bag that counted for an id of an earlier release."""
-
 CONTENT = "content"
-"""Label of an import's run: the digest of its bag. Runs of earlier releases have none."""
+"""Label of an import's run: the digest of its bag."""
 
 _SUMMARY = Struct("<QQQ")
 _MESSAGE = Struct("<IQQ")
@@ -158,26 +155,6 @@ def _add_times(
         ):
             unordered.add(number)
         latest[number] = int(times[-1])
-
-
-def is_earlier(run: Run) -> bool:
-    """Say whether a run is an import by an earlier release, which did not note the content."""
-    return run.kind == "import" and CONTENT not in run.labels
-
-
-def earlier_writer_id(reader: MessageFile, node: str) -> int:
-    """Compute the writer id that an earlier release gave to a bag's import.
-
-    Only the first and the last 1,000 messages counted: bags that differ in between share it.
-    """
-    name = node.encode("utf-8", "surrogateescape")
-    digest, rank = _begin(b"cassandra_ros bag 1" + _with_length(name), reader)
-    first = takewhile(lambda message: message.position < EARLIER_SAMPLE, reader.messages())
-    last = reader.messages(start=max(0, reader.message_count - EARLIER_SAMPLE))
-    for message in chain(first, last):
-        digest.update(_MESSAGE.pack(rank[message.number], message.t_ns, len(message.data)))
-        digest.update(message.data)
-    return _number(digest)
 
 
 def _begin(head: bytes, reader: MessageFile) -> tuple[hashlib._Hash, dict[int, int]]:

@@ -13,7 +13,6 @@ from typing import AbstractSet, Iterable, Mapping, Sequence
 from cassandra_ros.arguments import check_integer, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.bag_read_ahead import ReadAhead
-from cassandra_ros.bag.comparison import holds_nothing_else
 from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.file_runs import source_of
 from cassandra_ros.bag.identity import BagContent
@@ -219,16 +218,6 @@ def _writer_id(ros_cas: RosCassandra, reader: MessageFile, node: str, content: B
     known = next(filter(content.is_of, runs.values()), None)
     if known is not None:
         return known.writer
-    names = {connection.topic for connection in reader.connections.values()}
-    earlier = {n: r for n, r in runs.items() if identity.is_earlier(r) and r.stored.keys() <= names}
-    try:
-        # The id that an earlier release gave this bag does not tell, for bags that differ in the
-        # middle share it: we would replace the rows of another bag. So the rows are compared.
-        run = earlier.get(identity.earlier_writer_id(reader, node)) if earlier else None
-        if run is not None and holds_nothing_else(ros_cas, reader, run):
-            return run.writer
-    except BagError as exc:
-        _log.debug("%s; its import goes as far", exc)  # and says so
     writer_id = content.writer_id(node)
     while writer_id in runs:  # of another bag: 31 bits may agree by chance
         writer_id = writer_id % MAX_WRITER + 1

@@ -114,7 +114,7 @@ class Node:
         """Make the node's directory, for its user alone, and write its configuration."""
         self.directory.parent.mkdir(parents=True, exist_ok=True)
         # Other users of the machine must not read data or logs, whose messages tell of both; also
-        # those of an earlier release, which everybody could read.
+        # where somebody made the folder before.
         for folder in (self.directory, self.directory / "logs"):
             folder.mkdir(mode=0o700, exist_ok=True)
             folder.chmod(0o700)

@@ -62,8 +62,8 @@ SIDE_TABLES = {
     ),
 }
 LATER_TABLES = {
-    # Keyspaces of earlier releases lack these, and many never need them: each is made by what
-    # first writes to it. What could not be recorded, beside the data:
+    # Many keyspaces never need these: what first writes to one makes it. What could not be
+    # recorded, beside the data:
     "cr_loss": (
         "topic text, node text, writer bigint, kind text, first bigint, last bigint, n bigint, "
         "PRIMARY KEY ((topic), node, writer, kind, first)"

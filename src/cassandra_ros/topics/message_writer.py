@@ -215,7 +215,7 @@ class MessageWriter:
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
 
     def _shared_table(self, connection: Connection, format_name: str) -> Optional[TopicTable]:
-        """Return the table of several types into which an earlier release put this connection."""
+        """Return the table of several types in which messages of this connection lie already."""
         if connection.md5sum != ANY_MD5:
             return None
         space = self._keyspace

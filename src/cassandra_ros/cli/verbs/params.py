@@ -48,8 +48,7 @@ def run(options: argparse.Namespace) -> int:
         context = ros_cas.runContext(options.name)
     if context is None:
         raise MessageNotFound(
-            f"run {options.name!r} has no parameters: it was not recorded live, or by an earlier "
-            "release"
+            f"run {options.name!r} has no parameters: only runs that were recorded live have them"
         )
     show = print_json if options.json else _print_yaml
     if options.graph:
