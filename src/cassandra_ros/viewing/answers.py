@@ -50,9 +50,9 @@ class SpooledFile:
     path: Path
     name: str
     """As which it is saved, like 'window.bag'."""
-    content_type: str = BYTES
-    etag: str = ""
-    """Of the content, without quotes; '' = of the file's time and size."""
+    content_type: str
+    etag: str
+    """Tag of the content, without quotes."""
 
 
 Answer = Union[Json, Bytes, Stream, SpooledFile]
