@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the store is: what the environment says, and what holds where nobody says anything."""
+"""Address of the store: from the arguments, the environment, the cqlshrc, or the default."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ DEFAULT_KEYSPACE = "ros"
 
 
 def from_environment(name: str) -> str:
-    """Return CASSANDRA_ROS_HOST, _PORT, _KEYSPACE or _CQLSHRC; '' where it is not set."""
+    """Return CASSANDRA_ROS_HOST, _PORT, _KEYSPACE or _CQLSHRC; '' if the variable is not set."""
     return os.environ.get(f"CASSANDRA_ROS_{name}", "")
 
 
 def host_names(host: str | Sequence[str] | None, usual: str = "") -> list[str]:
-    """List the addresses of a text, divided by commas, or a sequence.
+    """Return the addresses in a text with commas, or in a sequence.
 
-    None or '' = CASSANDRA_ROS_HOST, else the usual ones, else this machine.
+    Args:
+        host: The addresses; None or '' = CASSANDRA_ROS_HOST, else ``usual``, else this machine.
+        usual: Addresses of the cqlshrc, divided by commas; '' = the cqlshrc has no address.
     """
     given = host or from_environment("HOST") or usual or DEFAULT_HOST
     names = given.split(",") if isinstance(given, str) else given
@@ -30,9 +32,12 @@ def host_names(host: str | Sequence[str] | None, usual: str = "") -> list[str]:
 
 
 def port_number(port: int | str | None, usual: str = "", source: str = "") -> int:
-    """Check a port; raises InvalidOption for no whole number from 1 to 65535.
+    """Return a port as a number; raises InvalidOption if it is no whole number from 1 to 65535.
 
-    None or '' = CASSANDRA_ROS_PORT, else the usual one, which stands in ``source``, else 9042.
+    Args:
+        port: The port; None or '' = CASSANDRA_ROS_PORT, else ``usual``, else 9042.
+        usual: Port of the cqlshrc; '' = the cqlshrc has no port.
+        source: File that names ``usual``, for the error text.
     """
     told = ""
     given: int | str = DEFAULT_PORT

@@ -68,9 +68,9 @@ CONNECT_TIMEOUT_SEC = 10.0
 NEW_TABLE_SEC = 1.0
 POOL_PAUSE_SEC = 0.05
 LAST_WORD_SEC = 0.5
-"""How long the end of a connection may take where the program is to end, s."""
+"""How long close() waits for the driver if the program has to end and the store is silent, s."""
 AT_ONCE = 16
-"""Statements of execute_many that are in the air together."""
+"""Maximum number of statements of execute_many that wait for their answers at the same time."""
 
 _NEEDS = {
     "ONE": "a node that has a copy of the row",
@@ -81,7 +81,7 @@ _NEEDS = {
 }
 
 CqlRow = Tuple[Any, ...]
-"""The decoded values of a row."""
+"""Decoded values of a row."""
 
 
 class Cassandra:
@@ -89,20 +89,21 @@ class Cassandra:
 
     Args:
         host: One address, several divided by commas, or a sequence of them; None =
-            CASSANDRA_ROS_HOST of the environment, else as the cqlshrc says, else 127.0.0.1.
+            CASSANDRA_ROS_HOST of the environment, else the cqlshrc's, else 127.0.0.1.
         port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else the cqlshrc's, else 9042.
         consistency: Name of a consistency level, e.g. 'LOCAL_QUORUM', 'ONE'.
-        username: User name where the cluster asks for a login; None = that of the files.
-        password: Its password; None = that of the files.
-        ssl_context: An ``ssl.SSLContext`` where the cluster speaks TLS; None = as the cqlshrc says.
+        username: User name for a cluster with logins; None = the one in the files.
+        password: Password of this user; None = the one in the files.
+        ssl_context: An ``ssl.SSLContext`` for a cluster with TLS; None = as the cqlshrc says.
         cqlshrc: A file like cqlsh's; None = CASSANDRA_ROS_CQLSHRC, else ~/.cassandra/cqlshrc.
         credentials: A file with user name and password; None = the one that the cqlshrc names,
             else ~/.cassandra/credentials.
 
     Raises:
-        ConnectionFailed: Nobody answers there, or the name cannot be resolved.
-        LoginFailed, CertificateRefused, TlsMismatch: It refuses us, or we refuse it.
-        InvalidOption: The port cannot be one, or a file cannot be read.
+        ConnectionFailed: No server answers there, or the name cannot be resolved.
+        LoginFailed, CertificateRefused, TlsMismatch: The server refuses the login or the
+            certificate, or we do not trust the server's certificate, or only one side uses TLS.
+        InvalidOption: The port is not a port, or a file cannot be read.
     """
 
     def __init__(
@@ -152,12 +153,12 @@ class Cassandra:
         link = self._connect(cluster)
         self._connecting_until = time.monotonic() + CONNECT_TIMEOUT_SEC
         for keyspace in sorted(self._keyspaces):
-            with suppress(*DRIVER_ERRORS):  # rows then take a way round by another node
+            with suppress(*DRIVER_ERRORS):  # without it rows go by way of another node
                 cluster.refresh_keyspace_metadata(keyspace)
         return link
 
     def _adopt(self, link: Link) -> None:
-        # What the server has forgotten the driver prepares again, out of these.
+        # If the server has lost its prepared statements, the driver prepares them again from these.
         for statement in list(self._prepared.values()):
             link.cluster.add_prepared(statement.query_id, statement)
 
@@ -194,9 +195,10 @@ class Cassandra:
             auth_provider=auth,
             ssl_context=context,
             execution_profiles={EXEC_PROFILE_DEFAULT: profile},
-            # A keyspace may have hundreds of tables, and each change would read them all anew.
+            # A keyspace may have hundreds of tables; the driver would read them all after each
+            # change.
             schema_metadata_enabled=False,
-            # Without it batches stall 40 ms each on delayed acknowledgements.
+            # Without this option batches stall for 40 ms each on delayed acknowledgements.
             sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             connect_timeout=CONNECT_TIMEOUT_SEC,
             control_connection_timeout=CONNECT_TIMEOUT_SEC,
@@ -225,7 +227,7 @@ class Cassandra:
             cluster.shutdown()
             raise ConnectionFailed(f"cannot connect to Cassandra at {self._where}: {exc}") from exc
         for each in (session, raw_session):
-            # Robots' clocks are wrong, and a fast one would hide later rows.
+            # Clocks of robots are wrong, and rows stamped by a fast clock would hide later rows.
             each.use_client_timestamp = False
         raw_session.client_protocol_handler = RawProtocolHandler
         return Link(cluster, session, raw_session)
@@ -234,14 +236,14 @@ class Cassandra:
 
     @property
     def closed(self) -> bool:
-        """Whether it was closed: nothing can be read or written any more."""
+        """Whether this connection was closed and can neither read nor write any more."""
         return self._closed
 
     def arguments(self) -> dict[str, object]:
-        """Return the arguments by which another process connects as this one did.
+        """Return the arguments with which another process makes the same connection.
 
         Raises:
-            InvalidOption: It speaks TLS, with keys that cannot be handed on.
+            InvalidOption: The connection has an ssl_context, which cannot be passed to a process.
         """
         if self._ssl_context is not None:
             raise InvalidOption("jobs: a connection with an ssl_context is of one process; use 1")
@@ -251,10 +253,12 @@ class Cassandra:
         return f"<Cassandra {self._where}{', closed' if self._closed else ''}>"
 
     def require_open(self) -> None:
-        """Raise ConnectionFailed where it is closed; the driver takes that for a passing one.
+        """Raise ConnectionFailed if this connection is closed.
+
+        The driver would report a closed connection as an error that may pass, and be retried.
 
         Raises:
-            StoreUnavailable: The program is to end, and the store does not answer.
+            StoreUnavailable: The program has to end, and the store does not answer.
         """
         if self.outage.left_sec <= 0:
             raise StoreUnavailable(f"the store at {self._where} does not answer")
@@ -264,14 +268,14 @@ class Cassandra:
             )
 
     def prepare(self, cql: str) -> PreparedStatement:
-        """Prepare a statement, once for each text."""
+        """Return a prepared statement; each text is prepared once."""
         self.require_open()
         statement = self._prepared.get(cql)
         if statement is None:
             with self._prepare_lock:
                 statement = self._prepared.get(cql) or self._prepare_new(cql)
                 self._prepared[cql] = statement
-                # The link may be another one than that which has prepared it.
+                # Meanwhile the link may have been replaced by one that has not prepared it.
                 self._cluster.add_prepared(statement.query_id, statement)
         return statement
 
@@ -287,15 +291,15 @@ class Cassandra:
                 statement.is_idempotent = True
                 return statement
             except (TopicNotFound, KeyspaceNotFound):
-                # A table that another client is making can be read in system_schema a moment
-                # before every coordinator knows it.
+                # Another client is making the table: system_schema shows it a moment before every
+                # coordinator knows it.
                 if pause > NEW_TABLE_SEC:
                     raise
             time.sleep(pause)
             pause *= 2
 
     def forget(self, table: str) -> None:
-        """Drop the prepared statements of a table that is gone."""
+        """Drop the prepared statements of a table that was dropped."""
         with self._prepare_lock:
             self._prepared = {cql: s for cql, s in self._prepared.items() if table not in cql}
 
@@ -308,11 +312,11 @@ class Cassandra:
         consistency: int | None = None,
         retry_sec: Seconds = RETRY_SEC,
     ) -> list[CqlRow]:
-        """Run one idempotent statement, trying again what may pass; return all rows, decoded.
+        """Run one idempotent statement, with retries, and return all rows, decoded.
 
         Args:
             cql: Text with ``?`` for each parameter.
-            what: What is being done, for an error text.
+            what: What the statement does, for the error text ("reading the runs").
         """
 
         def run() -> list[CqlRow]:
@@ -324,7 +328,7 @@ class Cassandra:
         return retried(what, run, seconds=retry_sec, outage=self.outage)
 
     def _all_rows(self, future: ResponseFuture) -> list[CqlRow]:
-        """Wait for all pages of an answer."""
+        """Wait for all pages of an answer and return their rows."""
         rows: list[CqlRow] = list(answered(future, self.outage).current_rows)
         while future.has_more_pages:
             future.start_fetching_next_page()
@@ -332,11 +336,11 @@ class Cassandra:
         return rows
 
     def system_schema(self, of: str, names: str, keyspace: str, table: str = "") -> list[CqlRow]:
-        """Read what the server's schema says of a keyspace, or of one of its tables.
+        """Read system_schema about a keyspace or one of its tables.
 
         Args:
             of: 'keyspaces', 'tables', 'columns' or 'indexes'.
-            names: The columns that are wanted.
+            names: Names of the columns to read, divided by commas.
         """
         cql = f"SELECT {names} FROM system_schema.{of} WHERE keyspace_name = ?"
         what = f"reading the {of} of {keyspace}"
@@ -347,7 +351,7 @@ class Cassandra:
     def execute_on_each(
         self, cql: str, params: Sequence[object] = (), *, what: str
     ) -> dict[str, list[CqlRow]]:
-        """Run one statement on every node in reach; return address → rows (system_views)."""
+        """Run one statement on each reachable node; return address → rows (for system_views)."""
 
         def run() -> dict[str, list[CqlRow]]:
             bound = self.prepare(cql).bind(tuple(params))
@@ -357,9 +361,10 @@ class Cassandra:
         return retried(what, run, outage=self.outage)
 
     def _nodes_in_reach(self) -> list[Host]:
-        """Return the nodes of our data centre that the driver can ask; raises NoHostAvailable."""
-        # A session is connected as soon as one node answers, and goes on with the others, which
-        # are waited for.
+        """Return the reachable nodes of our data centre; raises NoHostAvailable."""
+        # A session is ready as soon as one node answers, and connects to the other nodes later:
+        # wait
+        # for them.
         while True:
             connected = self._session.get_pool_state()
             centres = {host.datacenter for host in connected}
@@ -376,20 +381,23 @@ class Cassandra:
         return found
 
     def execute_once(self, cql: str, params: Sequence[object] = (), *, what: str) -> list[CqlRow]:
-        """Run a statement that is not idempotent (a lightweight transaction), once."""
+        """Run a statement that is not idempotent (a lightweight transaction) without retries."""
         bound = self.prepare(cql).bind(tuple(params))
         bound.is_idempotent = False
         with translated(what, self.outage.nodes):
             return self._all_rows(self._open_session().execute_async(bound, timeout=None))
 
     def _open_session(self) -> Session:
-        """Return the session for a request that is made once; another one where it has ended."""
+        """Return the session for a request without retries; wait while it is being replaced."""
         return self._links.await_open(RETRY_SEC).session
 
     def begin(
         self, cql: str, params: Sequence[object] = (), *, what: str, retry_sec: Seconds = RETRY_SEC
     ) -> Callable[[], list[CqlRow]]:
-        """Send one idempotent statement; what is returned waits for its answer, as execute does."""
+        """Send one idempotent statement.
+
+        Return a function that waits for its rows, like execute.
+        """
         bound = self.prepare(cql).bind(tuple(params))
         future = self._session.execute_async(bound, timeout=None)
 
@@ -425,13 +433,13 @@ class Cassandra:
             raise translate(TimeoutError("the nodes do not agree on the schema"), what)
 
     def execute_text(self, cql: str, *, what: str) -> None:
-        """Run one statement that cannot be prepared, and is no change of the schema, once."""
+        """Run once a statement that cannot be prepared and does not change the schema."""
         self.require_open()
         with translated(what, self.outage.nodes):
             self._open_session().execute(SimpleStatement(cql))
 
     def use_keyspace(self, keyspace: str) -> None:
-        """Learn how a keyspace is replicated: rows then go straight to a node that has them."""
+        """Read how a keyspace is replicated, so that rows go straight to a node that holds them."""
         self.require_open()
         with translated(f"reading the replication of {keyspace}", self.outage.nodes):
             self._links.await_open(RETRY_SEC).cluster.refresh_keyspace_metadata(keyspace)
@@ -446,18 +454,21 @@ class Cassandra:
         return raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
 
     def ask_raw(self, statement: Statement) -> ResponseFuture:
-        """Send a statement as send_raw does, for somebody who waits for its answer by answered."""
+        """Send a statement like send_raw, without a timer; the caller waits with ``answered``."""
         self.require_open()
         return self._links.current.raw_session.execute_async(statement, timeout=None)
 
     def server_time_us(self) -> int:
-        """Tell the time of a server, microseconds since 1970: what it stamps writes with."""
+        """Return the server's time in microseconds since 1970, with which it stamps writes."""
         cql = "SELECT toUnixTimestamp(now()) FROM system.local"
-        # The server tells milliseconds: to the end of the present one.
+        # The server's clock has milliseconds: return the end of the present one.
         return int(self.execute(cql, what="asking for the time")[0][0]) * 1000 + 999
 
     def _nodes_now(self) -> str:
-        """Say which nodes answer and which do not; '' where all do, or none."""
+        """Return a text that says which nodes answer and which do not.
+
+        '' if all do or none does.
+        """
         link = self._links.current
         states = link.session.get_pool_state().items()
         there = {host for host, state in states if state["open_count"]}
@@ -473,11 +484,11 @@ class Cassandra:
         )
 
     def live_nodes(self) -> int:
-        """Count the nodes that the driver knows in the local data centre."""
+        """Return the number of nodes in the local data centre that the driver knows."""
         return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
 
     def local_datacenter(self) -> str:
-        """Name the data centre of the node that we are connected to."""
+        """Return the name of the data centre of the node that we are connected to."""
         rows = self.execute("SELECT data_center FROM system.local", what="asking for the node")
         return str(rows[0][0])
 
@@ -485,7 +496,7 @@ class Cassandra:
         """Close the connection; a second call is harmless."""
         if not self._closed:
             self._closed = True
-            # Where the program is to end, a server that is silent is not told of it.
+            # If the program has to end and the server is silent, do not wait for a proper end.
             hurried = self.outage.left_sec < math.inf
             self._links.close(LAST_WORD_SEC if hurried else None)
 

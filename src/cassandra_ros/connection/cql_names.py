@@ -13,20 +13,20 @@ def quote_name(name: str) -> str:
 
 
 def qualified(keyspace: str, table: str) -> str:
-    """Write the name of a table, or of an index, with its keyspace for CQL."""
+    """Return the name of a table or an index with its keyspace, quoted for CQL."""
     return f"{quote_name(keyspace)}.{quote_name(table)}"
 
 
 def quote_text(text: str) -> str:
-    """Write a text literal for CQL; only DDL needs it, all else is bound."""
+    """Return a text literal for CQL; only DDL needs it, all other values are bound."""
     return "'" + text.replace("'", "''") + "'"
 
 
 def table_name(topic: str, md5sum: str, format_name: str, generation: int) -> str:
-    """Name the table of a topic: 't_' and 32 hex digits (paper section 3: a hash).
+    """Return the name of a topic's table: 't_' and 32 hex digits (paper section 3: a hash).
 
     Args:
-        generation: Another one for each time the topic is made anew, so that no name is ever
+        generation: Number that is different each time the topic is made anew, so that no name is
             used twice: a stale prepared INSERT into a re-created table succeeds silently.
     """
     text = "\0".join((topic, md5sum, format_name, str(generation)))
@@ -34,5 +34,5 @@ def table_name(topic: str, md5sum: str, format_name: str, generation: int) -> st
 
 
 def chunk_table_name(table: str) -> str:
-    """Name the table that holds the bytes of a topic's large messages."""
+    """Return the name of the table that holds the chunks of a topic's large messages."""
     return table + "_c"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Driver errors become ours here, and nowhere else."""
+"""Translation of the driver's errors into ours; no other module does that."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from cassandra_ros.errors import (
 )
 
 MAX_CAUSE = 200
-"""Characters of a cause in a line of a log: the driver may list all that it knows."""
+"""Maximum length of a cause in a log line, characters. The driver's texts may list all it knows."""
 START_HINT = "start one with: rosrun cassandra_ros local_cassandra start"
 
 DRIVER_ERRORS = (
@@ -64,18 +64,18 @@ _DISK_FULL = ("no space left", "insufficient disk space", "disk usage exceeds", 
 
 
 def host_errors(exc: NoHostAvailable) -> Mapping[object, BaseException]:
-    """Return the error of each host; none are known where the first session found no host.
+    """Return the error of each host; empty if the driver tells none.
 
-    Then the driver lists hosts in their place.
+    If the first session found no host, the driver puts a list of hosts in the place of the errors.
     """
     return exc.errors if isinstance(exc.errors, dict) else {}
 
 
 def is_busy(exc: BaseException) -> bool:
-    """Say whether only our own sockets were full: nothing was sent, wait and send again.
+    """Return whether only our own socket buffers were full: nothing was sent, so it can be resent.
 
-    The driver does not wait for a full socket buffer but fails (PYTHON-1248), disguised as
-    NoHostAvailable.
+    The driver does not wait for room in a full socket buffer but fails (PYTHON-1248), disguised
+    as NoHostAvailable.
     """
     if isinstance(exc, (ConnectionBusy, NoConnectionsAvailable)):
         return True
@@ -84,22 +84,22 @@ def is_busy(exc: BaseException) -> bool:
 
 
 def is_disk_full(exc: BaseException) -> bool:
-    """Say whether a server tells that its disk is full, or fuller than its guardrail allows."""
+    """Return whether a server says that its disk is full, or fuller than its guardrail allows."""
     errors = [exc, *(host_errors(exc).values() if isinstance(exc, NoHostAvailable) else ())]
     return any(sign in str(error).lower() for error in errors for sign in _DISK_FULL)
 
 
 def is_answer(exc: BaseException) -> bool:
-    """Say whether an error was sent by a server, which does answer then."""
+    """Return whether a server sent this error, which means that the server does answer."""
     if isinstance(exc, NoHostAvailable):
         return any(map(is_answer, host_errors(exc).values()))
     return isinstance(exc, (Unavailable, CoordinationFailure, Timeout, ErrorMessage))
 
 
 def is_passing(exc: BaseException) -> bool:
-    """Say whether the same idempotent statement may succeed later."""
+    """Return whether the same idempotent statement may succeed later."""
     if is_disk_full(exc):
-        return True  # somebody may make room
+        return True  # until the operator makes room
     if isinstance(exc, NoHostAvailable):
         return not any(
             isinstance(error, (Unauthorized, AuthenticationFailed, InvalidRequest))
@@ -109,7 +109,7 @@ def is_passing(exc: BaseException) -> bool:
 
 
 def is_table_gone(exc: BaseException) -> bool:
-    """Say whether a statement failed because its table or keyspace was dropped."""
+    """Return whether a statement failed because its table or keyspace was dropped."""
     text = str(exc).lower()
     return isinstance(exc, InvalidRequest) and (
         "unconfigured table" in text or "does not exist" in text or "unknown table" in text
@@ -117,19 +117,21 @@ def is_table_gone(exc: BaseException) -> bool:
 
 
 def is_refused(exc: BaseException) -> bool:
-    """Say whether a server cannot, or will not, do this statement, but perhaps a simpler one.
+    """Return whether a server cannot or will not run this statement, but may run a simpler one.
 
-    A read that took too long is one: less work may be done in time.
+    A read that took too long counts too: less work may be done in time.
     """
     slow = isinstance(exc, (ReadTimeout, ReadFailure, OperationTimedOut))
     return slow or not (is_passing(exc) or is_busy(exc) or is_table_gone(exc))
 
 
 def translate(exc: BaseException, what: str, nodes: str = "") -> CassandraRosError:
-    """Make one of our errors out of one of the driver's; what was being done begins its text.
+    """Translate one of the driver's errors into one of ours.
 
     Args:
-        nodes: Which nodes answer and which do not, where a node of several does.
+        what: What was being done, the beginning of the error text.
+        nodes: Text that says which nodes of the cluster answer and which do not; '' if all or
+            none do.
     """
     more = f"; {nodes}" if nodes else ""
     if isinstance(exc, CassandraRosError):
@@ -179,14 +181,17 @@ def _denied(exc: Unauthorized, what: str) -> AccessDenied:
 
 
 def cause_of(exc: BaseException, nodes: str = "") -> str:
-    """Say in few words why a request failed that may succeed later; nodes as translate."""
+    """Return a short text of why a request failed that may succeed later; nodes as in translate."""
     cause = str(translate(exc, "")).lstrip(": ")[:MAX_CAUSE]
     return f"{cause}; {nodes}" if nodes else cause
 
 
 @contextmanager
 def translated(what: str, nodes: Callable[[], str] = str) -> Iterator[None]:
-    """Run a block in which driver errors become ours; nodes tells what translate says of them."""
+    """Run a block and translate its driver errors.
+
+    ``nodes`` returns translate's text of that name.
+    """
     try:
         yield
     except DRIVER_ERRORS as exc:

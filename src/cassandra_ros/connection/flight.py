@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Requests in the air, bounded in number and bytes, sent again where that may help."""
+"""Requests on their way, limited in number and bytes, sent again if that may help."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from cassandra_ros.connection.paging import (
 from cassandra_ros.errors import StoreUnavailable
 
 MAX_BYTES = 4 * 1024 * 1024
-"""Eight chunks of large messages, or 16 batches. More is no faster, and a server refuses to read on
-when one address sends it heap / 40 ahead."""
+"""Maximum number of bytes on their way: eight chunks of large messages, or 16 batches. More is not
+faster, and a server stops reading from an address that has sent it heap / 40 ahead."""
 MAX_REQUESTS = 16
 
 _GIVEN_UP = "the program is to end, and the store does not answer"
@@ -39,7 +39,7 @@ class _Request:
     nbytes: int
     outcome: Outcome
     begun: float
-    """When its turn came; monotonic."""
+    """Monotonic time at which the request was sent first, s."""
     pause: float = FIRST_PAUSE_SEC
     settled: bool = False
 
@@ -47,8 +47,10 @@ class _Request:
 class Flight:
     """Sends idempotent statements without waiting for each answer. Thread-safe.
 
-    The outcome of each statement is told once, on the driver's event thread or on the one of a
-    retry: None, or the error after which it was given up. It must not block.
+    The callback ``outcome`` of each statement is called once, on the driver's event thread or on
+    the
+    thread of a retry, with None or with the error after which the statement was given up. It must
+    not block.
     """
 
     def __init__(
@@ -65,11 +67,14 @@ class Flight:
         self._requests: set[_Request] = set()
 
     def submit(self, statement: Statement, nbytes: int, outcome: Outcome) -> None:
-        """Send a statement of so many bytes; blocks while too much is in the air."""
+        """Send a statement of ``nbytes`` bytes.
+
+        Blocks while too many bytes or requests are sent.
+        """
         request = _Request(statement, nbytes, outcome, time.monotonic())
         try:
             with self._changed:
-                # One that is over the bound alone is sent when nothing else is in the air.
+                # A statement larger than MAX_BYTES is sent when no other one is on its way.
                 while self._requests and (
                     len(self._requests) >= MAX_REQUESTS or self._bytes + nbytes > MAX_BYTES
                 ):
@@ -87,11 +92,11 @@ class Flight:
 
     @property
     def nbytes(self) -> int:
-        """Bytes that are in the air."""
+        """Number of bytes on their way."""
         return self._bytes
 
     def wait(self) -> None:
-        """Return when every statement has its outcome."""
+        """Wait until every statement has its outcome."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: not self._requests, LOOK_SEC)
@@ -102,7 +107,7 @@ class Flight:
                 self._settle(request, StoreUnavailable(_GIVEN_UP))
 
     def _is_over(self) -> bool:
-        """Say whether the program is to end, and the store does not answer."""
+        """Return whether the program has to end and the store does not answer."""
         return self._outage is not None and self._outage.left_sec <= 0
 
     def _launch(self, request: _Request) -> None:
@@ -136,12 +141,12 @@ class Flight:
             if self._outage is not None:
                 self._outage.failed(exc, trying_sec)
             pause, request.pause = request.pause, min(2 * request.pause, LAST_PAUSE_SEC)
-        # Its place in the budget is still held, so the retry never blocks on itself.
+        # The request still holds its place in the budget, so its retry never has to wait for one.
         retry = threading.Timer(pause, self._launch, (request,))
         retry.daemon = True
         try:
             retry.start()
-        except RuntimeError as no_thread:  # the process has as many as it may
+        except RuntimeError as no_thread:  # the process has its maximum number of threads
             self._settle(request, no_thread)
 
     def _settle(self, request: _Request, exc: BaseException | None) -> None:

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the store is and how one logs in there: decided here, for every program and RosCassandra.
+"""Address, login and TLS of the store: decided here for every program and for RosCassandra.
 
-As cqlsh decides it, from the same two files: ~/.cassandra/cqlshrc and ~/.cassandra/credentials.
+The rules are cqlsh's, from the same two files: ~/.cassandra/cqlshrc and ~/.cassandra/credentials.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from cassandra_ros.errors import InvalidOption
 CQLSHRC = "~/.cassandra/cqlshrc"
 CREDENTIALS = "~/.cassandra/credentials"
 PROVIDERS = ("PlainTextAuthProvider", "DSEPlainTextAuthProvider")
-"""What [auth_provider] may name, all in module cassandra.auth. Nothing is imported that a file
-names: who may write the file could run anything."""
+"""Class names that [auth_provider] may have, all of the module cassandra.auth. A class that a file
+names is never imported: it could run any code of the file's owner."""
 
 _SECTION = "auth_provider"
 _log = logging.getLogger(__name__)
@@ -33,28 +33,29 @@ _warned: set[str] = set()
 
 @dataclass(frozen=True)
 class Tls:
-    """The files of [ssl] and [certfiles]; all are PEM."""
+    """The settings of [ssl] and [certfiles] in a cqlshrc; all files are PEM."""
 
     source: str
-    """The file that said so, for error texts."""
+    """File that has these settings, for error texts."""
     validate: bool = True
-    """Whether the server's certificate must be one that is trusted."""
+    """Whether the server's certificate must be trusted."""
     certfile: str = ""
-    """Certificates that are trusted."""
+    """File of trusted certificates; '' = the cqlshrc names no file."""
     certfiles: Mapping[str, str] = field(default_factory=dict)
-    """By host: what is trusted there, in the place of certfile."""
+    """File of trusted certificates for each host, in place of certfile."""
     userkey: str = ""
     usercert: str = ""
-    """Our own key and certificate, where the server asks for one."""
+    """Files of our own key and certificate, for servers that ask for a client certificate."""
 
     def context(self, host: str) -> ssl.SSLContext:
-        """Make what a connection to a host is encrypted with.
+        """Return the SSL context for a connection to a host.
 
         Raises:
-            InvalidOption: A file is missing or is none of certificates, or none is named.
+            InvalidOption: A file is missing or holds no certificates, or no certificates are named.
         """
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        # As cqlsh: who has the key of a trusted certificate is the server, under any name.
+        # Like cqlsh: the server is the one that has the key of a trusted certificate, under any
+        # name.
         context.check_hostname = False
         context.verify_mode = ssl.CERT_REQUIRED if self.validate else ssl.CERT_NONE
         trusted = self.certfiles.get(host.lower(), self.certfile)
@@ -75,7 +76,7 @@ class Tls:
 
 @dataclass(frozen=True)
 class Login:
-    """What a connection is made with."""
+    """Address, user and TLS settings of a connection."""
 
     hosts: list[str]
     port: int
@@ -83,14 +84,15 @@ class Login:
     password: str | None = field(default=None, repr=False)
     tls: Tls | None = None
     files: tuple[str, str] = (CQLSHRC, CREDENTIALS)
-    """The two files, whether they are there or not."""
+    """Names of the cqlshrc and the credentials file, which may be missing."""
     ignored: str = ""
-    """A credentials file that others can read."""
+    """Credentials file that was not read because other users can read it; '' = there is no such
+    file."""
 
 
 @contextmanager
 def _readable(option: str, name: str) -> Iterator[None]:
-    """Turn errors of reading PEM files into ours."""
+    """Translate errors of reading PEM files."""
     try:
         yield
     except (OSError, ValueError) as exc:  # ssl.SSLError is an OSError
@@ -109,9 +111,9 @@ def read_login(
 ) -> Login:
     """Decide where to connect and as whom.
 
-    What is given goes before the environment (CASSANDRA_ROS_HOST, CASSANDRA_ROS_PORT,
-    CASSANDRA_ROS_CQLSHRC, SSL_CERTFILE, SSL_VALIDATE), that before the files, these before what is
-    usual. Given empty, as a launch file may do, is not given.
+    The order is: arguments, environment (CASSANDRA_ROS_HOST, CASSANDRA_ROS_PORT,
+    CASSANDRA_ROS_CQLSHRC, SSL_CERTFILE, SSL_VALIDATE), files, defaults. An empty argument, which a
+    launch file may pass, counts as not given.
 
     Args:
         host: One address, several divided by commas, or a sequence of them.
@@ -121,7 +123,7 @@ def read_login(
             ~/.cassandra/credentials, which may be missing.
 
     Raises:
-        InvalidOption: A named file cannot be read, or something in it cannot be.
+        InvalidOption: A named file cannot be read, or a value in it is not valid.
     """
     named = cqlshrc or from_environment("CQLSHRC")
     config_file = os.path.expanduser(named or CQLSHRC)
@@ -148,24 +150,30 @@ def read_login(
 
 
 def is_private(name: str) -> bool:
-    """Tell whether nobody else can read a file, or there is none; root's may be another's."""
+    """Return whether no other user can read a file, or the file is missing.
+
+    For root the file may belong to any user.
+    """
     try:
         found = os.stat(name)
     except OSError:
-        return True  # what cannot be read either is told where it is read
+        return True  # _read reports a file that cannot be read
     ours = os.getuid() in (0, found.st_uid)
     return ours and not found.st_mode & (stat.S_IRGRP | stat.S_IROTH)
 
 
 def _warn(text: str) -> None:
-    """Warn once a process: a program may connect often."""
+    """Log a warning once per process: a program may connect often."""
     if text not in _warned:
         _warned.add(text)
         _log.warning("%s", text)
 
 
 def _read(name: str, option: str, *, must_exist: bool) -> configparser.ConfigParser:
-    """Read one of the two files; nothing where there is none. A % in a password is one."""
+    """Read one of the two files; empty if it is missing.
+
+    A % in a password is an ordinary character.
+    """
     config = configparser.ConfigParser(interpolation=None)
     if not name:
         return config
@@ -177,10 +185,10 @@ def _read(name: str, option: str, *, must_exist: bool) -> configparser.ConfigPar
     except (OSError, UnicodeDecodeError, ValueError) as exc:
         raise InvalidOption(f"{option} {name} cannot be read: {exc}") from exc
     except configparser.Error as exc:
-        # Its own text may show a line of the file, a password perhaps.
+        # Its own text may show a line of the file, which may hold a password.
         line = getattr(exc, "lineno", None) or next(iter(getattr(exc, "errors", ())), ("?",))[0]
         raise InvalidOption(
-            f"{option} {name} cannot be read: line {line} is none of a file of sections; "
+            f"{option} {name} cannot be read: line {line} does not belong to a file of sections; "
             "write [section] and name = value"
         ) from None
     return config
@@ -193,7 +201,7 @@ def _user(
     username: str | None,
     password: str | None,
 ) -> tuple[str | None, str | None]:
-    """Return user name and password; what is further on in the list goes before."""
+    """Return user name and password; a later entry of the list below replaces an earlier one."""
     provider = _section(config, _SECTION)
     module, name = provider.get("module"), provider.get("classname")
     known = (module, name) in [("cassandra.auth", each) for each in PROVIDERS]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Why a connection was refused: wrong password, certificates, TLS on one side only."""
+"""Reason for which a connection was refused: wrong password, certificates, TLS on one side only."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from cassandra_ros.errors import CertificateRefused, ConnectionFailed, LoginFail
 
 PROBE_SEC = 2.0
 _OPTIONS = struct.pack(">BBhBi", 4, 0, 0, 5, 0)
-"""The request of CQL's protocol that needs no login."""
+"""The OPTIONS request of the CQL protocol, which needs no login."""
 _UNTRUSTED = "certificate verify failed"
 
 
 def explain_refusal(
     errors: Mapping[object, BaseException], login: Login, by_tls: bool, where: str
 ) -> ConnectionFailed | None:
-    """Make one clear error of what the driver met at each host; None where it is none of these."""
+    """Return one clear error for the driver's errors of all hosts; None if no case here fits."""
     texts = " ".join(str(error) for error in errors.values())
     if any(isinstance(error, AuthenticationFailed) for error in errors.values()):
         return _login_failed(login, where)
@@ -96,14 +96,18 @@ def _wants_ours(host: str, port: int) -> bool:
 
 
 def _greet(host: str, port: int, *, listening: bool = False) -> tuple[bool, bool]:
-    """Begin to speak TLS, without a certificate; tell if it is spoken, and if one is asked for."""
+    """Start a TLS handshake without a certificate.
+
+    Returns:
+        Whether the server speaks TLS, and whether it asks for a client certificate.
+    """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     context.check_hostname = False
-    context.verify_mode = ssl.CERT_NONE  # nothing is said behind the greeting
+    context.verify_mode = ssl.CERT_NONE  # nothing is sent after the handshake
     try:
         with socket.create_connection((host, port), timeout=PROBE_SEC) as plain:
             with context.wrap_socket(plain) as greeted:
-                if listening:  # since TLS 1.3 a server refuses behind the greeting
+                if listening:  # since TLS 1.3 a server refuses after the handshake
                     greeted.recv(1)
     except ssl.SSLError as exc:
         text = str(exc).lower()

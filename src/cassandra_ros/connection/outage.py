@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Since when a store does not answer: told once, then each minute, and when it is over."""
+"""Outages of the store: logged when one begins, then once a minute, and when it is over."""
 
 from __future__ import annotations
 
@@ -15,27 +15,28 @@ from cassandra_ros.connection.driver_errors import cause_of, is_answer
 _log = logging.getLogger(__name__)
 
 GRACE_SEC = 2.0
-"""A store that answers nothing for so long is away; what is shorter passes without a word."""
+"""Minimum time without an answer that counts as an outage, s. A shorter one is not logged."""
 STUBBORN_SEC = 10.0
-"""A request that fails for so long is told, also where others are answered."""
+"""Age from which a failing request is logged while other requests are answered, s."""
 REPEAT_SEC = 60.0
 HURRY_SEC = 1.5
-"""How long a program that is to end waits for an answer, from the last one on, s."""
+"""How long a program that has to end waits for an answer, since the last answer, s."""
 
 
 class Outage:
-    """Hears which requests of a connection fail and which are answered. Thread-safe.
+    """Notes which requests of a connection fail and which are answered. Thread-safe.
 
     Args:
-        where: The hosts, for people.
+        where: The hosts, as text for log lines.
 
     Attributes:
-        waiting: Returns what waits for the store and how long it is kept, for the lines that tell
-            of an outage; '' = nothing to be said. Whoever keeps something sets it.
-        hint: Returns what else is known of the reason; as above.
-        nodes: Returns which nodes of several answer and which do not; '' = all or none do.
-        failing: Called with each failure, and how long requests have failed without one that a
-            server answered, be it with an error, s; it must not block.
+        waiting: Returns the text for log lines that says which messages wait for the store and
+            how long they are kept; '' = none. The object that keeps messages sets it.
+        hint: Returns a text for log lines with a known reason; '' = no reason is known.
+        nodes: Returns a text that says which nodes of the cluster answer and which do not; '' if
+            all or none do.
+        failing: Called after each failure with the time since which no server has answered at
+            all, not even with an error, s; must not block.
     """
 
     def __init__(self, where: str) -> None:
@@ -46,19 +47,19 @@ class Outage:
         self.failing: Callable[[float], object] = float
         self._mutex = threading.Lock()
         self._failing_since: float | None = None
-        """When the first request failed since the last one was answered; monotonic."""
+        """Monotonic time of the first failure since the last request that succeeded, s."""
         self._silent_since: float | None = None
-        """When the first one failed since a server sent its last answer or error; monotonic."""
+        """Monotonic time of the first failure since the last answer or error of a server, s."""
         self._told: float | None = None
-        """When the outage was told of last."""
+        """Monotonic time at which the outage was logged last, s."""
         self._grumbled = -REPEAT_SEC
         self._hurried: float | None = None
-        """When waits were told to end; monotonic."""
+        """Monotonic time at which hurry was called, s."""
         self._heard = 0.0
-        """When a request was answered last, since then; monotonic."""
+        """Monotonic time of the last answer since hurry was called, s."""
 
     def hurry(self) -> None:
-        """Let each wait end in which nothing is answered for HURRY_SEC: the program is to end.
+        """End each wait in which no answer comes for HURRY_SEC, because the program has to end.
 
         A signal handler may call it.
         """
@@ -66,7 +67,7 @@ class Outage:
 
     @property
     def left_sec(self) -> float:
-        """How long one more answer may be waited for, s; inf = as long as each wait says."""
+        """How long to wait for one more answer, s; inf = the limit of each request."""
         hurried = self._hurried
         if hurried is None:
             return math.inf
@@ -74,12 +75,12 @@ class Outage:
 
     @property
     def seconds(self) -> float:
-        """How long the store has been away, s; 0 = it is there."""
+        """How long the outage has lasted, s; 0 = the store answers."""
         since = self._failing_since
         return 0.0 if since is None or self._told is None else time.monotonic() - since
 
     def failed(self, exc: BaseException, trying_sec: float) -> None:
-        """Note that a request failed that is tried again, and has been for so many seconds."""
+        """Note that a request failed ``trying_sec`` seconds after its first attempt."""
         now = time.monotonic()
         with self._mutex:
             if self._failing_since is None:
@@ -107,13 +108,13 @@ class Outage:
             return
         clock = time.strftime("%H:%M:%S", time.localtime(time.time() - away))
         cause = f"({cause_of(exc, self.nodes())})" if first else "still"
-        # An error that a server sent is an answer: it cannot do what is asked.
+        # An error that a server sent is an answer: the server cannot do what it is asked.
         does = "fails all requests" if is_answer(exc) else "has not answered"
         text = "the store at %s " + does + " since %s %s%s"
         _log.warning(text, self._where, clock, cause, _rest(self.hint(), self.waiting()))
 
     def answered(self) -> None:
-        """Note that a request was answered; cheap while all are."""
+        """Note that a request was answered. Cheap while no request fails."""
         if self._hurried is not None:
             self._heard = time.monotonic()
         if self._failing_since is None:

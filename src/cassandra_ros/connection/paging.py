@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Requests that are asked again where a failure may pass; reads go on behind their last row."""
+"""Requests with retries; a read that failed goes on after the last row that it got."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ BUSY_PAUSE_SEC = 0.002
 FIRST_PAUSE_SEC = 0.1
 LAST_PAUSE_SEC = 5.0
 LOOK_SEC = 0.2
-"""How often a wait looks whether the program is to end, s."""
+"""Interval at which a wait checks whether the program has to end, s."""
 GROWTH = 4
-"""How much larger a page is than the one before, where little was wanted at first."""
+"""Ratio between the sizes of two consecutive pages, for reads that start with a small page."""
 
 RawRow = Tuple[Optional[bytes], ...]
-"""The columns of a row as the bytes that Cassandra stores; None = null."""
+"""Columns of a row as the bytes that Cassandra stores; None = null."""
 Refused = Callable[[BaseException], bool]
-"""Tells of an error of the driver that it is to be raised as it is, at once."""
+"""Returns whether an error of the driver is raised at once as it is, without a retry."""
 OnPage = Callable[[Sequence[RawRow]], None]
-"""Called with the rows of each page as soon as they are here, on the driver's thread."""
+"""Called on the driver's thread with the rows of each page as soon as they arrive."""
 _T = TypeVar("_T")
 
 
 class Patience:
-    """How long requests are tried, which may be shortened while they are. Thread-safe.
+    """Time limit of requests and their retries, which can be shortened at any time. Thread-safe.
 
     Args:
-        seconds: From when a request begins; inf = as long as it takes.
+        seconds: Time limit from the beginning of a request, s; inf = no limit.
     """
 
     def __init__(self, seconds: float) -> None:
@@ -59,20 +59,20 @@ class Patience:
         self._left = self._answered = 0.0
 
     def hurry(self, seconds: float) -> None:
-        """Try what begins, or has begun, no longer than so many seconds from now; once.
+        """Limit all present and later requests to ``seconds`` from now; only the first call counts.
 
-        All is given up at its first failure when the store has answered nothing for so long.
+        A request is given up at its first failure if the store has not answered for this time.
         """
         if self._hurried is None:
             self._left, self._hurried = seconds, time.monotonic()
 
     def answered(self) -> None:
-        """Note that the store has answered."""
+        """Note that the store has answered a request."""
         if self._hurried is not None:
             self._answered = time.monotonic()
 
     def ends(self, begun: float) -> float:
-        """Tell until when a request is tried that began at a time; monotonic."""
+        """Return until when a request that began at ``begun`` is retried; both monotonic, s."""
         if self._hurried is None:
             return begun + self._seconds
         heard = max(self._hurried, self._answered)
@@ -91,10 +91,10 @@ def retried(
     refused: Refused | None = None,
     outage: Outage | None = None,
 ) -> _T:
-    """Make an idempotent request, for so many seconds again while it fails with what may pass.
+    """Make an idempotent request; repeat it for ``seconds`` while it fails with what may pass.
 
     Raises:
-        CassandraRosError: Another try cannot help, or the time is up.
+        CassandraRosError: A retry cannot help, or the time is over.
     """
     begun, later, told = time.monotonic(), FIRST_PAUSE_SEC, False
     while True:
@@ -125,14 +125,17 @@ def retried(
 
 
 def _rest(seconds: float, outage: Outage | None) -> None:
-    """Sleep for so long, or until the waits of the program are to end."""
+    """Sleep for ``seconds``, or until the waits of the program have to end."""
     ends = time.monotonic() + seconds
     while (left := ends - time.monotonic()) > 0 and (outage is None or outage.left_sec > 0):
         time.sleep(min(left, LOOK_SEC))
 
 
 def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
-    """Yield requests, which are sent when they are taken, with so many on their way at once."""
+    """Yield requests in order, ``count`` of them on their way.
+
+    Taking one from the input sends it.
+    """
     sent: Deque[_T] = deque()
     for request in requests:
         sent.append(request)
@@ -142,12 +145,12 @@ def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
 
 
 def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
-    """Wait for the answer of a request that was sent without a time limit, as if it had one.
+    """Wait for the answer of a request that was sent without a timer, REQUEST_TIMEOUT_SEC at most.
 
-    The driver's own limit is a timer, for which each request wakes the driver's thread.
+    With the driver's own time limit each request would wake the driver's thread for a timer.
 
     Args:
-        outage: Says when the waits of the program are to end.
+        outage: Tells when the waits of the program have to end.
     """
     ends = time.monotonic() + REQUEST_TIMEOUT_SEC
     while not future._event.wait(LOOK_SEC):
@@ -158,17 +161,18 @@ def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
 
 
 class Asked:
-    """A request that is on its way from the start, of raw rows in one page or many.
+    """A read of raw rows, in one page or many; it is sent when the object is made.
 
     Args:
-        statement_from: Makes the statement, given the last row that was read (None = none yet):
-            where a later page fails the rest is asked for from there, so no row comes twice.
-        first_rows: Rows of the first page; each further one has GROWTH times as many, up to those
-            of the statement, and is not asked for ahead before that. 0 = all are that large.
-        outage: Hears of answers and failures.
+        statement_from: Returns the statement that reads the rows after a row; None = from the
+            beginning. If a later page fails, the rest is read by it, so no row comes twice.
+        first_rows: Number of rows of the first page. Each further page has GROWTH times as many,
+            up to the statement's page size; until then no page is requested ahead. 0 = all pages
+            have the statement's size.
+        outage: Notes answers and failures.
 
     Attributes:
-        more: There are pages behind the one that was read.
+        more: Whether there are further pages after the one that was read last.
     """
 
     def __init__(
@@ -196,8 +200,8 @@ class Asked:
 
     @property
     def last(self) -> Optional[RawRow]:
-        """The last row that was read."""
-        if self._read:  # not before: the page may not be cut into rows yet
+        """Last row that was read."""
+        if self._read:  # not earlier: the page may not be cut into rows yet
             self._last, self._read = self._read[-1], ()
         return self._last
 
@@ -223,11 +227,11 @@ class Asked:
             raise
 
     def page(self) -> Sequence[RawRow]:
-        """Wait for the page that is asked for; raises as retried does."""
+        """Wait for the page that was requested; raises like retried."""
         return retried(self._what, self._result, refused=self._refused, outage=self._outage)
 
     def pages(self, *, ahead: bool = True) -> Iterator[Sequence[RawRow]]:
-        """Yield the pages; ahead: the next is asked for before one is yielded, not behind it."""
+        """Yield the pages; with ``ahead`` the next one is requested before a page is yielded."""
         while self.more:
             page = self.page()
             early = ahead and not self._small

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The driver's own wire: columns as raw bytes, large requests and answers without needless copies.
+"""The driver's protocol layer with raw columns and without needless copies of large messages.
 
-Our columns are encoded straight from the wire buffer and go back into one: decoding them into
-Python values and encoding those again would cost twice and change signalling NaNs. So a session
-of its own hands out each column as the bytes that Cassandra stores.
+Our columns are encoded straight from the wire bytes of messages and decoded back to such bytes.
+Decoding columns to Python values and encoding these again would cost twice and change signalling
+NaNs. So a separate session returns each column as the bytes that Cassandra stores.
 """
 
 from __future__ import annotations
@@ -36,34 +36,34 @@ from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.connection.schema_changes import SchemaChanges
 
 PROTOCOL_VERSION = 4
-"""In version 5 all bytes are cut into segments of 128 KiB with checksums, which Python joins: 0.8
-ms more CPU for each MB that is written, and 1 to 1.5 ms for each that is read. Of what it can do
-besides we use nothing."""
+"""Version of the CQL protocol. Version 5 cuts all bytes into segments of 128 KiB with checksums,
+which Python joins: 0.8 ms more processor time per MB written and 1 to 1.5 ms per MB read. We need
+none of its other features."""
 BUFFER_BYTES = 1024 * 1024
-"""What one call of the system takes or gives. With the driver's own 4,096 bytes an answer takes
-hundreds of calls."""
+"""Maximum number of bytes that one system call reads or writes. With the driver's own 4,096 bytes
+an answer takes hundreds of calls."""
 DIRECT_BYTES = 16 * 1024
-"""A request up to this is sent by the thread that makes it."""
+"""Maximum size of a request that the calling thread sends itself, bytes."""
 _Column = Tuple[Any, ...]
-"""Keyspace, table, name and type of a column, as the driver tells them."""
+"""Keyspace, table, name and type of a column, as the driver describes it."""
 
 Prepared = Tuple[bool, bytes, Sequence[Any]]
 """True, the id of a prepared statement, its values."""
 
 _HEAD = struct.Struct(">BBhBi")
 _BATCH = struct.Struct(">BH")
-"""Type of a batch and number of its statements, before these."""
+"""Type of a batch and number of its statements; the statements follow."""
 _PLAIN = (ExecuteMessage, BatchMessage)
 _Decoding = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
 
 
 class EncodedRows:
-    """Statements of a batch, most of them encoded already.
+    """Statements of a batch, most of them already encoded.
 
     Args:
-        encoded: The bytes of some.
-        count: How many these are.
-        others: Prepared ones, as the driver's own batches hold them.
+        encoded: The bytes of the encoded statements.
+        count: Number of the encoded statements.
+        others: Prepared statements that are not encoded yet, as in the driver's own batches.
     """
 
     def __init__(self, encoded: bytes, count: int, others: Sequence[Prepared]) -> None:
@@ -73,7 +73,7 @@ class EncodedRows:
         return self._count + len(self._others)
 
     def write(self, buffer: io.BytesIO, msg: Any, protocol_version: int) -> None:
-        """Write the body of the batch whose statements these are."""
+        """Write the body of the batch ``msg`` with these statements."""
         rest = BatchMessage(
             msg.batch_type,
             self._others,
@@ -94,13 +94,13 @@ class EncodedRows:
 
 
 class _Received:
-    """What came and was not handed on yet, in the pieces in which it came.
+    """Received bytes that no answer has taken yet, in the pieces in which they arrived.
 
-    It stands where the driver has a BytesIO, into which each piece was copied, out of which each
-    answer was, and what was left behind that with each answer.
+    It replaces the driver's BytesIO. There each piece is copied in, each answer is copied out, and
+    the remaining bytes are copied again with each answer.
 
     Attributes:
-        ended: Nothing more will come.
+        ended: Whether the server has closed the connection.
     """
 
     def __init__(self) -> None:
@@ -109,7 +109,7 @@ class _Received:
         self.ended = False
 
     def write(self, piece: bytes) -> None:
-        """Append a piece; an empty one is what a socket gives at its end."""
+        """Append a piece; an empty one means that the server has closed the connection."""
         if piece:
             self._pieces.append(memoryview(piece))
             self._size += len(piece)
@@ -117,15 +117,15 @@ class _Received:
             self.ended = True
 
     def tell(self) -> int:
-        """Return how many bytes there are."""
+        """Return the number of bytes here."""
         return self._size
 
     def getvalue(self) -> bytes:
-        """Return all, for a message about an error."""
+        """Return all bytes, for an error text."""
         return b"".join(self._pieces)
 
     def take(self, size: int) -> bytes:
-        """Take so many bytes from the front; there are as many."""
+        """Take ``size`` bytes from the front; the caller knows that there are enough."""
         self._size -= size
         found = []
         while size:
@@ -139,10 +139,10 @@ class _Received:
 
 
 class _Alarm:
-    """The timer of a request, which lets go of the request when that is answered.
+    """The timer of a request, which drops its reference to the request when that is answered.
 
-    The driver's own holds it for good, and the request holds its timer: the messages in it would
-    stay in memory until Python's cyclic collector comes round, minutes later.
+    The driver's own timer keeps the reference, and the request refers to its timer. The messages of
+    the request would stay in memory until Python's cyclic collector runs, minutes later.
     """
 
     def __init__(self, ring: Callable[[], None]) -> None:
@@ -155,32 +155,32 @@ class _Alarm:
             ring()
 
     def cancel(self) -> None:
-        """Ring no more."""
+        """Cancel the timer."""
         timer, self.timer, self._ring = self.timer, None, None
         if timer is not None:
             timer.cancel()
 
 
 class LargeBuffers(DefaultConnection):
-    """A connection whose socket is read and written by the MB."""
+    """A connection whose socket is read and written in pieces of up to BUFFER_BYTES."""
 
     in_buffer_size = BUFFER_BYTES
     out_buffer_size = BUFFER_BYTES
     schema_changes: SchemaChanges
-    """What is told of the schema's changes that the server pushes."""
+    """Receiver of the schema changes that the server pushes."""
     _frame: tuple[_Frame, int] | None = None
-    """The answer that is being received, and the size of its body."""
+    """Header of the answer that is being received, and the size of its body in bytes."""
 
     @classmethod
     def create_timer(cls, timeout: float, callback: Callable[[], None]) -> _Alarm:
-        """Have the driver's thread call something in so many seconds."""
+        """Call a function on the driver's thread after ``timeout`` seconds."""
         alarm = _Alarm(callback)
         alarm.timer = super().create_timer(timeout, alarm)
         return alarm
 
     @classmethod
     def factory(cls, endpoint: object, timeout: float, *args: object, **kwargs: object) -> Any:
-        """Connect as the driver does, and ask the server to push changes of the schema."""
+        """Connect like the driver, and ask the server to push schema changes."""
         connection = super().factory(endpoint, timeout, *args, **kwargs)
         try:
             asked = RegisterMessage(event_list=["SCHEMA_CHANGE"])
@@ -192,7 +192,7 @@ class LargeBuffers(DefaultConnection):
         return connection
 
     def handle_pushed(self, response: Any) -> None:
-        """Note a change of the schema, before any answer that comes behind it is handed on."""
+        """Note a schema change, before any later answer is processed."""
         if response.event_type == "SCHEMA_CHANGE":
             self.schema_changes.pushed(response.event_args)
         super().handle_pushed(response)
@@ -202,9 +202,9 @@ class LargeBuffers(DefaultConnection):
         return _Received()
 
     def process_io_buffer(self) -> None:
-        """Hand on each answer that is whole; of version 4, without segments."""
+        """Process each complete answer; protocol version 4 has no segments."""
         self._hand_on()
-        # The driver closes at the end only if nothing waits here, and reads it again and again.
+        # The driver closes only if no bytes wait here; otherwise it reads the end again and again.
         if self._iobuf.ended:
             self.close()
 
@@ -227,18 +227,22 @@ class LargeBuffers(DefaultConnection):
             self.process_msg(frame, received.take(size))
 
     def push(self, data: bytes) -> None:
-        """Send a small request, queue a large one; what is left over is cut off without a copy."""
+        """Send a small request or queue a large one.
+
+        A memoryview lets the driver cut without copies.
+        """
         rest = self._send_now(data) if len(data) <= DIRECT_BYTES else data
         if rest is not None:
             super().push(memoryview(rest))
 
     def _send_now(self, data: bytes) -> bytes | None:
-        """Send at once what may be; None = nothing is left to be queued.
+        """Send as many bytes as the socket takes; return the rest to be queued, None = no rest.
 
-        To wake the driver's thread for it takes as long as a third of a lookup. While its watcher
-        is active (of libev's loop; another has none) it may be in the middle of a request.
+        Waking the driver's thread takes a third of the time of a lookup. While that thread's
+        watcher is
+        active it may be in the middle of a request. Only libev's event loop has this watcher.
         """
-        plain = type(self._socket) is socket.socket  # TLS is of one thread
+        plain = type(self._socket) is socket.socket  # a TLS socket belongs to one thread
         if not plain or getattr(self, "_write_watcher_is_active", True):
             return data
         with self._deque_lock:
@@ -246,7 +250,7 @@ class LargeBuffers(DefaultConnection):
                 return data
             try:
                 sent = self._socket.send(data)
-            except OSError:  # if it is more than a full buffer, the driver's thread meets it again
+            except OSError:  # other than a full buffer: the driver's thread gets the same error
                 return data
             if sent == len(data):
                 return None
@@ -255,10 +259,10 @@ class LargeBuffers(DefaultConnection):
 
 
 def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[LargeBuffers]:
-    """Return the class of connections, which with TLS trust what is trusted of their host.
+    """Return the class of connections, which with TLS trust the certificates of their own host.
 
     Args:
-        changes: Is told what they hear of the schema.
+        changes: Receiver of the schema changes that the connections get.
     """
 
     class Listening(LargeBuffers):
@@ -267,7 +271,7 @@ def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[LargeBuffe
     if tls is None or not tls.certfiles:
         return Listening
     files, make = tls.certfiles, functools.lru_cache(maxsize=None)(tls.context)
-    # The driver knows nodes by their addresses; the file may name them.
+    # The driver knows nodes by address; the cqlshrc may name them.
     names = {address: name for name in files for address in _addresses_of(name)}
 
     class Encrypted(Listening):
@@ -282,7 +286,7 @@ def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[LargeBuffe
 def _addresses_of(name: str) -> set[object]:
     try:
         return {found[4][0] for found in socket.getaddrinfo(name, None)}
-    except (OSError, UnicodeError):  # one that we do not connect to, perhaps
+    except (OSError, UnicodeError):  # maybe a host that we never connect to
         return set()
 
 
@@ -305,12 +309,12 @@ class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
         policy: object,
     ) -> None:
         known, body, start = _as_bytes(metadata), f.getvalue(), f.tell()
-        kind = self.kind  # in a circle with the message its bytes would stay
+        kind = self.kind  # a reference to the message would be a cycle and keep its bytes in memory
 
         def cut() -> Sequence[RawRow]:
             rest, again = io.BytesIO(body), _RawResultMessage(kind)
             rest.seek(start)
-            # The compiled parser binds its recv_results_metadata, so ours above is called.
+            # The compiled parser calls recv_results_metadata of its class, so ours above runs.
             _Decoding.recv_results_rows(again, rest, version, types, known, policy)
             rows: Sequence[RawRow] = again.parsed_rows
             return rows
@@ -327,7 +331,7 @@ def _as_bytes(metadata: list[_Column] | None) -> list[_Column] | None:
 
 
 class RawProtocolHandler(ProtocolHandler):
-    """Gives columns as the bytes that Cassandra stores."""
+    """Protocol handler that returns columns as the bytes that Cassandra stores."""
 
     message_types_by_opcode = {
         **ProtocolHandler.message_types_by_opcode,
@@ -343,7 +347,7 @@ class RawProtocolHandler(ProtocolHandler):
         compressor: object,
         allow_beta_protocol_version: bool,
     ) -> bytes:
-        """Encode a request as the driver does, but in one buffer: it copies a body twice."""
+        """Encode a request like the driver, but in one buffer: the driver copies the body twice."""
         special = msg.tracing or msg.custom_payload or compressor or allow_beta_protocol_version
         if special or not isinstance(msg, _PLAIN):
             return super().encode_message(  # type: ignore[no-any-return]

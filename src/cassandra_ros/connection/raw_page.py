@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The rows of an answer as they came: a stretch of bytes, in which each column follows its size."""
+"""Rows of an answer as received: one byte string in which each column follows its size."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ _size = struct.Struct(">i").unpack_from
 _FOUR = struct.pack(">i", 4)
 
 WIDE = 64 * 1024
-"""Bytes of a row, on average, from which on rows are cut here."""
+"""Average size of a row in bytes from which this module cuts the rows itself."""
 FEW = 4
-"""So few rows are as well: the compiled parser takes as long to begin."""
+"""Pages with at most this many rows are cut here too: starting the compiled parser would take as
+long."""
 
 
 class RawPage(Sequence[RawRow]):
-    """Rows of an answer, which are cut into columns when somebody looks at them.
+    """Rows of an answer, which are cut into columns when they are first accessed.
 
     Args:
-        body: The answer.
-        at: Where the number of its rows lies, before the first one.
-        width: Columns of a row.
-        cut: Cuts all rows.
+        body: Bytes of the answer.
+        at: Offset of the number of rows, which stands before the first row.
+        width: Number of columns of a row.
+        cut: Cuts all rows by the driver's parser.
 
     Attributes:
-        body: The answer; nothing once it is cut.
+        body: Bytes of the answer; empty after the rows were cut.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class RawPage(Sequence[RawRow]):
         return int(self._count)
 
     def __iter__(self) -> Iterator[RawRow]:
-        yield from self._every()  # not before: the driver only asks whether there is an iterator
+        yield from self._every()  # on first use: the driver only tests whether there is an iterator
 
     @overload
     def __getitem__(self, place: int) -> RawRow: ...
@@ -66,7 +67,7 @@ class RawPage(Sequence[RawRow]):
         if self._cut is not None:
             here = self._count <= FEW or self._wide
             self._rows = self._cut_here() if here else self._cut()
-            self.body, self._cut = b"", None  # not to hold it twice
+            self.body, self._cut = b"", None  # or the rows would be in memory twice
         return self._rows
 
     @property
@@ -74,18 +75,18 @@ class RawPage(Sequence[RawRow]):
         return bool(len(self.body) >= WIDE * self._count)
 
     def views(self) -> Iterator[RawRow]:
-        """Yield the rows once; columns of wide ones are no copies but views of the answer."""
+        """Yield the rows once; columns of wide rows are views of the answer instead of copies."""
         if self._cut is None or not self._wide:
             yield from self._every()
             return
-        body, at = cast(bytes, memoryview(self.body)), self._at  # it is looked at as bytes are
+        body, at = cast(bytes, memoryview(self.body)), self._at  # callers read it like bytes
         for _ in range(self._count):
             self._last = at
             yield self._cut_row(body, at)
             at = self.end(at)
 
     def _cut_here(self) -> Sequence[RawRow]:
-        # The compiled parser copies all that it cuts once more.
+        # The compiled parser would copy all columns once more.
         rows, at = [], self._at
         for _ in range(self._count):
             rows.append(self.row(at))
@@ -93,16 +94,19 @@ class RawPage(Sequence[RawRow]):
         return rows
 
     def bounds(self, sized_at: int, mark: bytes) -> Optional[Tuple[Places, Places]]:
-        """Find where the rows begin and end; None where it cannot be said.
+        """Guess where the rows begin and end; None if that is not possible.
 
-        A row is taken to be as long as the one before that has the same value in one column of
-        four bytes, unless what follows does not begin as a row does. So these are guesses:
-        whoever looks at each size in a row that begins at its place, and finds that it ends where
-        the next one begins, knows that of the next one, too.
+        Rows with the same value in one column of four bytes are taken to be equally long, unless
+        the
+        bytes after such a row cannot be the beginning of a row. So the result is a guess. A caller
+        who
+        checks every size in a row that begins at its place, and finds that this row ends at the
+        place
+        of the next one, has checked the place of the next row too.
 
         Args:
-            sized_at: Where that column lies in a row.
-            mark: With which each row begins.
+            sized_at: Offset of that column in a row.
+            mark: Bytes with which each row begins.
         """
         body, at, ends = self.body, self._at, []
         lengths: Dict[int, int] = {}
@@ -129,7 +133,10 @@ class RawPage(Sequence[RawRow]):
         return found[:-1], found[1:]
 
     def _alike(self, mark: bytes) -> Optional[Places]:
-        """Find where rows begin that are all as long as the first, and where the last one ends."""
+        """Return where rows of one length begin, and the end of the last.
+
+        None if lengths differ.
+        """
         at, size = self._at, len(self.body)
         length = self.end(at) - at
         if not self._count or at + self._count * length != size:
@@ -140,13 +147,13 @@ class RawPage(Sequence[RawRow]):
         return found if (data[begins] == np.frombuffer(mark, np.uint8)).all() else None
 
     def end(self, at: int) -> int:
-        """Return where a row ends; raises struct.error."""
+        """Return the end of the row that begins at ``at``; raises struct.error."""
         for _ in range(self._width):
             at += 4 + max(0, _size(self.body, at)[0])
         return at
 
     def row(self, at: int) -> RawRow:
-        """Cut the row that begins at a place."""
+        """Return the columns of the row that begins at ``at``."""
         return self._cut_row(self.body, at)
 
     def _cut_row(self, body: bytes, at: int) -> RawRow:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The driver's sessions with a cluster, and new ones where these have ended.
+"""The driver's sessions with a cluster, and their replacement after they have ended.
 
-A driver's session can end for good while the server answers other clients. The driver shuts the
-pool of connections of one session down when a connection of it breaks, and leaves the node marked
-as up while another session still has an open connection: then it never makes another pool.
+A driver's session can end for good while the server answers other clients. When a connection of a
+session breaks, the driver shuts down the session's pool of connections. While another session still
+has an open connection, the driver leaves the node marked as up and never makes another pool.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from cassandra_ros.errors import CassandraRosError
 _log = logging.getLogger(__name__)
 
 SILENT_SEC = 60.0
-"""How long requests may fail, without one that is answered, before sessions are made anew, s."""
+"""How long all requests may fail before the sessions are replaced, s."""
 FIRST_PAUSE_SEC = 0.5
 LAST_PAUSE_SEC = 30.0
-"""Pauses between two attempts to make sessions anew: doubled from the first to the last, s."""
+"""Pauses between two attempts to replace the sessions, doubled from the first to the last, s."""
 PROBE_SEC = 2.0
-"""How long a server may take to accept a connection before sessions are made anew, s."""
+"""How long a server may take to accept a connection before sessions are replaced, s."""
 
 
 class Link(NamedTuple):
-    """A cluster of the driver with our two sessions; it is replaced as a whole."""
+    """A driver's cluster and our two sessions with it; all three are replaced together."""
 
     cluster: Cluster
     session: Session
-    """Gives values that are decoded."""
+    """Session that returns decoded values."""
     raw_session: Session
-    """Gives the bytes of each value."""
+    """Session that returns the bytes of each value."""
 
     def is_shut_down(self) -> bool:
-        """Say whether one of the sessions has ended for good: no request of it can be sent."""
+        """Return whether the cluster or a session has ended for good and can send no request."""
         if self.cluster.is_shutdown:
             return True
         return any(map(_is_shut_down, (self.session, self.raw_session)))
@@ -53,16 +53,16 @@ def _is_shut_down(session: Session) -> bool:
 
 
 class Links:
-    """The link of a connection, and the thread that makes another one. Thread-safe.
+    """The link of a connection, and the thread that makes a new one. Thread-safe.
 
     Args:
-        make: Makes a link; raises CassandraRosError where the cluster does not answer.
-        adopt: Tells a link which statements are prepared, before and after it is put in use.
-        places: Addresses and port of the nodes that are asked for a link.
-        where: The same, for people.
+        make: Makes a link; raises CassandraRosError if the cluster does not answer.
+        adopt: Passes the prepared statements to a link, before and after it replaces the old one.
+        places: Address and port of each node to connect to.
+        where: The same as text for log lines.
 
     Attributes:
-        current: The link that is in use.
+        current: The link in use.
     """
 
     def __init__(
@@ -76,19 +76,19 @@ class Links:
         self._changed = threading.Condition()
         self._closed = self._making = False
         self._next = 0.0
-        """When the next attempt may begin; monotonic."""
+        """Monotonic time from which the next attempt may begin, s."""
         self._pause = FIRST_PAUSE_SEC
         self.current = make()
         self._since = time.monotonic()
-        """When it was put in use; monotonic."""
+        """Monotonic time since which the current link is in use, s."""
 
     def failed(self, silent_sec: float) -> None:
-        """Note that a request failed; where the link is to blame another one is begun.
+        """Note that a request failed; start to replace the link if it is the reason.
 
         It never blocks: the driver's own threads call it.
 
         Args:
-            silent_sec: How long requests have failed without one that was answered, s.
+            silent_sec: Time since which every request has failed without any answer, s.
         """
         link, silent_sec = self.current, min(silent_sec, time.monotonic() - self._since)
         silent = silent_sec >= SILENT_SEC
@@ -103,7 +103,7 @@ class Links:
         threading.Thread(target=self._replace, args=args, name=name, daemon=True).start()
 
     def await_open(self, seconds: float) -> Link:
-        """Return the link, after so many seconds at the most where one is made in its place."""
+        """Return the link; wait up to ``seconds`` while a new one is being made."""
         ends = time.monotonic() + seconds
         while self.current.is_shut_down() and not self._closed and time.monotonic() < ends:
             self.failed(0.0)
@@ -126,7 +126,7 @@ class Links:
         elif new is not None:
             self._adopt(new)
             _log.warning("the session with the store at %s %s: made anew", self._where, why)
-            # What it had on its way fails now, and is sent again by the new one.
+            # The requests on the old link fail now and are sent again on the new one.
             old.cluster.shutdown()
 
     def _made(self) -> Link | None:
@@ -141,9 +141,9 @@ class Links:
             return None
 
     def close(self, seconds: float | None = None) -> None:
-        """Shut the link down, waiting for so long at the most (None = as it takes).
+        """Shut the link down and make no other.
 
-        No other link is made.
+        Wait at most ``seconds`` for it (None = no limit).
         """
         with self._changed:
             self._closed = True
