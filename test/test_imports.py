@@ -61,7 +61,7 @@ DOORS = {
     "cassandra_ros.srv": {"nodes", "cli"},
     "rospy": {"nodes"},
     "rostopic": {"nodes"},
-    "rosgraph": {"messages/graph.py"},
+    "rosgraph": {"messages/ros_master.py"},
     "cassandra": {"connection", "tables", "store"},
     "genpy": {"messages", "formats"},
     "genmsg": {"messages", "formats"},

@@ -10,7 +10,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker
-from messages.test_stacked import manyWires
+from messages.test_message_stacks import manyWires
 
 from cassandra_ros.arrays import table_values
 from cassandra_ros.arrays.table_values import TableValues

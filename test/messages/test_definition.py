@@ -20,7 +20,7 @@ from cassandra_ros.messages.definition import (
     parse_definition,
     render_spec,
 )
-from cassandra_ros.messages.installed import installed_class
+from cassandra_ros.messages.installed_types import installed_class
 from cassandra_ros.messages.spec import parse_spec
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 

@@ -28,7 +28,7 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.messages.wire.fields import Unfit
+from cassandra_ros.messages.wire.fields import CannotBatch
 from cassandra_ros.messages.wire.objects import ObjectMaker
 
 SEEDS = st.integers(0, 2**32)
@@ -68,7 +68,7 @@ def check(cls, wires):
     assert [contents(each) for each in deserialize_all(cls, wires)] == expected
     try:
         assert [contents(each) for each in together(cls, wires)] == expected
-    except Unfit:
+    except CannotBatch:
         return False
     return True
 
@@ -107,7 +107,7 @@ def test_what_is_no_message_is_corrupt_also_among_others(seed):
         with pytest.raises(CorruptMessage) as found:
             list(deserialize_all(cls, wires))
         assert str(found.value) == str(exc)
-        with pytest.raises(Unfit):
+        with pytest.raises(CannotBatch):
             together(cls, wires)
     else:
         assert [contents(each) for each in deserialize_all(cls, wires)] == expected
@@ -150,7 +150,7 @@ def test_classes_that_genpy_did_not_make_are_left_to_themselves():
             self.data = "own"
             return self
 
-    with pytest.raises(Unfit):
+    with pytest.raises(CannotBatch):
         ObjectMaker(Own, definition_of(Own))
     assert [m.data for m in deserialize_all(Own, [serialize(String("a"))] * COUNT)] == [
         "own"

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker
-from messages.test_stacked import manyWires
+from messages.test_message_stacks import manyWires
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.wire.permuter import MAX_KEPT, MIN_ROWS, permuter
+from cassandra_ros.messages.wire.permuter import MAX_CACHED, MIN_ROWS, permuter
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 SEEDS = st.integers(0, 2**32)
@@ -191,7 +191,7 @@ def test_more_layouts_than_are_kept_are_turned_back():
         return checkBack(definition, [walked(plan, each) for each in every], every)
 
     turned(wire("a", "bcd"))
-    for size in range(MAX_KEPT - 1):
+    for size in range(MAX_CACHED - 1):
         turned(wire("x" * (10 + size)))
     assert turned(wire("a", "bcd"), wire("ab", "cd"), wire("abc", "d")) == 3 * MIN_ROWS
 

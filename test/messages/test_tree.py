@@ -19,9 +19,9 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.tree.build import tree_builder
 from cassandra_ros.messages.tree.echo import echo_printer
-from cassandra_ros.messages.tree.read import Budget, tree_reader
+from cassandra_ros.messages.tree.tree_encoder import tree_encoder
+from cassandra_ros.messages.tree.tree_reader import Budget, tree_reader
 
 SEEDS = st.integers(0, 2**32)
 
@@ -47,7 +47,7 @@ def check(definition, seed):
     """The tree builds the message, and prints as genpy prints it."""
     wire = WireMaker(definition, seed, signalling=False).make()
     tree = treeOf(definition, wire)
-    assert tree_builder(definition)(tree) == wire
+    assert tree_encoder(definition)(tree) == wire
     printed = echo_printer(definition)(tree)
     try:
         cls = message_class(definition)
@@ -91,7 +91,7 @@ def test_broken_messages_are_corrupt_or_read(seed, cut, surplus, data):
                 continue
             echo_printer(definition)(found.tree)
             try:
-                assert len(tree_builder(definition)(found.tree)) <= len(broken) * 4 or found[1]
+                assert len(tree_encoder(definition)(found.tree)) <= len(broken) * 4 or found[1]
             except CorruptMessage:
                 pass
 
@@ -112,7 +112,7 @@ VALUES = st.recursive(
 @given(seed=SEEDS, value=VALUES, data=st.data())
 def test_trees_that_are_no_message_are_corrupt(seed, value, data):
     definition = parse_definition(*DefinitionMaker(seed).make())
-    build = tree_builder(definition)
+    build = tree_encoder(definition)
     tree = treeOf(definition, WireMaker(definition, seed, signalling=False).make())
     place, key = None, None
     inner = tree
@@ -156,7 +156,7 @@ def test_a_tree_is_plain_values_by_the_definitions_names():
         "f": True,
     }
     assert treeOf(definition, wire) == tree
-    assert tree_builder(definition)(tree) == wire
+    assert tree_encoder(definition)(tree) == wire
     assert "from_: [-1]\n" in echo_printer(definition)(tree)
 
 
@@ -188,7 +188,7 @@ def test_a_tree_is_plain_values_by_the_definitions_names():
 )
 def test_values_of_a_field(text, good, bad):
     definition = parse_definition("p/T", text)
-    build = tree_builder(definition)
+    build = tree_encoder(definition)
     for value in good:
         build({"x": value})
     for value in bad:
@@ -278,7 +278,7 @@ def test_a_definition_of_64_levels():
     definition = parse_definition("p/T", SEPARATOR.join(["T1[] a", *names, "MSG: p/T63\nint8 x"]))
     wire = struct.pack("<I", 1) * 63 + b"\5"
     tree = treeOf(definition, wire)
-    assert tree_builder(definition)(tree) == wire
+    assert tree_encoder(definition)(tree) == wire
     assert echo_printer(definition)(tree).endswith("\n" + 250 * " " + "- \n" + 252 * " " + "x: 5")
 
 

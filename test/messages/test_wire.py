@@ -14,7 +14,7 @@ from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker, installe
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.classes import deserialize, installed_definition, message_class
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compile_object_check
+from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS, compile_object_check
 from cassandra_ros.messages.wire.wire_plan import WirePlan, wire_plan
 
 SEEDS = st.integers(0, 2**32)

@@ -11,7 +11,7 @@ from messages.random_wire import WireMaker
 
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.wire.cql_values import pack_equal, pack_list, split_equal, split_list
-from cassandra_ros.messages.wire.skip import MAX_SURPLUS, compile_object_check, compile_skip
+from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS, compile_object_check, compile_skip
 
 FIELDS = [
     "uint8[] x",

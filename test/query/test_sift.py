@@ -27,7 +27,7 @@ from query.test_terms import decode, rank
 
 from cassandra_ros.blocks.codec import pack_block, unpack_block
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.wire import stacked
+from cassandra_ros.messages.wire import message_stacks
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.plan.block_filter import compile_sift
 from cassandra_ros.query.plan.pushdown import Pushdown
@@ -224,7 +224,7 @@ KINDS_OF_FIELD = Types(
     ],
 )
 def test_of_other_plain_fields_too(condition, monkeypatch):
-    monkeypatch.setattr(stacked, "MIN_STACKED", 1)
+    monkeypatch.setattr(message_stacks, "MIN_STACKED", 1)
     table, numbers = tableOf(KINDS_OF_FIELD), random.Random(1)
     wires = []
     for _ in range(120):
@@ -305,7 +305,7 @@ DEEP = "\n".join(
 )
 def test_messages_that_match_are_never_sifted_out(condition, monkeypatch):
     """Elements beside others, an element of an element, and a text that is not UTF-8."""
-    monkeypatch.setattr(stacked, "MIN_STACKED", 1)
+    monkeypatch.setattr(message_stacks, "MIN_STACKED", 1)
     types = Types("sift_msgs/Deep", DEEP)
     item, small = (types.classes[f"sift_msgs/{name}"] for name in ("Item", "Small"))
     made = types.root(ints=[5, 4], text="#")

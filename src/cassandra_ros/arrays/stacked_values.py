@@ -17,13 +17,19 @@ from cassandra_ros.arrays.column_values import Values, empty_values
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import FieldColumn
-from cassandra_ros.messages.wire.stacked import Bytes, Places, Stack, by_size, stacker
+from cassandra_ros.messages.wire.message_stacks import (
+    ByteArray,
+    Int64Array,
+    Stack,
+    by_size,
+    stacker,
+)
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.tree.field_names import FieldRef
 
 _NUMBERS = ("int", "float", "bool", "time", "duration")
 
-Grouped = Iterable[Tuple[Places, Bytes]]
+Grouped = Iterable[Tuple[Int64Array, ByteArray]]
 """Messages by their size: which they are, ascending, and their planes."""
 Left = Sequence[Tuple[int, bytes]]
 """Messages that share no layout with others: which they are, and their bytes."""
@@ -36,16 +42,16 @@ class MessageBlock(NamedTuple):
     node: str
     run: Callable[[], str]
     """What RUN says of them."""
-    times: Places
+    times: Int64Array
     """Their keys, ns."""
-    seqs: Places
+    seqs: Int64Array
     groups: Grouped
     """What is in none cannot be read."""
 
 
 def together(blocks: Sequence[MessageBlock]) -> Grouped:
     """Return the messages of blocks by their size: of many sizes each block has few of one."""
-    found: Dict[int, List[Tuple[Places, Bytes]]] = {}
+    found: Dict[int, List[Tuple[Int64Array, ByteArray]]] = {}
     first = 0
     for block in blocks:
         for members, planes in block.groups:

@@ -37,7 +37,7 @@ from cassandra_ros.cli.script import end_now
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.local_server.jars import default_directory
-from cassandra_ros.messages.graph import master_answers
+from cassandra_ros.messages.ros_master import master_answers
 from cassandra_ros.recording.recording import BLOCK_SEC
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.snapshot import read_bound

@@ -9,7 +9,7 @@ from typing import Sequence
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
-from cassandra_ros.messages.wire.stacked import Places
+from cassandra_ros.messages.wire.message_stacks import Int64Array
 
 _pack_size = struct.Struct(">i").pack
 
@@ -30,7 +30,7 @@ class CassandraTopic_binary(CassandraTopic_):
         return [_pack_size(len(wire)) + wire for wire in wires]
 
     def decode_together(
-        self, data: bytes, starts: Places, ends: Places, sizes: Places
+        self, data: bytes, starts: Int64Array, ends: Int64Array, sizes: Int64Array
     ) -> Sequence[bytes | None]:
         """Cut them out."""
         bounds = zip(starts.tolist(), ends.tolist())

@@ -10,7 +10,7 @@ from typing import Any, Mapping, NamedTuple, Sequence
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.classes import deserialize, message_class, raw_class, serialize
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.stacked import Places
+from cassandra_ros.messages.wire.message_stacks import Int64Array
 
 
 class EncodedMessage(NamedTuple):
@@ -80,7 +80,7 @@ class CassandraTopic_(ABC):
         return [None] * len(wires)
 
     def decode_together(
-        self, data: bytes, starts: Places, ends: Places, sizes: Places
+        self, data: bytes, starts: Int64Array, ends: Int64Array, sizes: Int64Array
     ) -> Sequence[bytes | None]:
         """Return the messages of many rows, of these sizes, as decode_wire does.
 

@@ -9,8 +9,8 @@ from base64 import b64decode, b64encode
 from math import isfinite
 
 from cassandra_ros.formats.text_column import ParsedFormat
-from cassandra_ros.messages.tree.build import plain_bytes
-from cassandra_ros.messages.tree.read import MessageTree
+from cassandra_ros.messages.tree.tree_encoder import plain_bytes
+from cassandra_ros.messages.tree.tree_reader import MessageTree
 
 
 class CassandraTopic_json(ParsedFormat):

@@ -8,8 +8,8 @@ from typing import Sequence
 
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
+from cassandra_ros.messages.wire.message_stacks import Int64Array
 from cassandra_ros.messages.wire.permuter import permuter
-from cassandra_ros.messages.wire.stacked import Places
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 INLINE_BYTES = 512 * 1024
@@ -54,7 +54,7 @@ class CassandraTopic_ros(CassandraTopic_):
         return self.plan.build(columns) if raw is None else raw
 
     def decode_together(
-        self, data: bytes, starts: Places, ends: Places, sizes: Places
+        self, data: bytes, starts: Int64Array, ends: Int64Array, sizes: Int64Array
     ) -> Sequence[bytes | None]:
         """Turn those of one layout back at once."""
         if not self.plan.complete:

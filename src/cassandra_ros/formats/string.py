@@ -11,7 +11,7 @@ from cassandra_ros.formats.cassandra_topic_ import EncodedMessage
 from cassandra_ros.formats.text_column import TextFormat
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.tree.echo import echo_printer
-from cassandra_ros.messages.tree.read import MessageTree
+from cassandra_ros.messages.tree.tree_reader import MessageTree
 
 
 class CassandraTopic_string(TextFormat):

@@ -10,8 +10,8 @@ from typing import Sequence
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.tree.build import plain_bytes, tree_builder
-from cassandra_ros.messages.tree.read import Budget, MessageTree, tree_reader
+from cassandra_ros.messages.tree.tree_encoder import plain_bytes, tree_encoder
+from cassandra_ros.messages.tree.tree_reader import Budget, MessageTree, tree_reader
 
 MAX_TEXT_BYTES = 64 * 1024
 
@@ -63,7 +63,7 @@ class ParsedFormat(TextFormat):
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
-        self._build = tree_builder(self.definition, self.field_bytes)
+        self._build = tree_encoder(self.definition, self.field_bytes)
 
     @staticmethod
     def field_bytes(value: object) -> bytes:

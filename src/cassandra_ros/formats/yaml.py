@@ -12,7 +12,7 @@ from typing import Any, Sequence
 import yaml
 
 from cassandra_ros.formats.text_column import ParsedFormat
-from cassandra_ros.messages.tree.read import MessageTree
+from cassandra_ros.messages.tree.tree_reader import MessageTree
 
 MAX_DEPTH = 300
 """Of a text; libyaml's composer overflows the stack of the process at some ten thousand."""

@@ -25,10 +25,10 @@ import yaml
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages.definition import Definition, attribute_name, definition_of, render_spec
-from cassandra_ros.messages.installed import installed_class
-from cassandra_ros.messages.wire.fields import Unfit
+from cassandra_ros.messages.installed_types import installed_class
+from cassandra_ros.messages.wire.field_ends import compile_object_check, compile_skip
+from cassandra_ros.messages.wire.fields import CannotBatch
 from cassandra_ros.messages.wire.objects import MIN_TOGETHER, ObjectMaker
-from cassandra_ros.messages.wire.skip import compile_object_check, compile_skip
 
 _lock = threading.RLock()  # genpy keeps the state of its generator in global variables
 _classes: dict[Definition, Any] = {}
@@ -177,7 +177,7 @@ def deserialize_all(cls: Any, wires: Sequence[bytes]) -> Iterator[Any]:
     maker = _object_maker(cls) if len(wires) >= MIN_TOGETHER else None
     if maker is not None:
         sizes = np.fromiter(map(len, wires), np.int64, len(wires))
-        with suppress(Unfit):
+        with suppress(CannotBatch):
             return maker.make(b"".join(wires), np.cumsum(sizes) - sizes, sizes)
     return map(deserialize, repeat(cls), wires)
 
@@ -188,7 +188,7 @@ def _object_maker(cls: Any) -> Optional[ObjectMaker]:
         return None
     try:
         return ObjectMaker(cls, definition_of(cls))
-    except Unfit:
+    except CannotBatch:
         return None
 
 

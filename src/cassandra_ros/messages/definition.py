@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any, Mapping
 
 from cassandra_ros.errors import DefinitionError
-from cassandra_ros.messages.installed import installed_class
+from cassandra_ros.messages.installed_types import installed_class
 from cassandra_ros.messages.shape import check_shape, compute_md5
 from cassandra_ros.messages.spec import (
     MessageSpec,

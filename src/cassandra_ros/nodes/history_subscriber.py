@@ -19,7 +19,7 @@ from cassandra_ros.history.join import Heard, History
 from cassandra_ros.history.live_queue import LiveQueue
 from cassandra_ros.history.past import Past
 from cassandra_ros.messages.classes import deserialize
-from cassandra_ros.messages.graph import master_proxy
+from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import Time, When, time_or_length, to_ns
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration

@@ -18,7 +18,7 @@ from xml.parsers.expat import ExpatError
 import rospy
 
 from cassandra_ros.errors import ClockNotSet
-from cassandra_ros.messages.graph import MasterTransport
+from cassandra_ros.messages.ros_master import MasterTransport
 from cassandra_ros.nodes.subscription import subscribe
 from cassandra_ros.printable import shown_lines
 

@@ -22,7 +22,7 @@ from rospy.impl.registration import (
 )
 
 from cassandra_ros.errors import ClockNotSet
-from cassandra_ros.messages.graph import master_proxy
+from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 

@@ -9,7 +9,7 @@ import threading
 
 import rospy
 
-from cassandra_ros.messages.graph import master_proxy
+from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.nodes.node import MASTER_ERRORS
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.tables.context_blob import NodeGraph, RunContext

@@ -16,7 +16,7 @@ from cassandra_ros.blocks.bucket_read import BucketRead, Opened
 from cassandra_ros.blocks.codec import Unpacked
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.keys import writer_of
-from cassandra_ros.messages.wire.stacked import Bytes, Places, as_planes
+from cassandra_ros.messages.wire.message_stacks import ByteArray, Int64Array, as_planes
 from cassandra_ros.topics.chunks_ahead import chunks_ahead
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -44,7 +44,7 @@ def messages_of(
     yield from filter(None, map(_alone, chunks_ahead(rows)))
 
 
-def _chosen(unpacked: Unpacked, places: Places) -> Sequence[Tuple[Places, Bytes]]:
+def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[Tuple[Int64Array, ByteArray]]:
     if len(places) == len(unpacked):
         return [(group.members, group.planes) for group in unpacked.groups]
     kept = np.zeros(len(unpacked), bool)

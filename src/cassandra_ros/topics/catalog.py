@@ -26,7 +26,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.graph import topic_type
+from cassandra_ros.messages.ros_master import topic_type
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts

@@ -10,7 +10,7 @@ from typing import Callable, Dict
 
 from cassandra_ros.formats.json import CassandraTopic_json
 from cassandra_ros.messages.tree.echo import echo_printer
-from cassandra_ros.messages.tree.read import Budget, tree_reader
+from cassandra_ros.messages.tree.tree_reader import Budget, tree_reader
 from cassandra_ros.query.rows.answer_bound import MOST_BYTES, AnswerBound
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable

@@ -70,7 +70,7 @@ def _below(params: Mapping[str, object], namespace: str) -> object:
 
 
 def _load(context: RunContext, options: argparse.Namespace) -> None:
-    from cassandra_ros.messages.graph import set_parameters
+    from cassandra_ros.messages.ros_master import set_parameters
 
     namespace = options.namespace
     wanted = "/" + "/".join(filter(None, namespace.split("/")))

@@ -15,7 +15,7 @@ import yaml
 
 from cassandra_ros.messages.definition import Definition, attribute_name
 from cassandra_ros.messages.spec import Field
-from cassandra_ros.messages.tree.read import NUMBER_CODES, TIME_CODES, MessageTree
+from cassandra_ros.messages.tree.tree_reader import NUMBER_CODES, TIME_CODES, MessageTree
 
 _Print = Callable[[Any, str], str]
 """(value of a field, indentation of its further lines) -> text after 'name: '."""

@@ -14,8 +14,8 @@ from typing import Any, Callable, Sequence, Union
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, Specs
+from cassandra_ros.messages.wire.field_ends import fixed_size
 from cassandra_ros.messages.wire.layout import FieldColumn, Fixed
-from cassandra_ros.messages.wire.skip import fixed_size
 
 Primitive = Union[bool, int, float, str]
 """Python value of a column that is neither a list nor a blob; times are int nanoseconds."""

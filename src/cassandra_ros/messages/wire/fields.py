@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES
 
-Cells = NDArray[np.uint8]
+ByteRows = NDArray[np.uint8]
 """Bytes of many messages: (messages, bytes)."""
-Places = NDArray[np.int64]
+Offsets = NDArray[np.int64]
 """Offsets in the buffer, one for each message, all of the same field."""
-Column = Iterator[Any]
+FieldValues = Iterator[Any]
 """Values of a field, message after message."""
 
 MAX_PERIOD = 16
@@ -26,7 +26,7 @@ _BYTES = ("uint8", "char")
 _U4 = np.dtype("<u4")
 
 
-class Unfit(Exception):
+class CannotBatch(Exception):
     """These messages cannot be made together, but only one by one; some may be malformed."""
 
 
@@ -36,25 +36,25 @@ class Wires:
     def __init__(self, data: bytes) -> None:
         self.data = data
 
-    def cut(self, ats: Places, size: int) -> Cells:
+    def cut(self, ats: Offsets, size: int) -> ByteRows:
         """Return ``size`` bytes from each offset on: (offsets, size)."""
-        every: NDArray[Any] = np.ndarray(
+        views: NDArray[Any] = np.ndarray(
             (len(self.data) - size + 1,), f"V{size}", self.data, 0, (1,)
         )
-        return every[ats].view(np.uint8).reshape(len(ats), size)
+        return views[ats].view(np.uint8).reshape(len(ats), size)
 
-    def lengths(self, ats: Places) -> Places:
+    def lengths(self, ats: Offsets) -> Offsets:
         """Return the length of the string or array at each offset."""
-        every: NDArray[Any] = np.ndarray((len(self.data) - 3,), _U4, self.data, 0, (1,))
-        return every[ats].astype(np.int64)
+        views: NDArray[Any] = np.ndarray((len(self.data) - 3,), _U4, self.data, 0, (1,))
+        return views[ats].astype(np.int64)
 
-    def slices(self, ats: Places, ends: Places) -> List[bytes]:
+    def slices(self, ats: Offsets, ends: Offsets) -> List[bytes]:
         """Return the bytes from each offset to its end."""
         data = self.data
         return [data[at:end] for at, end in zip(ats.tolist(), ends.tolist())]
 
 
-class Columns:
+class ColumnList:
     """The columns of a message's fields.
 
     Attributes:
@@ -62,39 +62,39 @@ class Columns:
     """
 
     def __init__(self) -> None:
-        self.every: List[Column] = []
+        self.columns: List[FieldValues] = []
         self.objects = 0.0
 
     def add(self, values: Iterable[Any], objects: float = 0) -> None:
         """Add a column."""
-        self.every.append(iter(values))
+        self.columns.append(iter(values))
         self.objects += objects
 
 
-class Group(NamedTuple):
+class ElementGroup(NamedTuple):
     """Messages, or elements of the arrays of messages, in sequence."""
 
     wires: Wires
-    ats: Places
+    ats: Offsets
     """Offset up to which each message is read."""
-    ends: Places
+    ends: Offsets
     """Offset at which the message that contains it ends."""
     period: int
     """Number of elements after which the sequence of elements repeats, if all arrays are alike."""
 
-    def checked(self, ats: Places) -> Places:
-        """Return the offsets if all lie within their messages; else raise Unfit."""
+    def checked(self, ats: Offsets) -> Offsets:
+        """Return the offsets if all lie within their messages; else raise CannotBatch."""
         if (ats > self.ends).any():
-            raise Unfit
+            raise CannotBatch
         return ats
 
 
-class Run:
+class FixedFields:
     """Adjacent fields of fixed size."""
 
     def __init__(self) -> None:
         self.size = 0
-        self._readers: List[Callable[[Cells, int], Iterable[Any]]] = []
+        self._readers: List[Callable[[ByteRows, int], Iterable[Any]]] = []
 
     def add(self, type_: str, length: Optional[int]) -> None:
         """Add a field of a primitive type; length: of a fixed array, None = a single value."""
@@ -105,7 +105,7 @@ class Run:
         else:
             self._readers.append(_array(type_, code, at, length))
 
-    def read(self, group: Group, out: Columns) -> Places:
+    def read(self, group: ElementGroup, out: ColumnList) -> Offsets:
         """Append the columns of the fields; return the offsets after them."""
         ends = group.checked(group.ats + self.size)
         cells = group.wires.cut(group.ats, self.size)
@@ -113,47 +113,47 @@ class Run:
             out.add(reader(cells, self.size))
         return ends
 
-    def skip(self, wires: Wires, ats: Places) -> Places:
+    def skip(self, wires: Wires, ats: Offsets) -> Offsets:
         """Return the offsets after the fields."""
         return ats + self.size
 
 
-def _scalar(type_: str, at: int) -> Callable[[Cells, int], Iterable[Any]]:
+def _scalar(type_: str, at: int) -> Callable[[ByteRows, int], Iterable[Any]]:
     if type_ == "bool":
         return lambda cells, size: (cells[:, at] != 0).tolist()
     dtype = np.dtype("<" + CODES[type_])
     return lambda cells, size: np.ndarray((len(cells),), dtype, cells, at, (size,)).tolist()
 
 
-def _array(type_: str, code: str, at: int, length: int) -> Callable[[Cells, int], Iterable[Any]]:
+def _array(type_: str, code: str, at: int, length: int) -> Callable[[ByteRows, int], Iterable[Any]]:
     unit = length * PRIMITIVE_SIZES[type_]
 
-    def read(cells: Cells, size: int) -> Iterable[Any]:
+    def read(cells: ByteRows, size: int) -> Iterable[Any]:
         if not length:
             return [[] if type_ == "bool" else () for _ in cells]
         return _tuples(type_, cells, f"<{at}x{length}{code}{size - at - unit}x")
 
-    def read_bytes(cells: Cells, size: int) -> Iterable[Any]:
+    def read_bytes(cells: ByteRows, size: int) -> Iterable[Any]:
         found = struct.iter_unpack(f"<{at}x{length}s{size - at - length}x", cells.data)
         return chain.from_iterable(found)
 
     return read_bytes if type_ in _BYTES else read
 
 
-def _tuples(type_: str, cells: Cells, layout: str) -> Iterable[Any]:
+def _tuples(type_: str, cells: ByteRows, layout: str) -> Iterable[Any]:
     """Return arrays as genpy makes them: lists of bools, tuples of other numbers."""
     found = struct.iter_unpack(layout, cells.data)
     return map(list, found) if type_ == "bool" else found
 
 
-class Numbers:
+class PrimitiveArray:
     """An array of primitives with a length prefix."""
 
     def __init__(self, type_: str) -> None:
         self._type = type_
         self._unit, self._code = PRIMITIVE_SIZES[type_], CODES[type_]
 
-    def read(self, group: Group, out: Columns) -> Places:
+    def read(self, group: ElementGroup, out: ColumnList) -> Offsets:
         """Append its column; return the offsets after it."""
         lengths = group.wires.lengths(group.ats)
         begins = group.ats + 4
@@ -172,15 +172,15 @@ class Numbers:
     def _one(self, data: bytes, at: int, length: int) -> Tuple[Any, ...]:
         return struct.unpack_from(f"<{length}{self._code}", data, at)
 
-    def skip(self, wires: Wires, ats: Places) -> Places:
+    def skip(self, wires: Wires, ats: Offsets) -> Offsets:
         """Return the offsets after it."""
         return ats + 4 + self._unit * wires.lengths(ats)
 
 
-class Text:
+class TextField:
     """A string with its length prefix."""
 
-    def read(self, group: Group, out: Columns) -> Places:
+    def read(self, group: ElementGroup, out: ColumnList) -> Offsets:
         """Append its column; return the offsets after it."""
         wires, begins = group.wires, group.ats + 4
         ends = group.checked(begins + wires.lengths(group.ats))
@@ -193,12 +193,12 @@ class Text:
         out.add(map(_decode, wires.slices(begins, ends)))
         return ends
 
-    def skip(self, wires: Wires, ats: Places) -> Places:
+    def skip(self, wires: Wires, ats: Offsets) -> Offsets:
         """Return the offsets after it."""
         return ats + 4 + wires.lengths(ats)
 
 
-def _same(wires: Wires, begins: Places, ends: Places) -> Optional[bytes]:
+def _same(wires: Wires, begins: Offsets, ends: Offsets) -> Optional[bytes]:
     """Return the bytes that are the same at all offsets; None if they differ."""
     size = int(ends[0] - begins[0])
     if not (ends - begins == size).all():

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Iterator, NamedTuple, Optional, Tuple
 
 from cassandra_ros.messages.spec import Field, Specs
-from cassandra_ros.messages.wire.skip import Skip, compile_field_skip, fixed_size
+from cassandra_ros.messages.wire.field_ends import Skip, compile_field_skip, fixed_size
 
 
 @dataclass(frozen=True)

@@ -36,18 +36,18 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition, attribute_name
 from cassandra_ros.messages.shape import object_counts
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, Specs
+from cassandra_ros.messages.wire.field_ends import fixed_size
 from cassandra_ros.messages.wire.fields import (
-    Column,
-    Columns,
-    Group,
-    Numbers,
-    Places,
-    Run,
-    Text,
-    Unfit,
+    CannotBatch,
+    ColumnList,
+    ElementGroup,
+    FieldValues,
+    FixedFields,
+    Offsets,
+    PrimitiveArray,
+    TextField,
     Wires,
 )
-from cassandra_ros.messages.wire.skip import fixed_size
 
 MIN_TOGETHER = 24
 """Minimum number of messages made together. Fewer are faster one by one."""
@@ -64,13 +64,13 @@ _NUMBERS = frozenset(CODES) - frozenset(_STAMPS)
 """Types of numbers. All other types except string become objects."""
 
 
-class _Array:
+class _ElementArray:
     """An array of messages, times or strings."""
 
-    def __init__(self, length: Optional[int], size: Optional[int], element: _Element) -> None:
+    def __init__(self, length: Optional[int], size: Optional[int], element: _ElementReader) -> None:
         self._length, self._size, self._element = length, size, element
 
-    def read(self, group: Group, out: Columns) -> Places:
+    def read(self, group: ElementGroup, out: ColumnList) -> Offsets:
         """Append its column; return the offsets after it."""
         begins, counts = self._counts(group.wires, group.ats)
         most, total = int(counts.max()), int(counts.sum())
@@ -86,24 +86,24 @@ class _Array:
             ats = np.repeat(begins, counts) + within * self._size
             ends = begins + counts * self._size
         period = group.period * most if most * len(counts) == total else total
-        inner = Group(group.wires, ats, np.repeat(group.ends, counts), period)
+        inner = ElementGroup(group.wires, ats, np.repeat(group.ends, counts), period)
         found, _, objects = self._element.make(inner)
         lists = map(list, map(islice, repeat(found), counts.tolist()))
         out.add(lists, 1 + objects * total / len(counts))
         return group.checked(ends)
 
-    def _counts(self, wires: Wires, ats: Places) -> Tuple[Places, Places]:
+    def _counts(self, wires: Wires, ats: Offsets) -> Tuple[Offsets, Offsets]:
         """Return the offsets of the first elements, and the numbers of elements."""
         if self._length is None:
             return ats + 4, wires.lengths(ats)
         return ats, np.full(len(ats), self._length)
 
     def _walk(
-        self, wires: Wires, begins: Places, counts: Places, firsts: Places
-    ) -> Tuple[Places, Places]:
+        self, wires: Wires, begins: Offsets, counts: Offsets, firsts: Offsets
+    ) -> Tuple[Offsets, Offsets]:
         """Return the offset of each element, in order, and the offsets after the arrays."""
         if int(counts.sum()) < MIN_LIVE * int(counts.max()):
-            raise Unfit
+            raise CannotBatch
         ats, ends = np.empty(int(counts.sum()), np.int64), begins.copy()
         live = np.arange(len(counts))
         for n in range(int(counts.max())):
@@ -113,7 +113,7 @@ class _Array:
             ends[live] = self._element.skip(wires, at)
         return ats, ends
 
-    def skip(self, wires: Wires, ats: Places) -> Places:
+    def skip(self, wires: Wires, ats: Offsets) -> Offsets:
         """Return the offsets after it."""
         begins, counts = self._counts(wires, ats)
         if self._size is not None:
@@ -122,18 +122,18 @@ class _Array:
             return begins
         # ``read`` checks this too; here the check keeps a malformed count from looping for ever.
         if (begins + counts * self._element.least > len(wires.data)).any():
-            raise Unfit
+            raise CannotBatch
         return self._walk(wires, begins, counts, np.cumsum(counts) - counts)[1]
 
 
-_Step = Union[Run, Numbers, Text, _Array]
+_FieldReader = Union[FixedFields, PrimitiveArray, TextField, _ElementArray]
 
 
-class _Objects(NamedTuple):
+class _ObjectPlan(NamedTuple):
     """How the objects of one class are made from the columns of their fields."""
 
     cls: Any
-    slots: List[Tuple[Callable[[Any, Any], object], Union[int, _Objects]]]
+    slots: List[Tuple[Callable[[Any, Any], object], Union[int, _ObjectPlan]]]
     """For each field its setter, and the index of its column or how the message in it is made."""
 
     @property
@@ -141,7 +141,7 @@ class _Objects(NamedTuple):
         """Number of objects made for one message, without those in its columns."""
         return 1 + sum(s.size for _, s in self.slots if not isinstance(s, int))
 
-    def make(self, columns: Sequence[Column], count: int) -> List[Any]:
+    def make(self, columns: Sequence[FieldValues], count: int) -> List[Any]:
         """Make the next ``count`` objects."""
         made = list(map(object.__new__, repeat(self.cls, count)))
         for put, source in self.slots:
@@ -150,67 +150,72 @@ class _Objects(NamedTuple):
         return made
 
 
-class _Element:
+class _ElementReader:
     """A message, time or string with all its fields.
 
     Attributes:
         least: Minimum size on the wire, bytes.
     """
 
-    def __init__(self, steps: List[_Step], objects: Optional[_Objects], least: int) -> None:
+    def __init__(
+        self, steps: List[_FieldReader], objects: Optional[_ObjectPlan], least: int
+    ) -> None:
         self._steps, self._objects, self.least = steps, objects, least
 
-    def make(self, group: Group) -> Tuple[Iterator[Any], Places, float]:
+    def make(self, group: ElementGroup) -> Tuple[Iterator[Any], Offsets, float]:
         """Read objects or texts, which are made when the iterator is advanced.
 
         Returns:
             Iterator over them, the offsets after them, and the average number of objects in each.
         """
-        columns, ats = Columns(), group.ats
+        columns, ats = ColumnList(), group.ats
         for step in self._steps:
             ats = step.read(group._replace(ats=ats), columns)
         if self._objects is None:
-            return columns.every[0], ats, 0
+            return columns.columns[0], ats, 0
         weight = self._objects.size + columns.objects
-        made = _by_and_by(self._objects, columns.every, len(ats), int(MAX_OBJECTS / weight))
+        made = _in_batches(self._objects, columns.columns, len(ats), int(MAX_OBJECTS / weight))
         return chain.from_iterable(made), ats, weight
 
-    def skip(self, wires: Wires, ats: Places) -> Places:
+    def skip(self, wires: Wires, ats: Offsets) -> Offsets:
         """Return the offsets after them."""
         for step in self._steps:
             ats = step.skip(wires, ats)
         return ats
 
 
-def _by_and_by(
-    objects: _Objects, columns: Sequence[Column], count: int, most: int
+def _in_batches(
+    objects: _ObjectPlan, columns: Sequence[FieldValues], count: int, most: int
 ) -> Iterator[List[Any]]:
     for first in range(0, count, max(1, most)):
         yield objects.make(columns, min(count - first, max(1, most)))
 
 
 class _Compiler:
-    """Compiles a checked definition to steps. Unfit: the classes are not as genpy makes them."""
+    """Compiles a checked definition to steps.
+
+    CannotBatch: the classes are not as genpy makes them.
+    """
 
     def __init__(self, cls: Any, definition: Definition) -> None:
         self._cls, self._root = cls, definition.type
         self._specs: Specs = definition.specs
         if object_counts(self._root, self._specs) is not None:
-            raise Unfit  # it contains messages without bytes
+            raise CannotBatch  # it contains messages without bytes
 
-    def element(self, type_: str) -> _Element:
+    def element(self, type_: str) -> _ElementReader:
         """Compile a message type, 'time', 'duration' or 'string'."""
         if type_ == "string":
-            return _Element([Text()], None, PRIMITIVE_SIZES["string"])
-        steps: List[_Step] = []
+            return _ElementReader([TextField()], None, PRIMITIVE_SIZES["string"])
+        steps: List[_FieldReader] = []
         columns: List[int] = [0]
         objects = self._objects(type_, steps, columns)
-        return _Element(steps, objects, max(1, _least(type_, self._specs)))
+        return _ElementReader(steps, objects, max(1, _least(type_, self._specs)))
 
-    def _objects(self, type_: str, steps: List[_Step], columns: List[int]) -> _Objects:
+    def _objects(self, type_: str, steps: List[_FieldReader], columns: List[int]) -> _ObjectPlan:
         """Append the steps that read a message. ``columns`` holds the number of columns so far."""
         cls, fields = self._class(type_)
-        slots: List[Tuple[Callable[[Any, Any], object], Union[int, _Objects]]] = []
+        slots: List[Tuple[Callable[[Any, Any], object], Union[int, _ObjectPlan]]] = []
         for field in fields:
             put = getattr(cls, attribute_name(field.name)).__set__
             if not field.is_array and field.type != "string" and field.type not in _NUMBERS:
@@ -219,20 +224,20 @@ class _Compiler:
             slots.append((put, columns[0]))
             columns[0] += 1
             self._field(field, steps)
-        return _Objects(cls, slots)
+        return _ObjectPlan(cls, slots)
 
-    def _field(self, field: Field, steps: List[_Step]) -> None:
+    def _field(self, field: Field, steps: List[_FieldReader]) -> None:
         if field.type == "string" and not field.is_array:
-            steps.append(Text())
+            steps.append(TextField())
         elif field.type not in _NUMBERS:
             size = _fixed(field.type, self._specs)
-            steps.append(_Array(field.length, size, self.element(field.type)))
+            steps.append(_ElementArray(field.length, size, self.element(field.type)))
         elif field.is_array and field.length is None:
-            steps.append(Numbers(field.type))
+            steps.append(PrimitiveArray(field.type))
         else:
             last = steps[-1] if steps else None
-            if not isinstance(last, Run):
-                last = Run()
+            if not isinstance(last, FixedFields):
+                last = FixedFields()
                 steps.append(last)
             last.add(field.type, field.length if field.is_array else None)
 
@@ -242,7 +247,7 @@ class _Compiler:
             cls, half = _STAMPS[type_]
             fields: Sequence[Field] = [Field("secs", half), Field("nsecs", half)]
         else:
-            cls, fields = self._found(type_), self._specs[type_].fields
+            cls, fields = self._nested_class(type_), self._specs[type_].fields
         names = [attribute_name(field.name) for field in fields]
         plain = (
             list(cls.__slots__) == names
@@ -252,10 +257,10 @@ class _Compiler:
             and all(isinstance(getattr(cls, n, None), MemberDescriptorType) for n in names)
         )
         if not plain:
-            raise Unfit
+            raise CannotBatch
         return cls, fields
 
-    def _found(self, type_: str) -> Any:
+    def _nested_class(self, type_: str) -> Any:
         """Return the class of which genpy's generated code makes the objects of a nested type."""
         if type_ == self._root:
             return self._cls
@@ -265,7 +270,7 @@ class _Compiler:
             generated = known.get(f"_{package}__{name}")
             return getattr(known[package].msg, name) if generated is None else generated
         except (KeyError, AttributeError) as exc:
-            raise Unfit from exc
+            raise CannotBatch from exc
 
 
 def _fixed(type_: str, specs: Specs) -> Optional[int]:
@@ -292,7 +297,8 @@ class ObjectMaker:
         definition: Definition of the class.
 
     Raises:
-        Unfit: The class is not as genpy makes it, or a few bytes could mean very many objects.
+        CannotBatch: The class is not as genpy makes it, or a few bytes could mean very many
+            objects.
     """
 
     def __init__(self, cls: Any, definition: Definition) -> None:
@@ -304,18 +310,18 @@ class ObjectMaker:
             if field.type in _STAMPS and not field.is_array
         ]
 
-    def make(self, data: bytes, starts: Places, sizes: Places) -> Iterator[Any]:
+    def make(self, data: bytes, starts: Offsets, sizes: Offsets) -> Iterator[Any]:
         """Make the objects of at least one message, at any offsets in a buffer.
 
         Raises:
-            Unfit: The messages differ too much, or one is malformed. Raised before the first
+            CannotBatch: The messages differ too much, or one is malformed. Raised before the first
                 object.
         """
-        group = Group(Wires(data), starts, starts + sizes, 1)
+        group = ElementGroup(Wires(data), starts, starts + sizes, 1)
         try:
             made, *_ = self._whole.make(group)
         except (IndexError, ValueError, struct.error) as exc:  # a length exceeds the buffer
-            raise Unfit from exc
+            raise CannotBatch from exc
         codecs.lookup_error("rosmsg").msg_type = self._cls._type  # type: ignore[attr-defined]
         return map(self._canonical, made) if self._stamps else made
 

@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail
-from cassandra_ros.messages.wire.stacked import Bytes, Places
+from cassandra_ros.messages.wire.message_stacks import ByteArray, Int64Array
 
-MAX_PIECES = 4096
+MAX_VALUES = 4096
 """Maximum number of values in the columns of a permuted message; a list element is one value."""
 _BYTE_VALUES = np.arange(256, dtype=np.uint8)
 _length = struct.Struct("<I").unpack_from
 _pack_size = struct.Struct(">i").pack
 
 
-class _Stamp(NamedTuple):
+class _TimeField(NamedTuple):
     """A time or duration field."""
 
     at: int
@@ -46,7 +46,7 @@ class _Value(NamedTuple):
     """Offset of a time in the message and numpy code of its halves; the value is computed."""
 
 
-class Unfit(ValueError):
+class NoPermutation(ValueError):
     """The layout has no permutation."""
 
 
@@ -62,26 +62,26 @@ class Permutation:
         self._wire, self.wire_size = wire, len(wire)
         self._runs: List[Tuple[int, int]] = []
         """Ranges of source bytes of a row, in the message followed by the 256 byte constants."""
-        self._size = self._pieces = 0
-        self._stamps: List[_Stamp] = []
+        self._size = self._value_count = 0
+        self._stamps: List[_TimeField] = []
         self._bools: List[int] = []
         self._texts: List[Tuple[int, int]] = []
         at = 0
         for segment in segments:
             at = self._segment(segment, at, None)
         if at != len(wire) or not self._runs:
-            raise Unfit
+            raise NoPermutation
         self._from = np.concatenate([np.arange(first, last) for first, last in self._runs])
         times = [stamp.at for stamp in self._stamps]
-        self._time_at: Places = np.array(times, np.int64)[:, None] + np.arange(8)
-        self._bool_at: Places = np.array(self._bools, np.int64)
+        self._time_at: Int64Array = np.array(times, np.int64)[:, None] + np.arange(8)
+        self._bool_at: Int64Array = np.array(self._bools, np.int64)
         texts = [np.arange(at, end) for at, end in self._texts]
-        self._text_at: Places = np.concatenate(texts) if texts else np.zeros(0, np.int64)
+        self._text_at: Int64Array = np.concatenate(texts) if texts else np.zeros(0, np.int64)
         self.row_size = self._size
         self._invert()
         del self._wire, self._runs, self._bools, self._texts, self._size
 
-    def rows(self, wires: Bytes) -> Tuple[Bytes, NDArray[np.bool_]]:
+    def rows(self, wires: ByteArray) -> Tuple[ByteArray, NDArray[np.bool_]]:
         """Return the rows of messages, (messages, bytes), and which rows are exact."""
         count, size = wires.shape
         good = np.ones(count, np.bool_)
@@ -118,7 +118,7 @@ class Permutation:
         self._lost = np.flatnonzero(lost)
         self._lengths = np.frombuffer(self._wire, np.uint8)[self._lost]
 
-    def wires(self, rows: Bytes) -> Tuple[Bytes, NDArray[np.bool_]]:
+    def wires(self, rows: ByteArray) -> Tuple[ByteArray, NDArray[np.bool_]]:
         """Return the messages of rows, (rows, bytes), and which rows have this layout."""
         good: NDArray[np.bool_] = rows.take(self._constant_at, axis=1) == self._constants
         good = good.all(axis=1)
@@ -151,7 +151,7 @@ class Permutation:
     def _fixed(self, fixed: Fixed, at: int) -> _Value:
         size = struct.calcsize("<" + fixed.little)
         if fixed.special == "uint64":
-            raise Unfit  # a varint has no fixed size
+            raise NoPermutation  # a varint has no fixed size
         if fixed.special in ("time", "duration"):
             code = "<u4" if fixed.special == "time" else "<i4"
             return _Value(8, (), stamp=(at, code))
@@ -169,7 +169,7 @@ class Permutation:
             at += 4
         if tail.kind == "elements":
             if out is not None:
-                raise Unfit
+                raise NoPermutation
             return self._elements(tail, count or 0, at)
         if tail.kind == "texts":
             values = []
@@ -196,13 +196,13 @@ class Permutation:
 
     def _text(self, at: int, size: int) -> _Value:
         if at + size > len(self._wire):
-            raise Unfit
+            raise NoPermutation
         self._texts.append((at, at + size))
         return _Value(size, ((at, size),))
 
     def _elements(self, tail: Tail, count: int, at: int) -> int:
-        if count * len(tail.columns) > MAX_PIECES:
-            raise Unfit
+        if count * len(tail.columns) > MAX_VALUES:
+            raise NoPermutation
         elements: List[List[_Value]] = []
         for _ in range(count):
             values: List[_Value] = []
@@ -220,12 +220,12 @@ class Permutation:
             self._column(value)
 
     def _column(self, value: _Value) -> None:
-        self._pieces += 1
-        if self._pieces > MAX_PIECES:
-            raise Unfit
+        self._value_count += 1
+        if self._value_count > MAX_VALUES:
+            raise NoPermutation
         self._constant(_pack_size(value.size))
         if value.stamp is not None:
-            self._stamps.append(_Stamp(value.stamp[0], self._size, value.stamp[1]))
+            self._stamps.append(_TimeField(value.stamp[0], self._size, value.stamp[1]))
             self._constant(bytes(8))  # the time is computed
         for first, length in value.runs:
             self._add(first, length)

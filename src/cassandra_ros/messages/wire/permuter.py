@@ -13,18 +13,18 @@ import numpy as np
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import layout
-from cassandra_ros.messages.wire.permutation import Permutation, Unfit
-from cassandra_ros.messages.wire.pieces import Pieces, split_rows
-from cassandra_ros.messages.wire.stacked import Places, Stack, by_size, stacker, windows
+from cassandra_ros.messages.wire.message_stacks import Int64Array, Stack, by_size, stacker, windows
+from cassandra_ros.messages.wire.permutation import NoPermutation, Permutation
+from cassandra_ros.messages.wire.segment_permuter import SegmentPermuter, split_rows
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MIN_ROWS = 8
 """Minimum number of messages of one layout that are permuted. Fewer are faster one by one."""
 MAX_BYTES = 2048
 """Maximum size of a permuted message, bytes. A larger one is mostly an array, which is copied."""
-MAX_KEPT = 64
+MAX_CACHED = 64
 """Maximum number of permutations cached for one type."""
-MAX_LAYOUTS = 8
+MAX_LAYOUTS_TRIED = 8
 """Maximum number of layouts tried for rows of one size."""
 
 
@@ -40,11 +40,11 @@ class Permuter:
         self._stacker = stacker(definition)
         self._segments = layout(definition.type, definition.specs)
         try:
-            self._pieces: Optional[Pieces] = Pieces(self._segments)
-        except Unfit:
-            self._pieces = None
-        self._kept: Dict[Tuple[int, bytes], Optional[Permutation]] = {}
-        self._rows: Dict[Tuple[int, int], List[Permutation]] = {}
+            self._by_segment: Optional[SegmentPermuter] = SegmentPermuter(self._segments)
+        except NoPermutation:
+            self._by_segment = None
+        self._cache: Dict[Tuple[int, bytes], Optional[Permutation]] = {}
+        self._row_cache: Dict[Tuple[int, int], List[Permutation]] = {}
         """Permutations by row size and message size, bytes."""
 
     def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
@@ -55,8 +55,8 @@ class Permuter:
         found: List[Optional[bytes]] = [None] * len(wires)
         if len(wires) < MIN_ROWS:
             return found
-        if self._pieces is not None:
-            return self._pieces.rows(wires)
+        if self._by_segment is not None:
+            return self._by_segment.rows(wires)
         for members, planes in by_size(wires):
             if len(members) < MIN_ROWS or len(planes) > MAX_BYTES:
                 continue
@@ -73,23 +73,23 @@ class Permuter:
 
     def _permutation(self, stack: Stack) -> Optional[Permutation]:
         key = len(stack.planes), stack.layout.lengths.tobytes()
-        kept = self._kept  # another thread may replace the cache meanwhile
+        kept = self._cache  # another thread may replace the cache meanwhile
         if key in kept:
             return kept[key]
-        made = self._made(stack.planes[:, 0].tobytes())
-        if len(kept) >= MAX_KEPT:
-            kept = self._kept = {}
+        made = self._make(stack.planes[:, 0].tobytes())
+        if len(kept) >= MAX_CACHED:
+            kept = self._cache = {}
         kept[key] = made
         return made
 
-    def _made(self, wire: bytes) -> Optional[Permutation]:
+    def _make(self, wire: bytes) -> Optional[Permutation]:
         try:
             return Permutation(self._segments, wire)
-        except (Unfit, struct.error):
+        except (NoPermutation, struct.error):
             return None
 
     def wires(
-        self, data: bytes, starts: Places, ends: Places, sizes: Places
+        self, data: bytes, starts: Int64Array, ends: Int64Array, sizes: Int64Array
     ) -> List[Optional[bytes]]:
         """Return the messages of rows; a row is its columns, each after its size.
 
@@ -105,8 +105,8 @@ class Permuter:
         found: List[Optional[bytes]] = [None] * len(starts)
         if len(starts) < MIN_ROWS:
             return found
-        if self._pieces is not None:
-            return self._pieces.wires(data, starts, ends)
+        if self._by_segment is not None:
+            return self._by_segment.wires(data, starts, ends)
         lengths = ends - starts
         order = np.lexsort((sizes, lengths))
         changes = np.diff(lengths[order]).astype(bool) | np.diff(sizes[order]).astype(bool)
@@ -120,17 +120,17 @@ class Permuter:
     def _built(
         self,
         data: bytes,
-        starts: Places,
+        starts: Int64Array,
         length: int,
-        sizes: Places,
-        members: Places,
+        sizes: Int64Array,
+        members: Int64Array,
         found: List[Optional[bytes]],
     ) -> None:
         """Set the messages of rows of equal size."""
         key = length, int(sizes[members[0]])
-        known = self._rows.get(key, [])
+        known = self._row_cache.get(key, [])
         rows = windows(np.frombuffer(data, np.uint8), length)[starts[members]]
-        for n in range(MAX_LAYOUTS):
+        for n in range(MAX_LAYOUTS_TRIED):
             if n == len(known):
                 made = self._learn(key, rows[0].tobytes()) if len(members) >= MIN_ROWS else None
                 if made is None:
@@ -147,16 +147,16 @@ class Permuter:
     def _learn(self, key: Tuple[int, int], row: bytes) -> Optional[Permutation]:
         """Return the permutation for the layout of a row; None if there is no permutation."""
         try:
-            made = self._made(self._plan.build(_columns(row)))
+            made = self._make(self._plan.build(_columns(row)))
         except (CorruptMessage, struct.error):
             return None
         fits = made is not None and (made.row_size, made.wire_size) == key
         return made if fits else None
 
     def _keep(self, key: Tuple[int, int], known: List[Permutation]) -> None:
-        kept = self._rows  # another thread may replace the cache meanwhile
-        if key not in kept and len(kept) >= MAX_KEPT:
-            kept = self._rows = {}
+        kept = self._row_cache  # another thread may replace the cache meanwhile
+        if key not in kept and len(kept) >= MAX_CACHED:
+            kept = self._row_cache = {}
         kept[key] = known
 
 

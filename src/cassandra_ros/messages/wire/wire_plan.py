@@ -10,10 +10,10 @@ from typing import Any, Callable, Sequence, cast
 
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.build import BUILD_ERRORS, Columns, compile_build
 from cassandra_ros.messages.wire.cql_values import compile_decoder
 from cassandra_ros.messages.wire.layout import FieldColumn, columns_of, layout
-from cassandra_ros.messages.wire.walk import Out, Step, compile_walk, walk_message
+from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS, EncodedColumns, compile_build
+from cassandra_ros.messages.wire.wire_walk import Out, WalkStep, compile_walk, walk_message
 
 MAX_COLUMNS = 64
 
@@ -68,7 +68,7 @@ class WirePlan:
         parts: list[bytes] = []
         try:
             for step in self._build:
-                step(cast(Columns, columns), parts)
+                step(cast(EncodedColumns, columns), parts)
             return b"".join(parts)
         except BUILD_ERRORS as exc:
             missing = [c.name for c, v in zip(self.columns, columns) if v is None]
@@ -139,7 +139,7 @@ class WirePlan:
 
         return cut
 
-    def _compile_cut(self, names: Sequence[str]) -> tuple[list[Step], list[int]]:
+    def _compile_cut(self, names: Sequence[str]) -> tuple[list[WalkStep], list[int]]:
         """Return the steps that read the named columns, and the index of each in their output."""
         found = [column.name for column in self.all_columns if column.name in names]
         for name in names:
@@ -151,7 +151,7 @@ class WirePlan:
         return CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")
 
 
-def _walk(steps: Sequence[Step], wire: bytes) -> tuple[Out | None, bool]:
+def _walk(steps: Sequence[WalkStep], wire: bytes) -> tuple[Out | None, bool]:
     """Return the columns of a message (None: malformed bytes), and whether they are inexact."""
     out: Out = []
     odd: list[int] = []

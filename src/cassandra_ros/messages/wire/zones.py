@@ -18,9 +18,15 @@ import numpy as np
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.cql_values import encode_value
+from cassandra_ros.messages.wire.field_ends import compile_skip
 from cassandra_ros.messages.wire.layout import FieldColumn
-from cassandra_ros.messages.wire.skip import compile_skip
-from cassandra_ros.messages.wire.stacked import Numbers, Stack, by_size, read_numbers, stacker
+from cassandra_ros.messages.wire.message_stacks import (
+    NumberArray,
+    Stack,
+    by_size,
+    read_numbers,
+    stacker,
+)
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MAX_FIELDS = 64
@@ -29,7 +35,7 @@ MAX_WALKED = 256
 """Maximum number of values of a message that is measured alone. Beyond it, numpy is faster."""
 LOW, HIGH = "_min.", "_max."
 """Prefixes of the names of the zone columns, before the name of the field's column."""
-_Found = Dict[str, List[Any]]
+_Candidates = Dict[str, List[Any]]
 """Candidate values for minimum and maximum, by field."""
 _LAST = "\U0010ffff".encode("utf-8")
 """The greatest character, encoded."""
@@ -81,27 +87,27 @@ class ZoneMap:
 
     def measure(self, wires: Sequence[bytes]) -> Zones:
         """Return the bounds over some serialised messages; any bytes are accepted."""
-        found: _Found = {name: [] for name in self.fields}
+        candidates: _Candidates = {name: [] for name in self.fields}
         nan: Set[str] = set()
         if len(wires) == 1 and self._few:
-            odd = not self._add_one(wires[0], found, nan)
-            self._few = sum(map(len, found.values())) <= MAX_WALKED
+            odd = not self._add_one(wires[0], candidates, nan)
+            self._few = sum(map(len, candidates.values())) <= MAX_WALKED
         elif self._by_head and len(set(map(len, wires))) > 1:
-            odd = self._add_heads(wires, found, nan)
+            odd = self._add_heads(wires, candidates, nan)
         else:
-            odd = self._add_sizes(wires, found, nan)
+            odd = self._add_sizes(wires, candidates, nan)
         zones: List[Optional[bytes]] = []
         for name, column in self.fields.items():
-            low, high = _encoded(column, found[name])
-            odd = odd or (high is None and bool(found[name]))
+            low, high = _encoded(column, candidates[name])
+            odd = odd or (high is None and bool(candidates[name]))
             zones += (low, high)
         return Zones(zones, tuple(sorted(nan)), odd)
 
-    def _add_heads(self, wires: Sequence[bytes], found: _Found, nan: Set[str]) -> bool:
+    def _add_heads(self, wires: Sequence[bytes], candidates: _Candidates, nan: Set[str]) -> bool:
         """Add the bounds of messages of any size; return whether one is malformed."""
         stack = self._stacker.heads_of([wire for wire in wires if self._is_one(wire)])
         if len(stack.members):
-            self._add_stack(stack, found, nan)
+            self._add_stack(stack, candidates, nan)
         return len(stack.members) < len(wires)
 
     def _is_one(self, wire: bytes) -> bool:
@@ -112,21 +118,21 @@ class ZoneMap:
             return False
         return True
 
-    def _add_sizes(self, wires: Sequence[bytes], found: _Found, nan: Set[str]) -> bool:
+    def _add_sizes(self, wires: Sequence[bytes], candidates: _Candidates, nan: Set[str]) -> bool:
         """Add the bounds of messages size by size; return whether one is malformed."""
         odd = False
         for members, planes in by_size(wires):
             stacks, rest = self._stacker.stacks(planes, members)
             for stack in stacks:
-                self._add_stack(stack, found, nan)
+                self._add_stack(stack, candidates, nan)
             for n in rest.tolist():
-                odd = not self._add_one(wires[n], found, nan) or odd
+                odd = not self._add_one(wires[n], candidates, nan) or odd
         return odd
 
-    def _add_stack(self, stack: Stack, found: _Found, nan: Set[str]) -> None:
+    def _add_stack(self, stack: Stack, candidates: _Candidates, nan: Set[str]) -> None:
         """Add the bounds of messages of one layout."""
         for name in self._texts:
-            found[name] += [raw.decode("utf-8", "replace") for raw in stack.texts(name)]
+            candidates[name] += [raw.decode("utf-8", "replace") for raw in stack.texts(name)]
         for base, names in self._numbers.items():
             ats = [stack.layout.numbers(name) for name in names]
             owners = [name for name, each in zip(names, ats) for _ in range(len(each))]
@@ -138,9 +144,9 @@ class ZoneMap:
                 if is_nan:
                     nan.add(name)
                 if has_value:
-                    found[name] += ends
+                    candidates[name] += ends
 
-    def _add_one(self, wire: bytes, found: _Found, nan: Set[str]) -> bool:
+    def _add_one(self, wire: bytes, candidates: _Candidates, nan: Set[str]) -> bool:
         """Add the values of one message; return whether it is well-formed."""
         try:
             values = self._read(wire)
@@ -149,13 +155,13 @@ class ZoneMap:
         for column, value in zip(self.fields.values(), values):
             for each in value if column.is_list else (value,):
                 if each == each:
-                    found[column.name].append(each)
+                    candidates[column.name].append(each)
                 else:
                     nan.add(column.name)
         return True
 
 
-def _ends(values: Numbers) -> Tuple[List[Any], List[Any], Tuple[List[bool], List[bool]]]:
+def _ends(values: NumberArray) -> Tuple[List[Any], List[Any], Tuple[List[bool], List[bool]]]:
     """Return for each row minimum, maximum, whether it has NaN, and whether it has other values."""
     nan = values != values if values.dtype.kind == "f" else None
     if nan is None or not nan.any():

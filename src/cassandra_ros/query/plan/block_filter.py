@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.stacked import DTYPES, Numbers, Stack, stacker
+from cassandra_ros.messages.wire.message_stacks import DTYPES, NumberArray, Stack, stacker
 from cassandra_ros.query.protocols import Block
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.literals import fitting
@@ -42,9 +42,9 @@ Mask = NDArray[np.bool_]
 Sift = Callable[[Block], Optional[Mask]]
 """From a block to a mask of the messages that may match; None = all may."""
 _Test = Callable[[Stack], Mask]
-_Compare = Callable[[Numbers], Mask]
+_Compare = Callable[[NumberArray], Mask]
 """Of each number whether it compares as wanted."""
-_Get = Callable[[Stack], Numbers]
+_Get = Callable[[Stack], NumberArray]
 
 _WHOLE = {"uint32": "time", "int32": "duration"}
 """Of the type of secs and nsecs that of the field."""

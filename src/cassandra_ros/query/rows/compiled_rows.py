@@ -14,7 +14,7 @@ from operator import itemgetter
 from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
-from cassandra_ros.messages.wire.build import BUILD_ERRORS
+from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.rows.evaluate import Check
 from cassandra_ros.query.rows.extract import Direct, Get

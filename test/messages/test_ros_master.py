@@ -10,8 +10,8 @@ import pytest
 import rosgraph
 from conftest import NO_MASTER
 
-from cassandra_ros.messages import graph
-from cassandra_ros.messages.graph import topic_type
+from cassandra_ros.messages import ros_master
+from cassandra_ros.messages.ros_master import topic_type
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def master(monkeypatch):
 @pytest.fixture
 def patient(monkeypatch):
     """A master that answers is waited for, on a busy machine too."""
-    monkeypatch.setattr(graph, "TIMEOUT_SEC", 60.0)
+    monkeypatch.setattr(ros_master, "TIMEOUT_SEC", 60.0)
 
 
 def test_type_that_the_master_knows(master, patient):

@@ -11,9 +11,9 @@ from typing import Callable, List, Sequence, Sized
 from cassandra_ros.messages.wire.cql_values import FROM_NS, split_equal, split_list, unpack_numbers
 from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
 
-Columns = Sequence[bytes]
+EncodedColumns = Sequence[bytes]
 """Column values in CQL's encoding; a None among them raises TypeError."""
-Step = Callable[[Columns, List[bytes]], None]
+BuildStep = Callable[[EncodedColumns, List[bytes]], None]
 """(columns, wire bytes so far) -> nothing; appends one or several fields."""
 
 BUILD_ERRORS = (struct.error, TypeError, ValueError, OverflowError, IndexError)
@@ -22,9 +22,9 @@ BUILD_ERRORS = (struct.error, TypeError, ValueError, OverflowError, IndexError)
 _pack_length = struct.Struct("<I").pack
 
 
-def compile_build(segments: Sequence[Segment], first: int = 0) -> list[Step]:
+def compile_build(segments: Sequence[Segment], first: int = 0) -> list[BuildStep]:
     """Return the steps that build a message from the columns of a type, beginning at ``first``."""
-    steps: list[Step] = []
+    steps: list[BuildStep] = []
     for fixed, tail in segments:
         if fixed:
             steps.append(_fixed(fixed, first))
@@ -35,7 +35,7 @@ def compile_build(segments: Sequence[Segment], first: int = 0) -> list[Step]:
     return steps
 
 
-def _fixed(fixed: Sequence[Fixed], first: int) -> Step:
+def _fixed(fixed: Sequence[Fixed], first: int) -> BuildStep:
     after = first + len(fixed)
     unpack = struct.Struct(">" + "".join(f.big for f in fixed)).unpack
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
@@ -43,7 +43,7 @@ def _fixed(fixed: Sequence[Fixed], first: int) -> Step:
     varints = [i for i, f in enumerate(fixed) if f.special == "uint64"]
     blobs = [(i, f.cql_size) for i, f in enumerate(fixed) if f.column.kind == "array"]
 
-    def step(columns: Columns, parts: list[bytes]) -> None:
+    def step(columns: EncodedColumns, parts: list[bytes]) -> None:
         own = columns[first:after]
         for i, size in blobs:
             if len(own[i]) != size:
@@ -62,7 +62,7 @@ def _fixed(fixed: Sequence[Fixed], first: int) -> Step:
     return step
 
 
-def _tail(tail: Tail, index: int) -> Step:
+def _tail(tail: Tail, index: int) -> BuildStep:
     if tail.kind in ("text", "bytes"):
         return _bytes(index, tail.unit)
     if tail.kind == "wire":
@@ -74,8 +74,8 @@ def _tail(tail: Tail, index: int) -> Step:
     return _elements(tail, index)
 
 
-def _bytes(index: int, unit: int) -> Step:
-    def step(columns: Columns, parts: list[bytes]) -> None:
+def _bytes(index: int, unit: int) -> BuildStep:
+    def step(columns: EncodedColumns, parts: list[bytes]) -> None:
         data = columns[index]
         count, rest = divmod(len(data), unit)
         if rest:
@@ -85,8 +85,8 @@ def _bytes(index: int, unit: int) -> Step:
     return step
 
 
-def _texts(index: int, length: int | None) -> Step:
-    def step(columns: Columns, parts: list[bytes]) -> None:
+def _texts(index: int, length: int | None) -> BuildStep:
+    def step(columns: EncodedColumns, parts: list[bytes]) -> None:
         texts = split_list(columns[index])
         if length not in (None, len(texts)):
             raise struct.error("a list has another length than its array")
@@ -97,13 +97,13 @@ def _texts(index: int, length: int | None) -> Step:
     return step
 
 
-def _elements(tail: Tail, first: int) -> Step:
+def _elements(tail: Tail, first: int) -> BuildStep:
     """Return the step for elements of variable size: each is built like a message."""
     after, length, steps = first + len(tail.columns), tail.length, compile_build(tail.element)
     sizes = [size for _, size in columns_of(tail.element)]
     splits = [split_list if size is None else split_equal(size) for size in sizes]
 
-    def step(columns: Columns, parts: list[bytes]) -> None:
+    def step(columns: EncodedColumns, parts: list[bytes]) -> None:
         lists = [split(column) for split, column in zip(splits, columns[first:after])]
         _count(lists, length, parts)
         for row in zip(*lists):
@@ -113,12 +113,12 @@ def _elements(tail: Tail, first: int) -> Step:
     return step
 
 
-def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> Step:
+def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> BuildStep:
     """Return the step for elements of fixed size: column by column, then all packed at once."""
     after, splits = first + len(fixed), [unpack_numbers(f) for f in fixed]
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
 
-    def step(columns: Columns, parts: list[bytes]) -> None:
+    def step(columns: EncodedColumns, parts: list[bytes]) -> None:
         lists = [split(column) for split, column in zip(splits, columns[first:after])]
         _count(lists, length, parts)
         parts.extend(map(pack, *lists))

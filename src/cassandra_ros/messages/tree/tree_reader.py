@@ -18,7 +18,7 @@ from typing import Callable, Dict, Iterator, List, Sequence, Tuple, Union
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field
-from cassandra_ros.messages.wire.skip import compile_field_skip, short_buffer
+from cassandra_ros.messages.wire.field_ends import compile_field_skip, short_buffer
 
 TIME_CODES = {"time": "<II", "duration": "<ii"}
 NUMBER_CODES = {name: code for name, code in CODES.items() if name not in TIME_CODES}
@@ -61,12 +61,12 @@ class Budget:
             raise TooLong
 
 
-_Read = Callable[[bytes, int, Budget], Tuple[TreeValue, int]]
+_ValueReader = Callable[[bytes, int, Budget], Tuple[TreeValue, int]]
 """(wire bytes, offset, budget) -> value, offset after it."""
-_ReadMessage = Callable[[bytes, int, Budget], Tuple[MessageTree, int]]
-_Step = Callable[[MessageTree, bytes, int, Budget], int]
+_MessageReader = Callable[[bytes, int, Budget], Tuple[MessageTree, int]]
+_FieldsReader = Callable[[MessageTree, bytes, int, Budget], int]
 """(tree to fill, wire bytes, offset, budget) -> offset after the fields."""
-_Elements = Callable[[bytes, int, int, Budget], Tuple[TreeValue, int]]
+_ElementsReader = Callable[[bytes, int, int, Budget], Tuple[TreeValue, int]]
 """(wire bytes, offset, number of elements, budget) -> value, offset after it."""
 
 _length = struct.Struct("<I").unpack_from
@@ -91,7 +91,7 @@ class TreeReader:
 
     def __init__(self, definition: Definition) -> None:
         self.type, self._specs = definition.type, definition.specs
-        self._memo: dict[str, tuple[_ReadMessage, int]] = {}
+        self._memo: dict[str, tuple[_MessageReader, int]] = {}
         self._read, self._weight = self._message(definition.type)
 
     def read(self, wire: bytes, budget: Budget) -> MessageTree | None:
@@ -109,11 +109,11 @@ class TreeReader:
         except struct.error as exc:
             raise CorruptMessage(f"{len(wire)} bytes are no {self.type}: {exc}") from exc
 
-    def _message(self, name: str) -> tuple[_ReadMessage, int]:
+    def _message(self, name: str) -> tuple[_MessageReader, int]:
         """Return the reader of a message type and the minimum length of its text without arrays."""
         if name not in self._memo:
             weight = 0
-            steps: list[_Step] = []
+            steps: list[_FieldsReader] = []
             for run, fixed in number_runs(self._specs[name].fields):
                 if fixed is not None:
                     weight += _FIELD * len(run)
@@ -132,7 +132,7 @@ class TreeReader:
             self._memo[name] = read_message, max(weight, _FIELD)
         return self._memo[name]
 
-    def _field(self, field: Field) -> tuple[_Read, int]:
+    def _field(self, field: Field) -> tuple[_ValueReader, int]:
         if field.is_array:
             return self._array(field), 0
         if field.type == "string":
@@ -141,7 +141,7 @@ class TreeReader:
             return _time(TIME_CODES[field.type]), _TIME
         return self._message(field.type)
 
-    def _array(self, field: Field) -> _Read:
+    def _array(self, field: Field) -> _ValueReader:
         length, skip = field.length, compile_field_skip(field, self._specs)
         if field.base in NUMBER_CODES:
             weight, read_elements = 0 if field.base == "uint8" else _NUMBER, _number_elements(field)
@@ -167,7 +167,7 @@ tree_reader = lru_cache(maxsize=512)(TreeReader)
 """Returns the reader of a definition, compiled once per type and md5."""
 
 
-def _numbers_step(names: Sequence[str], fixed: struct.Struct) -> _Step:
+def _numbers_step(names: Sequence[str], fixed: struct.Struct) -> _FieldsReader:
     unpack, size = fixed.unpack_from, fixed.size
 
     def step(tree: MessageTree, wire: bytes, at: int, budget: Budget) -> int:
@@ -177,7 +177,7 @@ def _numbers_step(names: Sequence[str], fixed: struct.Struct) -> _Step:
     return step
 
 
-def _field_step(name: str, read: _Read) -> _Step:
+def _field_step(name: str, read: _ValueReader) -> _FieldsReader:
     def step(tree: MessageTree, wire: bytes, at: int, budget: Budget) -> int:
         tree[name], at = read(wire, at, budget)
         return at
@@ -204,12 +204,12 @@ def _characters(wire: bytes, at: int, end: int) -> int:
     return sum(len(piece.translate(None, _CONTINUATION)) for piece in pieces)
 
 
-def _time(code: str) -> _Read:
+def _time(code: str) -> _ValueReader:
     unpack = struct.Struct(code).unpack_from
     return lambda wire, at, budget: (dict(zip(("secs", "nsecs"), unpack(wire, at))), at + 8)
 
 
-def _number_elements(field: Field) -> _Elements:
+def _number_elements(field: Field) -> _ElementsReader:
     code, size = NUMBER_CODES[field.base], PRIMITIVE_SIZES[field.base]
 
     def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[TreeValue, int]:
@@ -227,7 +227,7 @@ def _number_elements(field: Field) -> _Elements:
     return read
 
 
-def _elements(element: _Read) -> _Elements:
+def _elements(element: _ValueReader) -> _ElementsReader:
     def read(wire: bytes, at: int, count: int, budget: Budget) -> tuple[TreeValue, int]:
         values: list[TreeValue] = []
         for _ in range(count):

@@ -20,7 +20,7 @@ MAX_SURPLUS = 1 << 20
 _length = struct.Struct("<I").unpack_from
 
 
-class _Counted(NamedTuple):
+class _CountedField(NamedTuple):
     """A string, or an array of elements of fixed size."""
 
     unit: int
@@ -31,7 +31,7 @@ class _Counted(NamedTuple):
         return at + 4 + self.unit * int(_length(wire, at)[0])
 
 
-_Parts = List[Union[int, _Counted, Skip]]
+_FieldSizes = List[Union[int, _CountedField, Skip]]
 """Sizes in bytes, and functions that find an end offset. These may return an offset after the end
 of the buffer."""
 
@@ -43,17 +43,17 @@ def short_buffer() -> struct.error:
 
 def compile_skip(msg_type: str, specs: Specs) -> Skip:
     """Return the function that finds the end of a message of a checked definition."""
-    return _chain(_parts(specs[msg_type].fields, specs))
+    return _chain(_sizes_of(specs[msg_type].fields, specs))
 
 
 def compile_field_skip(field: Field, specs: Specs) -> Skip:
     """Return the function that finds the end of one field, length prefix included."""
-    return _chain(_parts([field], specs))
+    return _chain(_sizes_of([field], specs))
 
 
 def fixed_size(type_: str, specs: Specs) -> int | None:
     """Return the size in bytes of every value of a type, None if it varies."""
-    return _size(_parts([Field("", type_)], specs))
+    return _size(_sizes_of([Field("", type_)], specs))
 
 
 def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], object] | None:
@@ -95,24 +95,24 @@ def compile_object_check(msg_type: str, specs: Specs) -> Callable[[bytes], objec
     return check
 
 
-def _parts(fields: Sequence[Field], specs: Specs) -> _Parts:
-    parts: _Parts = []
+def _sizes_of(fields: Sequence[Field], specs: Specs) -> _FieldSizes:
+    sizes: _FieldSizes = []
     for field in fields:
-        for part in _field_parts(field, specs):
-            if parts and isinstance(part, int) and isinstance(parts[-1], int):
-                parts[-1] += part
+        for size in _sizes_of_field(field, specs):
+            if sizes and isinstance(size, int) and isinstance(sizes[-1], int):
+                sizes[-1] += size
             else:
-                parts.append(part)
-    return parts
+                sizes.append(size)
+    return sizes
 
 
-def _field_parts(field: Field, specs: Specs) -> _Parts:
+def _sizes_of_field(field: Field, specs: Specs) -> _FieldSizes:
     if field.type == "string":
-        element: _Parts = [_Counted(1)]
+        element: _FieldSizes = [_CountedField(1)]
     elif field.is_primitive:
         element = [PRIMITIVE_SIZES[field.type]]
     else:
-        element = _parts(specs[field.type].fields, specs)
+        element = _sizes_of(specs[field.type].fields, specs)
     if not field.is_array:
         return element
     size = _size(element)
@@ -120,22 +120,22 @@ def _field_parts(field: Field, specs: Specs) -> _Parts:
         return [0]
     if size is None:
         return [_skip_elements(element, field.length)]
-    return [_Counted(size)] if field.length is None else [size * field.length]
+    return [_CountedField(size)] if field.length is None else [size * field.length]
 
 
-def _size(parts: _Parts) -> int | None:
-    sizes = [part for part in parts if isinstance(part, int)]
-    return sum(sizes) if len(sizes) == len(parts) else None
+def _size(sizes: _FieldSizes) -> int | None:
+    fixed = [size for size in sizes if isinstance(size, int)]
+    return sum(fixed) if len(fixed) == len(sizes) else None
 
 
-def _chain(parts: _Parts) -> Skip:
-    if all(isinstance(part, (int, _Counted)) for part in parts):
-        return _plain_chain(parts)
-    skips = [_skip_of(part) for part in parts]
+def _chain(sizes: _FieldSizes) -> Skip:
+    if all(isinstance(size, (int, _CountedField)) for size in sizes):
+        return _plain_chain(sizes)
+    skips = [_skip_of(size) for size in sizes]
 
     def skip(wire: bytes, at: int) -> int:
-        for part in skips:
-            at = part(wire, at)
+        for size in skips:
+            at = size(wire, at)
         if at > len(wire):
             raise short_buffer()
         return at
@@ -143,14 +143,14 @@ def _chain(parts: _Parts) -> Skip:
     return skip
 
 
-def _plain_chain(parts: _Parts) -> Skip:
+def _plain_chain(sizes: _FieldSizes) -> Skip:
     """Return the skip function of the usual case, only fixed sizes and counted fields: one loop."""
     pairs, before = [], 0
-    for part in parts:
-        if isinstance(part, int):
-            before += part
-        elif isinstance(part, _Counted):
-            pairs.append((before, part.unit))
+    for size in sizes:
+        if isinstance(size, int):
+            before += size
+        elif isinstance(size, _CountedField):
+            pairs.append((before, size.unit))
             before = 4
     last = before
 
@@ -166,13 +166,13 @@ def _plain_chain(parts: _Parts) -> Skip:
     return skip
 
 
-def _skip_of(part: int | _Counted | Skip) -> Skip:
-    if isinstance(part, _Counted):
-        return part.end
-    return (lambda wire, at: at + part) if isinstance(part, int) else part
+def _skip_of(size: int | _CountedField | Skip) -> Skip:
+    if isinstance(size, _CountedField):
+        return size.end
+    return (lambda wire, at: at + size) if isinstance(size, int) else size
 
 
-def _skip_elements(element: _Parts, length: int | None) -> Skip:
+def _skip_elements(element: _FieldSizes, length: int | None) -> Skip:
     # A single element function reads a count, which fails after the end of the bytes by itself. A
     # chain checks for the end.
     first = element[0]

@@ -19,29 +19,31 @@ from numpy.typing import NDArray
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, Specs
-from cassandra_ros.messages.wire.skip import fixed_size, short_buffer
+from cassandra_ros.messages.wire.field_ends import fixed_size, short_buffer
 
-Bytes = NDArray[np.uint8]
+ByteArray = NDArray[np.uint8]
 """Bytes of messages. As planes: row k holds byte k of every message."""
-Places = NDArray[np.int64]
-Numbers = NDArray[Any]
+Int64Array = NDArray[np.int64]
+"""Offsets in bytes, or indices of messages."""
+NumberArray = NDArray[Any]
+"""Values of a numeric field."""
 
 MIN_STACKED = 8
 """Minimum number of messages of one layout. Fewer are faster walked one by one, unless large."""
 LARGE_BYTES = 4096
 """Size from which a message is large, bytes: a single large message is treated as a stack too."""
-MAX_PARTS = 8
+MAX_LAYOUTS_TRIED = 8
 """Maximum number of layouts tried for messages of one size."""
-MAX_SIZES = 128
+MAX_CACHED_SIZES = 128
 """Maximum number of message sizes whose layouts are cached for one type."""
-MAX_LAYOUTS = 4
+MAX_CACHED_LAYOUTS = 4
 """Maximum number of layouts cached for one message size."""
 LENGTHS_EACH = 16
 """Maximum number of lengths of strings and arrays in a layout, for each message that may share
 it."""
-MAX_STRIDED = 64
+MAX_OFFSETS_ONE_BY_ONE = 64
 """Maximum number of offsets of a field that are read one by one."""
-MAX_KEPT = 4096
+MAX_CACHED_WEIGHT = 4096
 """Maximum number of length bytes and element offsets in a cached layout."""
 DTYPES = {
     name: np.dtype("u1" if name == "bool" else "<" + code.replace("?", "B"))
@@ -49,21 +51,21 @@ DTYPES = {
 }
 """numpy type of each primitive type on the wire; a time or duration is one integer."""
 _PARTS = {"time": np.dtype("<u4"), "duration": np.dtype("<i4")}
-_NOWHERE: Places = np.zeros(0, np.int64)
+_NOWHERE: Int64Array = np.zeros(0, np.int64)
 _length = struct.Struct("<I").unpack_from
 
 
-class Texts(NamedTuple):
+class TextRange(NamedTuple):
     """Offset and size of the bytes of a string, in bytes, after the length prefix."""
 
     at: int
     size: int
 
 
-class Elements(NamedTuple):
+class ArrayOffsets(NamedTuple):
     """Offsets of an array of primitives, one in each message that contains it, and its length."""
 
-    ats: Places
+    ats: Int64Array
     length: int
 
 
@@ -87,28 +89,28 @@ class Layout:
         self._wire = wire
         self._most = most
         self._specs = definition.specs
-        self._found: Dict[str, List[Places]] = {}
-        self._counted: List[int] = []
-        self.texts: Dict[str, List[Texts]] = {}
-        self.arrays: Dict[str, List[Elements]] = {}
+        self._offsets: Dict[str, List[Int64Array]] = {}
+        self._length_offsets: List[int] = []
+        self.texts: Dict[str, List[TextRange]] = {}
+        self.arrays: Dict[str, List[ArrayOffsets]] = {}
         self.end = self._message(definition.type, "", 0)
         if self.end > len(wire):
             raise short_buffer()
-        prefixes = np.array(self._counted, np.int64)[:, None] + np.arange(4)
-        self.prefixes: Places = prefixes.ravel()
-        self.lengths: Bytes = np.frombuffer(wire, np.uint8)[self.prefixes]
+        prefixes = np.array(self._length_offsets, np.int64)[:, None] + np.arange(4)
+        self.prefixes: Int64Array = prefixes.ravel()
+        self.lengths: ByteArray = np.frombuffer(wire, np.uint8)[self.prefixes]
         self._numbers = {
             path: ats[0] if len(ats) == 1 else np.concatenate(ats)
-            for path, ats in self._found.items()
+            for path, ats in self._offsets.items()
         }
         self.weight = len(self.prefixes) + sum(map(len, self._numbers.values()))
-        del self._wire, self._found, self._counted
+        del self._wire, self._offsets, self._length_offsets
 
-    def numbers(self, path: str) -> Places:
+    def numbers(self, path: str) -> Int64Array:
         """Return the offsets of a number, bool or time; empty if its array of messages is empty."""
         return self._numbers.get(path, _NOWHERE)
 
-    def fits(self, planes: Bytes) -> NDArray[np.bool_]:
+    def fits(self, planes: ByteArray) -> NDArray[np.bool_]:
         """Return for each message whether it has this layout; all must have the same size."""
         same: NDArray[np.bool_] = (planes[self.prefixes] == self.lengths[:, None]).all(axis=0)
         return same
@@ -125,15 +127,15 @@ class Layout:
             elif field.is_array:
                 at = self._array(field, path, at)
             elif field.is_primitive:
-                self._found.setdefault(path, []).append(np.array([at], np.int64))
+                self._offsets.setdefault(path, []).append(np.array([at], np.int64))
                 at += PRIMITIVE_SIZES[field.type]
             else:
                 at = self._message(field.type, path + ".", at)
         return at
 
     def _count(self, at: int) -> int:
-        self._counted.append(at)
-        if len(self._counted) > self._most:
+        self._length_offsets.append(at)
+        if len(self._length_offsets) > self._most:
             raise struct.error("more lengths than are worth looking at")
         (count,) = _length(self._wire, at)
         return int(count)
@@ -146,7 +148,7 @@ class Layout:
             count = field.length
         for _ in range(count):
             size = self._count(at)
-            self.texts.setdefault(path, []).append(Texts(at + 4, size))
+            self.texts.setdefault(path, []).append(TextRange(at + 4, size))
             at += 4 + size
         return at
 
@@ -163,21 +165,21 @@ class Layout:
         if end > len(self._wire):
             raise short_buffer()
         if field.is_primitive:
-            elements = Elements(np.array([at], np.int64), count)
+            elements = ArrayOffsets(np.array([at], np.int64), count)
             self.arrays.setdefault(path, []).append(elements)
         elif count and size:
             self._fixed(field.type, path + ".", np.arange(at, end, size))
         return end
 
-    def _fixed(self, msg_type: str, prefix: str, ats: Places) -> None:
+    def _fixed(self, msg_type: str, prefix: str, ats: Int64Array) -> None:
         """Record the offsets of the fields of all elements of an array of fixed-size messages."""
         for field in self._specs[msg_type].fields:
             path, size = prefix + field.name, _size_of(field.type, self._specs) or 0
             count = 1 if field.length is None else field.length
             if field.is_array and field.is_primitive:
-                self.arrays.setdefault(path, []).append(Elements(ats, count))
+                self.arrays.setdefault(path, []).append(ArrayOffsets(ats, count))
             elif field.is_primitive:
-                self._found.setdefault(path, []).append(ats)
+                self._offsets.setdefault(path, []).append(ats)
             elif count and size:
                 inner = ats[:, None] + np.arange(count) * size
                 self._fixed(field.type, path + ".", inner.ravel())
@@ -196,16 +198,16 @@ class Head:
 
     def __init__(self, definition: Definition) -> None:
         self._specs = definition.specs
-        self._ats: Dict[str, Places] = {}
-        self.texts: Dict[str, List[Texts]] = {}
-        self.arrays: Dict[str, List[Elements]] = {}
-        self.lengths: Bytes = np.zeros(0, np.uint8)
+        self._ats: Dict[str, Int64Array] = {}
+        self.texts: Dict[str, List[TextRange]] = {}
+        self.arrays: Dict[str, List[ArrayOffsets]] = {}
+        self.lengths: ByteArray = np.zeros(0, np.uint8)
         self.size, _ = self._message(definition.type, "", 0)
 
     def __contains__(self, path: str) -> bool:
         return path in self._ats
 
-    def numbers(self, path: str) -> Places:
+    def numbers(self, path: str) -> Int64Array:
         """Return the offset of a number, bool or time."""
         return self._ats[path]
 
@@ -241,15 +243,15 @@ class Stack(NamedTuple):
     """Messages of one layout, or the heads of messages of one type."""
 
     layout: Union[Layout, Head]
-    members: Places
+    members: Int64Array
     """Indices of the messages, as the caller numbers them."""
-    planes: Bytes
+    planes: ByteArray
 
-    def numbers(self, path: str, base: str, chosen: slice = slice(None)) -> Numbers:
+    def numbers(self, path: str, base: str, chosen: slice = slice(None)) -> NumberArray:
         """Return a primitive field: (offsets, messages). Times are in ns, a bool is 0 or 1."""
         return read_numbers(self.planes, self.layout.numbers(path)[chosen], base)
 
-    def array(self, path: str, base: str) -> Numbers:
+    def array(self, path: str, base: str) -> NumberArray:
         """Return the elements of an array of numbers: (elements, messages)."""
         unit = PRIMITIVE_SIZES[base]
         parts = [
@@ -258,7 +260,7 @@ class Stack(NamedTuple):
         ]
         return read_numbers(self.planes, np.concatenate([_NOWHERE, *parts]), base)
 
-    def element(self, path: str, index: int, base: str) -> Numbers:
+    def element(self, path: str, index: int, base: str) -> NumberArray:
         """Return one element of an array of numbers that occurs once in a message."""
         found = self.layout.arrays.get(path, [])
         ats = [e.ats + index * PRIMITIVE_SIZES[base] for e in found if index < e.length]
@@ -287,9 +289,9 @@ class Stacker:
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
         self.head = Head(definition)
-        self._kept: Dict[int, Tuple[Layout, ...]] = {}
+        self._cache: Dict[int, Tuple[Layout, ...]] = {}
 
-    def stacks(self, planes: Bytes, members: Places) -> Tuple[List[Stack], Places]:
+    def stacks(self, planes: ByteArray, members: Int64Array) -> Tuple[List[Stack], Int64Array]:
         """Group messages of equal size by their layout.
 
         Args:
@@ -303,9 +305,9 @@ class Stacker:
         size, count = planes.shape
         least = 1 if size >= LARGE_BYTES else MIN_STACKED
         found: List[Stack] = []
-        rest: List[Places] = []
+        rest: List[Int64Array] = []
         left = np.arange(count)
-        for _ in range(MAX_PARTS):
+        for _ in range(MAX_LAYOUTS_TRIED):
             if len(left) < max(1, least):
                 break
             layout = self._layout(planes[:, left[0]], LENGTHS_EACH * len(left))
@@ -321,7 +323,7 @@ class Stacker:
             left = left[~fits]
         return found, _joined([*rest, members[left]])
 
-    def heads(self, groups: Iterable[Tuple[Bytes, Places]]) -> Stack:
+    def heads(self, groups: Iterable[Tuple[ByteArray, Int64Array]]) -> Stack:
         """Return the heads of messages of any size as one stack; shorter messages are left out.
 
         Args:
@@ -341,12 +343,12 @@ class Stacker:
         joined = np.frombuffer(b"".join([w[:size] for w in wires if len(w) >= size]), np.uint8)
         return Stack(self.head, members, joined.reshape(len(members), size).T)
 
-    def _layout(self, wire: Bytes, most: int) -> Optional[Layout]:
+    def _layout(self, wire: ByteArray, most: int) -> Optional[Layout]:
         """Return the layout of a message.
 
         None: it is malformed, or has more than ``most`` lengths.
         """
-        kept = self._kept.get(len(wire), ())
+        kept = self._cache.get(len(wire), ())
         for layout in kept:
             if layout.fits(wire[:, None])[0]:
                 return layout
@@ -354,10 +356,10 @@ class Stacker:
             layout = Layout(self._definition, wire.tobytes(), most)
         except struct.error:
             return None
-        if layout.weight <= MAX_KEPT:
-            if len(self._kept) >= MAX_SIZES:
-                self._kept.clear()
-            self._kept[len(wire)] = (layout, *kept[: MAX_LAYOUTS - 1])
+        if layout.weight <= MAX_CACHED_WEIGHT:
+            if len(self._cache) >= MAX_CACHED_SIZES:
+                self._cache.clear()
+            self._cache[len(wire)] = (layout, *kept[: MAX_CACHED_LAYOUTS - 1])
         return layout
 
 
@@ -365,19 +367,19 @@ stacker = lru_cache(maxsize=512)(Stacker)
 """Returns the stacker of a definition, made once per type and md5."""
 
 
-def as_planes(wires: Sequence[bytes]) -> Bytes:
+def as_planes(wires: Sequence[bytes]) -> ByteArray:
     """Return messages of equal size as planes; the bytes are joined once, not copied further."""
     joined = np.frombuffer(b"".join(wires), np.uint8)
     return joined.reshape(len(wires), len(joined) // len(wires)).T
 
 
-def windows(data: Bytes, size: int) -> Bytes:
+def windows(data: ByteArray, size: int) -> ByteArray:
     """Return a view of ``size`` bytes from each offset on: (offsets, size)."""
     shape = max(0, len(data) - size + 1), size
     return np.lib.stride_tricks.as_strided(data, shape, (1, 1), writeable=False)
 
 
-def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
+def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Int64Array, ByteArray]]:
     """Yield the indices and the planes of the messages of each size."""
     if len(set(map(len, wires))) == 1:
         yield np.arange(len(wires)), as_planes(wires)
@@ -389,13 +391,13 @@ def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Places, Bytes]]:
             yield members, as_planes([wires[n] for n in members.tolist()])
 
 
-def read_numbers(planes: Bytes, ats: Places, base: str) -> Numbers:
+def read_numbers(planes: ByteArray, ats: Int64Array, base: str) -> NumberArray:
     """Return the numbers at some offsets of all messages: (offsets, messages).
 
     See Stack.numbers.
     """
     unit, messages = PRIMITIVE_SIZES[base], planes.shape[1]
-    if len(ats) <= MAX_STRIDED and planes.T.flags.c_contiguous:
+    if len(ats) <= MAX_OFFSETS_ONE_BY_ONE and planes.T.flags.c_contiguous:
         # The messages are adjacent in memory: each number is read in place.
         found = np.empty((len(ats), messages), f"<u{unit}")
         for row, at in zip(found, ats.tolist()):
@@ -407,9 +409,9 @@ def read_numbers(planes: Bytes, ats: Places, base: str) -> Numbers:
     if base in _PARTS:
         halves = found.view(_PARTS[base]).reshape(*found.shape, 2).astype(np.int64)
         return halves[..., 0] * SECOND_NS + halves[..., 1]
-    values: Numbers = found.view(DTYPES[base])
+    values: NumberArray = found.view(DTYPES[base])
     return (values != 0).view(np.uint8) if base == "bool" else values
 
 
-def _joined(parts: Sequence[Places]) -> Places:
+def _joined(parts: Sequence[Int64Array]) -> Int64Array:
     return np.sort(np.concatenate(parts)) if parts else _NOWHERE

@@ -16,9 +16,9 @@ from messages.random_wire import DefinitionMaker, WireMaker
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class, serialize
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.wire import stacked
+from cassandra_ros.messages.wire import message_stacks
 from cassandra_ros.messages.wire.cql_values import compile_decoder
-from cassandra_ros.messages.wire.stacked import by_size, stacker
+from cassandra_ros.messages.wire.message_stacks import by_size, stacker
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.messages.wire.zones import ZoneMap, zone_map
 
@@ -172,9 +172,11 @@ def test_zeros_are_bounded_by_both():
 
 def test_equal_messages_are_not_walked_one_by_one(monkeypatch):
     walks = []
-    whole = stacked.Layout.__init__
+    whole = message_stacks.Layout.__init__
     monkeypatch.setattr(
-        stacked.Layout, "__init__", lambda self, *args: (walks.append(1), whole(self, *args))[1]
+        message_stacks.Layout,
+        "__init__",
+        lambda self, *args: (walks.append(1), whole(self, *args))[1],
     )
     definition = installed_definition("tf2_msgs/TFMessage")
     made = message_class(definition)()

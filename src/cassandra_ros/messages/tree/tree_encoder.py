@@ -16,15 +16,15 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field
-from cassandra_ros.messages.tree.read import NUMBER_CODES, TIME_CODES, number_runs
-from cassandra_ros.messages.wire.build import BUILD_ERRORS
+from cassandra_ros.messages.tree.tree_reader import NUMBER_CODES, TIME_CODES, number_runs
+from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS
 
 AsBytes = Callable[[object], bytes]
 """Function from the text form of uint8[] or char[] to bytes; raises ValueError, TypeError."""
 
-_Write = Callable[[object, List[bytes]], None]
+_ValueWriter = Callable[[object, List[bytes]], None]
 """(value, bytes so far) -> nothing; appends the value."""
-_Step = Callable[[Dict[str, object], List[bytes]], None]
+_FieldsWriter = Callable[[Dict[str, object], List[bytes]], None]
 """(tree of a message, bytes so far) -> nothing; appends one or several fields."""
 
 _ERRORS = (*BUILD_ERRORS, AttributeError, KeyError, RecursionError)
@@ -41,7 +41,7 @@ def plain_bytes(value: object) -> bytes:
 
 
 @lru_cache(maxsize=512)
-def tree_builder(
+def tree_encoder(
     definition: Definition, as_bytes: AsBytes = plain_bytes
 ) -> Callable[[object], bytes]:
     """Return the function that converts trees of a definition to wire bytes, compiled once.
@@ -70,9 +70,9 @@ class _Compiler:
     def __init__(self, definition: Definition, as_bytes: AsBytes) -> None:
         self._specs = definition.specs
         self._as_bytes = as_bytes
-        self._memo: dict[str, _Write] = {}
+        self._memo: dict[str, _ValueWriter] = {}
 
-    def message(self, name: str) -> _Write:
+    def message(self, name: str) -> _ValueWriter:
         if name not in self._memo:
             fields = self._specs[name].fields
             steps = [self._step(run, fixed) for run, fixed in number_runs(fields)]
@@ -85,13 +85,13 @@ class _Compiler:
             self._memo[name] = write
         return self._memo[name]
 
-    def _step(self, run: Sequence[Field], fixed: struct.Struct | None) -> _Step:
+    def _step(self, run: Sequence[Field], fixed: struct.Struct | None) -> _FieldsWriter:
         if fixed is not None:
             return _numbers_step(run, fixed)
         name, write = run[0].name, self._field(run[0])
         return lambda tree, parts: write(tree[name], parts)
 
-    def _field(self, field: Field) -> _Write:
+    def _field(self, field: Field) -> _ValueWriter:
         if field.is_array and field.base == "uint8":
             return _bytes(field.length, self._as_bytes)
         if field.is_array and field.base in NUMBER_CODES:
@@ -125,7 +125,7 @@ def _check_bools(values: Sequence[object], bools: bool) -> None:
         raise ValueError("a number is true or false")
 
 
-def _numbers_step(run: Sequence[Field], fixed: struct.Struct) -> _Step:
+def _numbers_step(run: Sequence[Field], fixed: struct.Struct) -> _FieldsWriter:
     pick = itemgetter(*[field.name for field in run])
     pack, single, bools = fixed.pack, len(run) == 1, run[0].type == "bool"
 
@@ -142,7 +142,7 @@ def _string(value: Any, parts: list[bytes]) -> None:
     parts += (_pack_length(len(data)), data)
 
 
-def _time(code: str) -> _Write:
+def _time(code: str) -> _ValueWriter:
     pack, pick = struct.Struct(code).pack, itemgetter("secs", "nsecs")
 
     def write(tree: object, parts: list[bytes]) -> None:
@@ -155,7 +155,7 @@ def _time(code: str) -> _Write:
     return write
 
 
-def _bytes(length: int | None, as_bytes: AsBytes) -> _Write:
+def _bytes(length: int | None, as_bytes: AsBytes) -> _ValueWriter:
     def write(value: object, parts: list[bytes]) -> None:
         data = as_bytes(value)
         if length not in (None, len(data)):
@@ -167,7 +167,7 @@ def _bytes(length: int | None, as_bytes: AsBytes) -> _Write:
     return write
 
 
-def _numbers(code: str, length: int | None) -> _Write:
+def _numbers(code: str, length: int | None) -> _ValueWriter:
     def write(value: object, parts: list[bytes]) -> None:
         values = _list(value, length)
         _check_bools(values, code == "?")
@@ -178,7 +178,7 @@ def _numbers(code: str, length: int | None) -> _Write:
     return write
 
 
-def _elements(element: _Write, length: int | None) -> _Write:
+def _elements(element: _ValueWriter, length: int | None) -> _ValueWriter:
     def write(value: object, parts: list[bytes]) -> None:
         values = _list(value, length)
         if length is None:

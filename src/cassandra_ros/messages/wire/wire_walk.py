@@ -22,26 +22,28 @@ from cassandra_ros.messages.wire.cql_values import (
     pack_numbers,
     pack_varint,
 )
+from cassandra_ros.messages.wire.field_ends import Skip
 from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
-from cassandra_ros.messages.wire.skip import Skip
 
 Out = List[Optional[bytes]]
 _Head = Callable[[bytes, int, Out, List[int]], int]
 """(wire, offset, columns so far, marks of inexact columns) -> length of the tail."""
 _Tail = Callable[[bytes, int, int, Out, List[int]], int]
 """(wire, offset, length, columns, marks) -> offset after the field."""
-Step = Tuple[_Head, int, Optional[_Tail]]
+WalkStep = Tuple[_Head, int, Optional[_Tail]]
 
 _unpack_length = struct.Struct("<I").unpack_from
 
 
-def compile_walk(segments: Sequence[Segment], strict: bool, wanted: Container[str]) -> list[Step]:
+def compile_walk(
+    segments: Sequence[Segment], strict: bool, wanted: Container[str]
+) -> list[WalkStep]:
     """Return the steps that convert a message to the columns named in ``wanted``.
 
     If strict, a column that cannot hold its field exactly is None and marked, else it holds the
     nearest value.
     """
-    steps: list[Step] = []
+    steps: list[WalkStep] = []
     for fixed, tail in segments:
         has_length = tail is not None and tail.has_count
         used, codes = _choose(fixed, wanted)
@@ -51,7 +53,7 @@ def compile_walk(segments: Sequence[Segment], strict: bool, wanted: Container[st
     return steps
 
 
-def walk_message(steps: Sequence[Step], wire: bytes, at: int, out: Out, odd: list[int]) -> int:
+def walk_message(steps: Sequence[WalkStep], wire: bytes, at: int, out: Out, odd: list[int]) -> int:
     """Append the columns of a message and the marks of inexact ones; return the offset after it."""
     for head, size, tail in steps:
         count = head(wire, at, out, odd)
