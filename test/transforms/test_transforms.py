@@ -192,9 +192,9 @@ def test_only_what_is_needed_is_read(stored, monkeypatch):
     recorded = stored("husky_gps_data.bag")
     middle = sorted(recorded.times)[len(recorded.times) // 2]
     read = []
-    take = samples.Recorded.read
+    take = samples.TransformTopic.read
     monkeypatch.setattr(
-        samples.Recorded,
+        samples.TransformTopic,
         "read",
         lambda self, nearest, low, high, **options: (
             read.append((low, high)),
@@ -647,9 +647,9 @@ def test_stamps_far_from_the_row_keys(store, delay):
 def test_far_stamps_are_found_and_no_message_is_read_twice(store, monkeypatch):
     store.track("map", "base", count=400, delay=5 * HOUR)
     read = []
-    take = samples.Recorded._add
+    take = samples.TransformTopic._add
     monkeypatch.setattr(
-        samples.Recorded,
+        samples.TransformTopic,
         "_add",
         lambda self, nearest, row: (read.append(row.t), take(self, nearest, row)),
     )

@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Formats: how a message becomes the columns of a row, and a row a message again."""
+"""Formats: the conversion of messages to the columns of a row, and back."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What every format can do (paper section 3.1)."""
+"""The interface of all formats (paper section 3.1)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from cassandra_ros.messages.wire.message_stacks import Int64Array
 
 
 class EncodedMessage(NamedTuple):
-    """A message as the values of its row."""
+    """The values of a message's row."""
 
     columns: Sequence[bytes | None]
-    """Values in CQL's encoding, in the order of getColValidationClasses; None = left unset."""
+    """Encoded values in the order of getColValidationClasses; None = unset."""
     odd: bool
-    """Whether some field is not held exactly in its column (``_odd``)."""
+    """Whether some column does not hold its field exactly (column ``_odd``)."""
     raw: bytes | None
-    """The wire bytes where the columns cannot give them back (``_raw``), else None."""
+    """The wire bytes if they cannot be rebuilt from the columns (column ``_raw``), else None."""
 
 
 class CassandraTopic_(ABC):
@@ -29,20 +29,20 @@ class CassandraTopic_(ABC):
 
     Args:
         msg_type: 'pkg/Name'.
-        md5sum: As the connection says.
-        definition: The checked definition; None when it is unusable.
+        md5sum: md5 that the connection header gives.
+        definition: The checked definition; None if it is unusable.
     """
 
     NAME: str
-    """By which it is chosen, and stored in the comment."""
+    """Name of the format, as users give it and as it is stored in the table's comment."""
     BY_FIELD = False
-    """Whether each field has a column of its own, which conditions can be checked on."""
+    """Whether each field has a column of its own, on which conditions can be checked."""
     PACKED = False
-    """Whether a row of the table is a block of many messages; see ``formats/packed.py``."""
+    """Whether a row of the table is a block of many messages, see ``formats/packed.py``."""
     TOGETHER = False
-    """Whether many messages are turned into rows quicker than one by one."""
+    """Whether encode_together is faster than encode_wire for each message."""
     COLUMNS: Mapping[str, str]
-    """CQL type of each column by name, where all types of messages have the same."""
+    """CQL type of each column by name, if they are the same for all message types."""
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         self.msg_type = msg_type
@@ -53,68 +53,79 @@ class CassandraTopic_(ABC):
         return f"<{type(self).__name__} of {self.msg_type}>"
 
     def _usable(self) -> Definition:
-        """Return the definition, or raise DefinitionError where it is unusable."""
+        """Return the definition; DefinitionError: it is unusable."""
         if self.definition is None:
             needs = f"format {self.NAME} needs the definition of {self.msg_type}"
             raise DefinitionError(f"{needs}, which is unusable: use binary")
         return self.definition
 
     def getColValidationClasses(self) -> dict[str, str]:
-        """Return the CQL type of each column by name, in the order of the columns."""
+        """Return the CQL type of each column by name, in column order."""
         return dict(self.COLUMNS)
 
     def table_columns(self) -> dict[str, str]:
-        """Return the CQL type of each column that its tables have beside those of all formats."""
+        """Return the CQL type of each column of its tables that not all formats have, by name."""
         return self.getColValidationClasses()
 
     @abstractmethod
     def encode_wire(self, wire: bytes) -> EncodedMessage:
-        """Turn wire bytes into column values; never fails, whatever the bytes are."""
+        """Return the column values of a message; accepts any bytes."""
 
     def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
-        """Return of each message its columns as they stand in a request, each behind its size.
+        """Return for each message its columns as in a request, each after its size.
 
-        None is given for a message that encode_wire is to turn: it is not exact in its columns,
-        or not like the others.
+        None is returned for a message that must be converted by encode_wire: its columns are
+            inexact,
+        or it differs from the other messages.
         """
         return [None] * len(wires)
 
     def decode_together(
         self, data: bytes, starts: Int64Array, ends: Int64Array, sizes: Int64Array
     ) -> Sequence[bytes | None]:
-        """Return the messages of many rows, of these sizes, as decode_wire does.
+        """Return the messages of many rows, like decode_wire for each.
 
         Args:
-            data: In which the columns of each lie from one of the starts to one of the ends, each
-                column behind its size.
+            data: Buffer with the columns of the rows, each column after its size.
+            starts: Offset of each row.
+            ends: Offset after each row.
+            sizes: Size of each message, bytes.
 
         Returns:
-            None for a message that decode_wire is to make, also where there may be none.
+            The messages; None for each that must be decoded by decode_wire, because its row may be
+            malformed.
         """
         return [None] * len(starts)
 
     @abstractmethod
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Return the wire bytes of a row, exactly as they were, or raise CorruptMessage."""
+        """Return exactly the wire bytes that were stored in a row.
+
+        CorruptMessage: malformed row.
+        """
 
     def describe(self) -> list[dict[str, str | None]]:
-        """Return what the table's comment says about each column."""
+        """Return the description of each column for the table's comment."""
         return []
 
     def require_class(self) -> None:
-        """Make sure that message objects can be made, or raise DefinitionError."""
+        """Check that message objects can be made; else raise DefinitionError."""
         if self.definition is None:
             raise DefinitionError(f"the definition of {self.msg_type} is unusable")
         message_class(self.definition)
 
     def encode(self, msg: Any) -> EncodedMessage:
-        """Turn a message into column values; TypeMismatch: a field holds what its type cannot."""
+        """Return the column values of a message.
+
+        TypeMismatch: a value does not fit its field's type.
+        """
         return self.encode_wire(serialize(msg))
 
     def decode(self, encoded: EncodedMessage) -> Any:
-        """Turn column values into a message; bytes only where the definition is unusable.
+        """Return the message of column values; its bytes if the definition is unusable.
 
-        Raises CorruptMessage: they are none; DefinitionError: no class can be made of the type.
+        Raises CorruptMessage: the values are malformed; DefinitionError: the type's class cannot be
+            made.
         """
         wire = self.decode_wire(encoded.columns, encoded.raw)
         known = self.definition

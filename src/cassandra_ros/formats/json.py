@@ -16,31 +16,31 @@ from cassandra_ros.messages.tree.tree_reader import MessageTree
 class CassandraTopic_json(ParsedFormat):
     """Strict, compact JSON: uint8[] and char[] as base64, NaN and infinity as null.
 
-    A null is never read back: such a row also has the wire bytes. 64-bit integers are numbers, as
-    in rosbridge; JavaScript rounds them over 2**53.
+    A row whose text has a null also holds the wire bytes, which are read instead. 64-bit integers
+    are numbers, as in rosbridge; JavaScript rounds them above 2**53.
     """
 
     NAME = "json"
     BYTE_CHARACTERS = 1
 
     def print_tree(self, tree: MessageTree) -> str:
-        """Return the JSON of a message."""
+        """Return the JSON text of a message."""
         try:
             return _encode(tree)
-        except ValueError:  # a float is not finite
+        except ValueError:  # a float is infinite or NaN
             return _encode(_finite(tree))
 
     def is_faithful(self, text: str) -> bool:
-        """Return whether no float became null: all else reads as it was written."""
+        """Return whether no float was written as null; all other values are read as written."""
         return "null" not in text
 
     def parse_own(self, text: str) -> object:
-        """Return what the JSON says."""
+        """Return the parsed JSON."""
         return _decode(text)
 
     @staticmethod
     def field_bytes(value: object) -> bytes:
-        """Return the bytes of a base64 text, or of a list of numbers, as rosbridge does."""
+        """Return the bytes of a base64 text or a list of numbers, as rosbridge accepts."""
         return b64decode(value, validate=True) if isinstance(value, str) else plain_bytes(value)
 
 

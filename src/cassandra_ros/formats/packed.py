@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Format ``packed``: a row of the table is a block of consecutive messages of a connection.
+"""Format ``packed``: a row of the table is a block of consecutive messages of one connection.
 
-Above the store each message is a row as in format ``binary``. What a block holds is packed in
-``store/blocks/``; beside it stand the least and the greatest value of each field, by which blocks
-are skipped.
+For the rooms above the store each message is a row as in format ``binary``. ``blocks/`` packs the
+messages of a block. The row also holds minimum and maximum of each field, so that queries can skip
+blocks.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.zones import zone_map
 
 BLOCK_COLUMNS = {
-    "_last": "bigint",  # key time of the last message
-    "_n": "int",  # messages
+    "_last": "bigint",  # key time of the last message, ns
+    "_n": "int",  # number of messages
     "_data": "blob",
-    "_gone": "set<int>",  # positions of those that were deleted
-    "_nan": "frozen<set<text>>",  # fields of which a value is NaN
+    "_gone": "set<int>",  # positions of deleted messages
+    "_nan": "frozen<set<text>>",  # fields with a NaN value
 }
 
 
 class CassandraTopic_packed(CassandraTopic_binary):
-    """The serialised messages, many in a row: for high rates and long keeping.
+    """Serialised messages, many in one row: for high rates and long retention.
 
-    Small and quick to write and to read; other programs see blobs and zone maps.
+    The tables are small and fast to write and to read. Other programs see blobs and zone maps.
     """
 
     NAME = "packed"

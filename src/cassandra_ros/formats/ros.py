@@ -13,16 +13,17 @@ from cassandra_ros.messages.wire.permuter import permuter
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 INLINE_BYTES = 512 * 1024
-"""Of larger messages only the scalar fields get columns: the row holds all bytes anyway."""
+"""Maximum size of a message whose lists and arrays get columns, bytes. The row of a larger message
+holds all its bytes anyway."""
 
 
 class CassandraTopic_ros(CassandraTopic_):
-    """Columns that CQL can ask, exact to the bit.
+    """Columns that CQL queries can compare; together they give back the message exactly.
 
-    Arrays of numbers are blobs as on the wire, arrays of messages a list for each field of
-    their elements. Where a column cannot give a field back (time with nsecs of 10**9, text that
-    is no UTF-8, ...) it is unset and the row also holds the wire bytes. So do all rows of types
-    with more than 64 fields, of which only the first 64 scalar ones have columns.
+    Arrays of numbers are blobs as on the wire; an array of messages is a list for each field of its
+    elements. If a column cannot hold a field exactly (a time with nsecs of 10**9, text that is not
+    UTF-8, ...) it is unset and the row also holds the wire bytes. So do all rows of types with more
+    than 64 fields, of which only the first 64 scalar ones have columns.
     """
 
     NAME = "ros"
@@ -34,37 +35,37 @@ class CassandraTopic_ros(CassandraTopic_):
         self.plan = wire_plan(self._usable())
 
     def getColValidationClasses(self) -> dict[str, str]:
-        """Return the columns in the order of the fields on the wire."""
+        """Return the columns in wire order."""
         return {column.name: column.cql_type for column in self.plan.columns}
 
     def encode_wire(self, wire: bytes) -> EncodedMessage:
-        """Walk the bytes once."""
+        """Return the columns of one message."""
         plan = self.plan
         columns, odd = (plan.walk if len(wire) <= INLINE_BYTES else plan.walk_scalars)(wire)
         return EncodedMessage(columns, odd, wire if odd or not plan.complete else None)
 
     def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
-        """Turn those of one layout at once."""
+        """Return the columns of messages, converted together if they share a layout."""
         if not self.plan.complete:
             return [None] * len(wires)
         return permuter(self.plan.definition).rows(wires)
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Build the bytes of the columns, unless the row has them."""
+        """Return the row's wire bytes if it holds them, else build them from the columns."""
         return self.plan.build(columns) if raw is None else raw
 
     def decode_together(
         self, data: bytes, starts: Int64Array, ends: Int64Array, sizes: Int64Array
     ) -> Sequence[bytes | None]:
-        """Turn those of one layout back at once."""
+        """Return the messages of rows, converted together if they share a layout."""
         if not self.plan.complete:
             return [None] * len(starts)
         return permuter(self.plan.definition).wires(data, starts, ends, sizes)
 
     def describe(self) -> list[dict[str, str | None]]:
-        """Return what each column holds: field, ROS type, and the array of messages, if any.
+        """Return for each column the field, its ROS type, and its array of messages, if any.
 
-        A field without a CQL type has no column and lies in ``_raw`` only.
+        A field without a CQL type has no column; only ``_raw`` holds it.
         """
         types = self.getColValidationClasses()
         keys, every = ("name", "cql", "field", "type", "array"), self.plan.all_columns

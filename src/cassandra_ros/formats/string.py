@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Format ``string``: what ``rostopic echo`` prints, beside the wire bytes."""
+"""Format ``string``: the text that ``rostopic echo`` prints, and the wire bytes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cassandra_ros.messages.tree.tree_reader import MessageTree
 
 
 class CassandraTopic_string(TextFormat):
-    """Text for people: it is never read back, every row also has the wire bytes."""
+    """Text for people. It is never parsed: every row also holds the wire bytes."""
 
     NAME = "string"
 
@@ -24,17 +24,17 @@ class CassandraTopic_string(TextFormat):
         self._print = echo_printer(self.definition)
 
     def print_tree(self, tree: MessageTree) -> str:
-        """Return what rostopic prints."""
+        """Return the text that rostopic prints."""
         return self._print(tree)
 
     def encode_wire(self, wire: bytes) -> EncodedMessage:
-        """Print the message, and keep its bytes."""
+        """Return the text and the bytes of a message."""
         printed = self.print_wire(wire)
         text = None if printed is None else printed[0].encode()
         return EncodedMessage((text,), printed is None, wire)
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Return the bytes that the row has beside its text."""
+        """Return the bytes that the row holds."""
         if raw is None:
             raise CorruptMessage(f"a row of {self.msg_type} in format string has no bytes")
         return raw

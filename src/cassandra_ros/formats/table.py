@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The table of formats: a new one is a file beside this and a line here."""
+"""The table of formats. A new format is a file in this folder and a line here."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cassandra_ros.formats.string import CassandraTopic_string
 from cassandra_ros.formats.yaml import CassandraTopic_yaml
 
 FALLBACK_FORMAT = "binary"
-"""Format of topics whose definition cannot be trusted: it needs none."""
+"""Name of the format for topics whose definition is unusable: it needs no definition."""
 DEFAULT_FORMAT = "ros"
 
 FORMATS: Mapping[str, type[CassandraTopic_]] = {
@@ -30,7 +30,7 @@ FORMATS: Mapping[str, type[CassandraTopic_]] = {
 
 
 def format_class(name: str) -> type[CassandraTopic_]:
-    """Return the class of a format; UnknownFormat lists those that there are."""
+    """Return the class of a format; UnknownFormat: no format has this name."""
     if not isinstance(name, str) or name not in FORMATS:
         raise UnknownFormat(f"there is no format {name!r:.80}; formats are: {', '.join(FORMATS)}")
     return FORMATS[name]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the text formats have in common: one column, never over 64 KiB."""
+"""The common part of the text formats: one column of at most 64 KiB."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ MAX_TEXT_BYTES = 64 * 1024
 
 _WHOLE = (MAX_TEXT_BYTES, MAX_TEXT_BYTES)
 _SHORTENED = ((256, MAX_TEXT_BYTES), (16, MAX_TEXT_BYTES), (0, MAX_TEXT_BYTES), (0, 256), (0, 0))
-"""Longest array in elements and longest string in bytes, tried until the text fits."""
+"""Pairs of maximum array length (elements) and string size (bytes), tried until the text fits."""
 
 
 class TextFormat(CassandraTopic_):
-    """A message as a text that people read.
+    """A message as a text for people.
 
-    Where it would exceed 64 KiB, arrays and then strings are replaced by what
-    ``rostopic echo --noarr --nostr`` prints of them.
+    In a text over 64 KiB, long arrays and then long strings are replaced by the text that
+    ``rostopic echo --noarr --nostr`` prints for them.
     """
 
     COLUMNS = {"_data": "text"}
     BYTE_CHARACTERS = 3
-    """The least that a byte of uint8[] or char[] takes in the text."""
+    """Minimum number of characters in the text for one byte of uint8[] or char[]."""
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
@@ -38,12 +38,12 @@ class TextFormat(CassandraTopic_):
 
     @abstractmethod
     def print_tree(self, tree: MessageTree) -> str | None:
-        """Return the text of a message, None where it cannot be made."""
+        """Return the text of a message; None if it cannot be printed."""
 
     def print_wire(self, wire: bytes) -> tuple[str, MessageTree, bool] | None:
-        """Return the text of a message, the tree that it shows, and whether that is shortened.
+        """Return the text of a message, the printed tree, and whether the tree is shortened.
 
-        None: the bytes are no message, or even the shortest text is too long.
+        None: the bytes are malformed, or even the shortest text is too long.
         """
         limits = _SHORTENED if len(wire) > MAX_TEXT_BYTES else (_WHOLE, *_SHORTENED)
         for elements, length in limits:
@@ -59,7 +59,7 @@ class TextFormat(CassandraTopic_):
 
 
 class ParsedFormat(TextFormat):
-    """A text that gives the message back: the row has its bytes only where it does not."""
+    """A text that is parsed to read the message; if inexact, the row also holds the bytes."""
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
@@ -67,23 +67,23 @@ class ParsedFormat(TextFormat):
 
     @staticmethod
     def field_bytes(value: object) -> bytes:
-        """Return the bytes of what a text holds for uint8[] or char[]; ValueError, TypeError."""
+        """Return the bytes of uint8[] or char[] in a parsed text; raises ValueError, TypeError."""
         return plain_bytes(value)
 
     @abstractmethod
     def is_faithful(self, text: str) -> bool:
-        """Return whether a text of print_tree certainly reads as its tree."""
+        """Return whether a text of print_tree certainly parses to the same tree."""
 
     @abstractmethod
     def parse_own(self, text: str) -> object:
-        """Return what a text says that print_tree made; may raise anything of other texts."""
+        """Return the parsed text of print_tree; other texts may raise any exception."""
 
     def parse(self, text: str) -> object:
-        """Return what a text says that anybody may have changed; may raise any Exception."""
+        """Return the parsed text, which anyone may have edited; may raise any Exception."""
         return self.parse_own(text)
 
     def encode_wire(self, wire: bytes) -> EncodedMessage:
-        """Print the message, and see whether the text is the whole truth."""
+        """Return the text of a message, and its bytes if the text does not give them back."""
         printed = self.print_wire(wire)
         if printed is None:
             return EncodedMessage((None,), True, wire)
@@ -98,7 +98,7 @@ class ParsedFormat(TextFormat):
             return False
 
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
-        """Build the bytes of the text, unless the row has them."""
+        """Return the row's wire bytes if it holds them, else build them from the text."""
         if raw is not None:
             return raw
         text, row = columns[0], f"a row of {self.msg_type}"
@@ -106,6 +106,6 @@ class ParsedFormat(TextFormat):
             raise CorruptMessage(f"{row} in format {self.NAME} has no text of at most 64 KiB")
         try:
             tree = self.parse(text.decode())
-        except Exception as exc:  # whatever a parser makes of a hostile text
+        except Exception as exc:  # parsers raise many exceptions for a hostile text
             raise CorruptMessage(f"{row} is no {self.NAME}: {str(exc)[:200]}") from exc
         return self._build(tree)

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Format ``yaml``: the message as ``rostopic pub -f`` reads it, written and read by libyaml.
+"""Format ``yaml``: the text that ``rostopic pub -f`` reads, written and parsed by libyaml.
 
-It is for low rates: PyYAML takes microseconds for every number.
+It is meant for low rates: PyYAML takes microseconds for every number.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from cassandra_ros.formats.text_column import ParsedFormat
 from cassandra_ros.messages.tree.tree_reader import MessageTree
 
 MAX_DEPTH = 300
-"""Of a text; libyaml's composer overflows the stack of the process at some ten thousand."""
+"""Maximum nesting depth of a text. From some ten thousand levels on libyaml overflows the stack."""
 ONE_LINE = 1 << 30
-"""Width at which neither strings nor arrays are broken."""
+"""Width at which strings and arrays are never wrapped, characters."""
 
 
 class CassandraTopic_yaml(ParsedFormat):
-    """Block style, arrays of numbers in one line; exact but for NaNs other than Python's."""
+    """Block style, arrays of numbers in one line; exact except for NaNs with other bits."""
 
     NAME = "yaml"
 
     def print_tree(self, tree: MessageTree) -> str | None:
-        """Return the YAML of a message."""
+        """Return the YAML text of a message."""
         layout = {"sort_keys": False, "allow_unicode": True, "width": ONE_LINE}
         try:
             return str(yaml.dump(tree, Dumper=_Dumper, **layout))
@@ -34,15 +34,16 @@ class CassandraTopic_yaml(ParsedFormat):
             return None
 
     def is_faithful(self, text: str) -> bool:
-        """Return whether there is no NaN, whose bits are lost, and no text in quotes.
+        """Return whether the text has no NaN, whose bits are lost, and no quoted text.
 
-        What needs none reads as it was written, for writing asks the rules of reading.
+        A text without quotes parses as it was written, because the writer applies the parser's
+        rules.
         """
         quoted = '"' in text or "'" in text.replace("''\n", "\n")
         return text.isascii() and not quoted and ".nan" not in text
 
     def parse_own(self, text: str) -> object:
-        """Return what the YAML says."""
+        """Return the parsed YAML."""
         loader = _Loader(text)
         try:
             return loader.get_single_data()
@@ -50,13 +51,13 @@ class CassandraTopic_yaml(ParsedFormat):
             loader.dispose()
 
     def parse(self, text: str) -> object:
-        """Return what the YAML says, unless it is a bomb."""
+        """Return the parsed YAML; refuses aliases and deep nesting."""
         _check(text)
         return self.parse_own(text)
 
 
 def _check(text: str) -> None:
-    """Refuse aliases, which expand without end, and depth: event by event, which takes no stack."""
+    """Refuse aliases, which expand without limit, and deep nesting. Works without recursion."""
     depth = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         if isinstance(event, yaml.AliasEvent):
@@ -70,13 +71,13 @@ def _check(text: str) -> None:
 
 
 class _Loader(yaml.CSafeLoader):
-    """Reads ``.nan`` as the same bits everywhere: PyYAML's has the sign of the processor."""
+    """Reads ``.nan`` as fixed bits: the sign of PyYAML's NaN depends on the processor."""
 
     nan_value = float("nan")
 
 
 class _Dumper(yaml.CSafeDumper):
-    """Writes trees: no aliases, numbers in one line."""
+    """Writes trees without aliases, and arrays of numbers in one line."""
 
     def ignore_aliases(self, data: object) -> bool:
         return True

@@ -16,7 +16,7 @@ from typing import Callable, List, Optional, Sequence
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.cql_values import CQL_CODES, pack_list, pack_numbers, split_list
-from cassandra_ros.messages.wire.layout import FieldColumn, Fixed, element_of
+from cassandra_ros.messages.wire.layout import FieldColumn, FixedField, element_of
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
 MAX_TEXT_BYTES = 1024
@@ -120,7 +120,7 @@ def _split_column(raw: bytes) -> Optional[List[bytes]]:
     return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else split_list(raw)
 
 
-def _split_numbers(fixed: Fixed) -> _Split:
+def _split_numbers(fixed: FixedField) -> _Split:
     unit, encode = struct.calcsize("<" + fixed.little), pack_numbers(fixed, True)
 
     def split(raw: bytes) -> Optional[List[bytes]]:

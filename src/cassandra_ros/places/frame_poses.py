@@ -29,7 +29,7 @@ from cassandra_ros.places.sources import (
 )
 from cassandra_ros.query.source import Writers
 from cassandra_ros.transforms.lookup import lookup_transform
-from cassandra_ros.transforms.transform_samples import Fixed, Recorded
+from cassandra_ros.transforms.transform_samples import FixedTransforms, TransformTopic
 
 TF, TF_STATIC = "/tf", "/tf_static"
 AROUND_NS = 10 * SECOND_NS
@@ -84,15 +84,15 @@ class Frames:
         if self.moving is None and fixed is None:
             find(tf)  # raises with the nearest names
         if self.moving is not None:
-            Recorded(self.moving, node, writers)  # raises where it holds no transforms
+            TransformTopic(self.moving, node, writers)  # raises where it holds no transforms
         self.fixed = self._read_fixed(fixed)
         """Parent and pose of each frame that does not move."""
 
     def _read_fixed(self, topic: Optional[ArraySource]) -> Dict[int, Tuple[int, Rigid]]:
         if topic is None:
             return {}
-        fixed = Fixed()
-        Recorded(topic, self._node, self._writers).read(fixed, 0, MAX_NS, reverse=True)
+        fixed = FixedTransforms()
+        TransformTopic(topic, self._node, self._writers).read(fixed, 0, MAX_NS, reverse=True)
         return {
             self.code(sample.child): (
                 self.code(sample.parent),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The transform between two frames at any past time, from what was recorded for tf."""
+"""Lookup of the transform between two frames at any past time, in the recorded transforms."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, iso_time, to_ns
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.source import Source, Writers
 from cassandra_ros.transforms.transform_samples import (
-    Fixed,
+    FixedTransforms,
     FrameTree,
-    Nearest,
-    Recorded,
-    fill,
-    named,
+    NearestTransforms,
+    TransformTopic,
+    name_only,
+    read_transforms,
 )
 
 _SHOWN_FRAMES = 20
@@ -38,36 +38,37 @@ def lookup_transform(
     tf: str,
     tf_static: str,
 ) -> TransformStamped:
-    """Return the transform that takes points of one frame to another; see RosCassandra.
+    """Return the transform that converts points of one frame to another, see RosCassandra.
 
     ``find`` returns a topic by its name, or raises TopicNotFound.
     """
     frames = (_frame(target), _frame(source))
     check_nodes(node)
     asked = to_ns(time)
-    found: list[Optional[Recorded]] = []
+    found: list[Optional[TransformTopic]] = []
     for name in (tf, tf_static):
         try:
-            found.append(Recorded(find(name), node, run))
+            found.append(TransformTopic(find(name), node, run))
         except TopicNotFound:
             found.append(None)
     if found == [None, None]:
-        find(tf)  # raises with the nearest names
+        find(tf)  # raises TopicNotFound with similar names
     topics = [
         f"topic {name}{'' if topic else ' (which is not stored)'}"
         for name, topic in zip((tf, tf_static), found)
     ]
     moving, recorded = found
-    fixed = Fixed()
+    fixed = FixedTransforms()
     if recorded is not None:
-        # Newest first: those that repeat it then need no look.
+        # Newest first, so that older transforms of the same frames are skipped without reading
+        # them.
         recorded.read(fixed, 0, MAX_NS, reverse=True)
-    lookup = _Lookup(moving, fixed, Failure(frames, topics, node, time))
+    lookup = _Lookup(moving, fixed, LookupErrors(frames, topics, node, time))
     return lookup.at(asked) if asked else lookup.newest()
 
 
 def _frame(name: object) -> str:
-    """Return a frame's name as tf2 wants it."""
+    """Return a frame name as tf2 expects it."""
     frame = name.lstrip("/") if isinstance(name, str) else ""
     try:
         if frame and "\0" not in frame and frame.encode("utf-8"):
@@ -79,23 +80,28 @@ def _frame(name: object) -> str:
 
 @dataclass(frozen=True)
 class _Lookup:
-    """Answers one question."""
+    """One lookup."""
 
-    moving: Optional[Recorded]
-    fixed: Fixed
-    failure: Failure
+    moving: Optional[TransformTopic]
+    fixed: FixedTransforms
+    failure: LookupErrors
 
     def at(self, time: int, centre: Optional[int] = None) -> TransformStamped:
-        """Return the transform at a time, ns; ``centre`` is a row key near which it lies."""
-        tree = FrameTree(Nearest(time), self.fixed)
-        path = fill(tree, self.moving, self.failure.frames, time if centre is None else centre)
+        """Return the transform at a time, ns.
+
+        ``centre`` is a row key near the transforms' rows, ns.
+        """
+        tree = FrameTree(NearestTransforms(time), self.fixed)
+        path = read_transforms(
+            tree, self.moving, self.failure.frames, time if centre is None else centre
+        )
         return self._computed(tree, path, time)
 
     def newest(self) -> TransformStamped:
-        """Return the transform at the newest time that all frames on the path have, as in tf2."""
-        tree, frames = FrameTree(Nearest(None), self.fixed), self.failure.frames
+        """Return the transform at the newest time that all frames on the path have, as tf2 does."""
+        tree, frames = FrameTree(NearestTransforms(None), self.fixed), self.failure.frames
         last = 0 if self.moving is None else self.moving.ends[1]
-        path = fill(tree, self.moving, frames, last)
+        path = read_transforms(tree, self.moving, frames, last)
         moving = tree.moving(path or [])
         if not moving and path == []:
             moving = tree.moving([frames[0]])
@@ -110,13 +116,14 @@ class _Lookup:
         fixed = tree.fixed.all()
         moving = [s for s in tree.nearest.all() if s.child not in tree.fixed.before]
         if path:
-            # tf2 goes up to the root and down again, which only adds the rounding of both.
+            # With the other frames, tf2 would go up to the root and back, which adds rounding
+            # errors.
             moving, fixed = ([s for s in part if s.child in path] for part in (moving, fixed))
         else:
-            # It remembers every frame that it has heard of, and its errors depend on it.
+            # tf2's errors depend on which frames it knows.
             known = tree.frames().intersection(self.failure.frames)
-            fixed.extend(named(frame) for frame in known)
-        # It needs tf2, which who only records or asks may lack.
+            fixed.extend(name_only(frame) for frame in known)
+        # Imported here because tf2 is needed only for lookups; programs that record may lack it.
         from cassandra_ros.transforms.tf_buffer import look_up
 
         failure = self.failure
@@ -126,19 +133,19 @@ class _Lookup:
 
 
 @dataclass(frozen=True)
-class Failure:
-    """The texts of the errors of one question."""
+class LookupErrors:
+    """Writes the error texts of one lookup."""
 
     frames: tuple[str, str]
-    """Target and source."""
+    """Target and source frame."""
     topics: Sequence[str]
-    """What to call those of the moving and of the fixed transforms."""
+    """Names of the topics of moving and fixed transforms, as error texts show them."""
     node: Optional[str]
     asked: object
-    """The time as the user gave it."""
+    """Time as the user gave it."""
 
     def text(self, kind: Type[TransformException], tree: FrameTree) -> str:
-        """Say what is wrong, by what tf2 said and all that was found in the topics."""
+        """Return the text of an error, from tf2's exception type and the transforms found."""
         frames, time = tree.frames(), tree.nearest.time
         absent = [frame for frame in self.frames if frame not in frames]
         if absent:
@@ -166,7 +173,7 @@ class Failure:
         return f"frame {frame!r} is not in {self._where()}{_ignored(frame, tree)}; {hint}"
 
     def _gap(self, tree: FrameTree) -> str:
-        """Say for which frame the time lies outside; '' where it does for none."""
+        """Return which frame has no transforms around the time; '' if all have."""
         nearest = tree.nearest
         if nearest.time is None:
             return ""

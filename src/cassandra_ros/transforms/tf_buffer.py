@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""tf2's own buffer, for the maths of one lookup.
+"""One lookup by tf2's own buffer, which does the computation.
 
-Stamps over 2**31 s end the process in tf2_py, and times go through a double on their way, so the
-buffer gets times around a small base: near it a double is exact to the nanosecond.
+tf2_py crashes at stamps over 2**31 s, and converts times to doubles. Therefore the buffer gets
+times shifted to a small base: near it a double is exact to the nanosecond.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ except ImportError as exc:
     ) from exc
 
 REACH_NS = 100_000 * SECOND_NS
-"""No transform is given to tf2 further from the base than this, a day."""
+"""Maximum distance from the base of a time that tf2 gets, ns (about a day)."""
 _BASE_NS = 2 * REACH_NS
 _AUTHORITY = "cassandra_ros"
 _ERRORS = {
@@ -51,13 +51,13 @@ def look_up(
     fixed: Iterable[Sample],
     explain: Callable[[Type[TransformException]], str],
 ) -> TransformStamped:
-    """Return the transform that takes points of source to target. Its stamp means nothing.
+    """Return the transform that converts points of source to target. Its stamp has no meaning.
 
     Args:
-        time: ns; None = all transforms hold at the time that is looked up.
-        moving: The nearest before and after the time of each frame.
-        fixed: Transforms that hold at every time.
-        explain: Gives the text of an error, for tf2's has other times.
+        time: Time in ns; None = all transforms are taken to be valid at the lookup's time.
+        moving: The nearest transforms before and after the time, for each frame.
+        fixed: Transforms that are valid at all times.
+        explain: Returns the text of an error; tf2's own text would name the shifted times.
     """
     core = tf2_py.BufferCore(Stamp.from_ns(2 * REACH_NS + SECOND_NS) - Stamp.from_ns(0))
     distances = [0 if time is None else sample.stamp - time for sample in moving]
@@ -77,10 +77,10 @@ def look_up(
 
 
 def _shortened(distance: int, longest: int) -> int:
-    """Scale a distance so that the longest one of its frame is within reach."""
+    """Scale a distance so that the longest one of its frame is within REACH_NS."""
     if longest <= REACH_NS or not distance:
         return distance
-    # Interpolation asks only how the distances of the two transforms of a frame compare.
+    # Interpolation uses only the ratio of the distances of a frame's two transforms.
     near = max(1, round(abs(distance) * (REACH_NS / longest)))
     return near if distance > 0 else -near
 

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recorded transforms: read without message objects, and of each frame only those next to a time.
+"""Recorded transforms, read without message objects; only those next to a time are kept.
 
-tf2 interpolates between two transforms of a frame, the nearest before and after a time. To keep
-these two is all that any time needs, so a topic of any length is read in the same memory.
+tf2 interpolates between two transforms of each frame, the nearest before and after a time. Only
+these two are kept, so a topic of any length is read in constant memory.
 
-What is asked goes by the stamps in the headers, what is read by the row keys. The two lie
-milliseconds apart, or years: in a bag that was replayed, or where a clock was wrong.
+Lookups use the stamps in the headers, reads the row keys. The two differ by milliseconds, or by
+years if a bag was replayed or a clock was wrong.
 """
 
 from __future__ import annotations
@@ -26,51 +26,57 @@ from cassandra_ros.query.tree.field_names import all_fields
 _log = logging.getLogger(__name__)
 
 TRANSFORMS_MD5 = "94810edda583a504dfda3829e70d7eec"
-"""Of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
+"""md5 of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
 _HEAD = ("header.stamp", "header.frame_id", "child_frame_id")
 _MOVED = tuple(f"transform.translation.{c}" for c in "xyz")
 _TURNED = tuple(f"transform.rotation.{c}" for c in "xyzw")
 _TOLERANCE = 10e-3
-"""How far tf2 lets the square of a rotation's length be from 1."""
+"""Maximum deviation of the squared norm of a rotation from 1 that tf2 accepts."""
 
 FIRST_REACH_NS = 2 * SECOND_NS
-"""How far from a row key, on both sides, is read at first."""
+"""Distance from a row key, on both sides, of the rows that are read first, ns."""
 
 Order = Tuple[Position, int]
-"""Of the message, and the number of the transform in it."""
+"""Position of the message, and number of the transform in it."""
 
 
 class Sample(NamedTuple):
     """One recorded transform."""
 
     stamp: int
-    """Of its header, ns."""
+    """Stamp of its header, ns since 1970."""
     parent: str
     child: str
     numbers: tuple[float, ...]
-    """Translation x, y, z, metres, and rotation x, y, z, w."""
+    """Translation x, y, z in metres, and rotation x, y, z, w."""
     key: int
-    """When it was received, ns."""
+    """Receive time, ns since 1970."""
     order: Order
-    """Its place in the order of arrival."""
+    """Place in the order of arrival."""
 
 
-class Nearest:
-    """For each child frame the transforms next to a time, ns; None = the end of all times."""
+class NearestTransforms:
+    """For each child frame the nearest transforms before and after a time, ns.
+
+    None = the newest.
+    """
 
     def __init__(self, time: Optional[int] = None) -> None:
         self.time = time
         self.before: dict[str, Sample] = {}
-        """The last one at the time or before."""
+        """Last transform at or before the time, by child frame."""
         self.after: dict[str, Sample] = {}
-        """The first one behind it."""
+        """First transform after the time, by child frame."""
         self.parents: set[str] = set()
-        """Also those of other times."""
+        """Parent frames of all transforms that were read."""
         self.ignored: dict[str, str] = {}
-        """Child frames of which some were left out, and why."""
+        """Child frames with transforms that were left out, and the reason."""
 
     def wants(self, child: str, stamp: int, order: Order) -> bool:
-        """Say whether a transform is nearer than those known; of equal stamps the first counts."""
+        """Return whether a transform is nearer than the known ones.
+
+        Of equal stamps the first is.
+        """
         if self.time is None or stamp <= self.time:
             known = self.before.get(child)
             return known is None or (stamp, known.order) > (known.stamp, order)
@@ -78,7 +84,7 @@ class Nearest:
         return known is None or (stamp, order) < (known.stamp, known.order)
 
     def add(self, sample: Sample) -> bool:
-        """Take a wanted transform, or leave it out as tf2 would; say which."""
+        """Add a wanted transform, unless tf2 would reject it; return whether it was added."""
         problem = _problem(sample)
         if problem:
             self.ignored.setdefault(sample.child, problem)
@@ -90,40 +96,43 @@ class Nearest:
         return True
 
     def at(self, child: str) -> Optional[Sample]:
-        """Return what says the frame's parent at the time; None where tf2 would extrapolate."""
+        """Return the transform that gives the frame's parent at the time.
+
+        None if tf2 extrapolates.
+        """
         before = self.before.get(child)
         if before is None or self.time in (None, before.stamp) or child in self.after:
             return before
         return None
 
     def all(self) -> list[Sample]:
-        """List all that are kept."""
+        """Return all kept transforms."""
         return [*self.before.values(), *self.after.values()]
 
 
-class Fixed(Nearest):
+class FixedTransforms(NearestTransforms):
     """For each child frame the transform that was recorded last, whatever its stamp."""
 
     def wants(self, child: str, stamp: int, order: Order) -> bool:
-        """Say whether a transform arrived later than that which is known."""
+        """Return whether a transform arrived later than the known one."""
         known = self.before.get(child)
         return known is None or order > known.order
 
 
 @dataclass(frozen=True)
 class FrameTree:
-    """The frames at a time; one that is among the fixed transforms counts as fixed."""
+    """The frames at a time. A frame that has a fixed transform counts as fixed."""
 
-    nearest: Nearest
-    fixed: Fixed
+    nearest: NearestTransforms
+    fixed: FixedTransforms
 
     def frames(self) -> set[str]:
-        """List all frames that were found, also at other times."""
+        """Return all frames that were found, also those of other times."""
         moving, fixed = self.nearest, self.fixed
         return {*moving.before, *moving.after, *moving.parents, *fixed.before, *fixed.parents}
 
     def climb(self, frame: str) -> list[str]:
-        """Return the frames from one upwards, as far as the time has transforms."""
+        """Return a frame and its ancestors, as far as transforms are known at the time."""
         way, sample = [frame], self._above(frame)
         while sample is not None and sample.parent not in way:
             way.append(sample.parent)
@@ -134,7 +143,10 @@ class FrameTree:
         return self.fixed.at(frame) or self.nearest.at(frame)
 
     def path(self, target: str, source: str) -> Optional[list[str]]:
-        """Return the child frames between two frames; None where nothing connects them yet."""
+        """Return the child frames on the path between two frames.
+
+        None if they are not connected.
+        """
         down, up = self.climb(target), self.climb(source)
         meeting = next((frame for frame in up if frame in down), None)
         if meeting is None:
@@ -142,19 +154,19 @@ class FrameTree:
         return up[: up.index(meeting)] + down[: down.index(meeting)]
 
     def moving(self, frames: list[str]) -> list[Sample]:
-        """Return the transforms before the time of those frames that move."""
+        """Return the transforms before the time of those given frames that are not fixed."""
         before, fixed = self.nearest.before, self.fixed.before
         return [before[frame] for frame in frames if frame in before and frame not in fixed]
 
     def loop(self, frame: str) -> Optional[list[str]]:
-        """Return the loop into which the way up from a frame leads, or None."""
+        """Return the loop among the ancestors of a frame, or None."""
         way = self.climb(frame)
         sample = self._above(way[-1])
         return None if sample is None else [*way[way.index(sample.parent) :], sample.parent]
 
 
-class Recorded:
-    """The transforms of one topic, of one nodeID and some writers or of all.
+class TransformTopic:
+    """The transforms of one topic, of all or of one nodeID and some writers.
 
     Raises:
         TypeMismatch: The topic holds other messages.
@@ -169,14 +181,14 @@ class Recorded:
 
     @cached_property
     def ends(self) -> tuple[int, int]:
-        """The first and the last row key, ns; (MAX_NS, 0) where the topic is empty."""
+        """First and last row key, ns; (MAX_NS, 0) if the topic is empty."""
         read, node, run = self._topic.rows, self._node, self._run
         both = [read(nodeID=node, limit=1, reverse=r, run=run) for r in (False, True)]
         keys = [row.t for rows in both for row in rows]
         return (keys[0], keys[-1]) if keys else (MAX_NS, 0)
 
-    def read(self, nearest: Nearest, low: int, high: int, reverse: bool = False) -> None:
-        """Add the transforms of a stretch of row keys, ns, both ends included."""
+    def read(self, nearest: NearestTransforms, low: int, high: int, reverse: bool = False) -> None:
+        """Add the transforms of a range of row keys, ns, both ends included."""
         if low > high:
             return
         node, run = self._node, self._run
@@ -186,11 +198,11 @@ class Recorded:
             except CorruptMessage as exc:
                 _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
 
-    def _add(self, nearest: Nearest, row: Row) -> None:
+    def _add(self, nearest: NearestTransforms, row: Row) -> None:
         heads, rests = self._extractor(row.table)
         rest: Sequence[Tuple[float, ...]] = ()
         for number, (stamp, *names) in enumerate(_elements(heads, row)):
-            # As tf2 knows them: tf wrote them with a slash in front.
+            # tf2 uses names without the slash that tf wrote in front.
             parent, child = (name.lstrip("/") for name in names)
             order = (row.position, number)
             if nearest.wants(child, stamp, order):
@@ -221,12 +233,13 @@ def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
     return zip(*lists)
 
 
-def fill(
-    tree: FrameTree, recorded: Optional[Recorded], frames: tuple[str, str], centre: int
+def read_transforms(
+    tree: FrameTree, recorded: Optional[TransformTopic], frames: tuple[str, str], centre: int
 ) -> Optional[list[str]]:
     """Add moving transforms to a tree until more cannot change its path between two frames.
 
-    It reads around a row key, ns, then ever wider; None where all of them connect nothing.
+    Reads a growing range of row keys around ``centre``, ns. Returns the path, or None if the
+    transforms do not connect the frames.
     """
     reach, window = FIRST_REACH_NS, (0, 0)
     while recorded is not None and not _is_final(tree, frames, window):
@@ -245,15 +258,16 @@ def fill(
 
 
 def _is_final(tree: FrameTree, frames: tuple[str, str], window: tuple[int, int]) -> bool:
-    """Say whether there is a path that transforms outside of a stretch of row keys cannot change.
+    """Return whether transforms outside a range of row keys cannot change the path.
 
-    A nearer transform would come between the two that are known, and its delay between theirs.
+    A nearer transform would have a stamp between those of the two known ones, and a delay between
+    theirs.
     """
     path, time = tree.path(*frames), tree.nearest.time
     if path is None:
         return False
     if not path and time is None:
-        return window[1] > 0  # a frame to itself: its newest time
+        return window[1] > 0  # both frames are the same: only its newest time is needed
     for before in tree.moving(path):
         if time not in (None, before.stamp):
             after = tree.nearest.after[before.child]
@@ -264,15 +278,15 @@ def _is_final(tree: FrameTree, frames: tuple[str, str], window: tuple[int, int])
     return True
 
 
-def named(frame: str) -> Sample:
-    """Return a transform by which tf2 gets to know a frame, and nothing else."""
+def name_only(frame: str) -> Sample:
+    """Return a transform that only makes tf2 know a frame."""
     return Sample(
         0, frame, f"{frame} of another time", (0, 0, 0, 0, 0, 0, 1), 0, (Position(0, "", 0, ""), 0)
     )
 
 
 def _problem(sample: Sample) -> str:
-    """Why tf2 would leave a transform out; '' where it takes it."""
+    """Return why tf2 would reject a transform; '' if it accepts it."""
     if not sample.child or not sample.parent or "\0" in sample.child + sample.parent:
         return "a frame has no name"
     if sample.child == sample.parent:

@@ -15,7 +15,7 @@ from typing import Any, Callable, Sequence, Union
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES, Field, Specs
 from cassandra_ros.messages.wire.field_ends import fixed_size
-from cassandra_ros.messages.wire.layout import FieldColumn, Fixed
+from cassandra_ros.messages.wire.layout import FieldColumn, FixedField
 
 Primitive = Union[bool, int, float, str]
 """Python value of a column that is neither a list nor a blob; times are int nanoseconds."""
@@ -97,7 +97,7 @@ def split_equal(size: int) -> Callable[[bytes], list[bytes]]:
     return split
 
 
-def unpack_numbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
+def unpack_numbers(fixed: FixedField) -> Callable[[bytes], Sequence[int]]:
     """Return the inverse of pack_numbers; the function raises struct.error and OverflowError."""
     if fixed.special == "uint64":
         return lambda raw: [_varint(value) for value in split_list(raw)]
@@ -118,7 +118,7 @@ def unpack_numbers(fixed: Fixed) -> Callable[[bytes], Sequence[int]]:
     return split if convert is None else lambda raw: list(map(convert, split(raw)))
 
 
-def pack_numbers(fixed: Fixed, strict: bool) -> Callable[[Sequence[int]], bytes | None]:
+def pack_numbers(fixed: FixedField, strict: bool) -> Callable[[Sequence[int]], bytes | None]:
     """Return the encoder of a list of numbers as on the wire.
 
     If strict, it returns None for a list with a number that the column cannot hold exactly.

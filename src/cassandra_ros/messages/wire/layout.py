@@ -49,7 +49,7 @@ class FieldColumn:
         return not self.is_list and self.kind not in ("array", "wire")
 
 
-class Fixed(NamedTuple):
+class FixedField(NamedTuple):
     """A field of fixed size."""
 
     column: FieldColumn
@@ -64,7 +64,7 @@ class Fixed(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Tail:
+class VariableField:
     """A field of variable size (or an array of messages), which ends a segment."""
 
     kind: str
@@ -89,8 +89,8 @@ class Tail:
 class Segment(NamedTuple):
     """Fields of fixed size, then at most one field of variable size."""
 
-    fixed: Tuple[Fixed, ...]
-    tail: Optional[Tail]
+    fixed: Tuple[FixedField, ...]
+    tail: Optional[VariableField]
 
 
 # ROS type -> struct code on the wire, struct code in CQL, CQL type, kind, special
@@ -117,9 +117,9 @@ def layout(
 ) -> tuple[Segment, ...]:
     """Return the segments of a checked message type, see _items."""
     segments: list[Segment] = []
-    fixed: list[Fixed] = []
+    fixed: list[FixedField] = []
     for item in _items(msg_type, specs, prefix, inside):
-        if isinstance(item, Fixed):
+        if isinstance(item, FixedField):
             fixed.append(item)
         else:
             segments.append(Segment(tuple(fixed), item))
@@ -138,12 +138,14 @@ def columns_of(segments: tuple[Segment, ...]) -> Iterator[tuple[FieldColumn, int
             yield from ((column, None) for column in segment.tail.columns)
 
 
-def element_of(column: FieldColumn) -> Fixed:
+def element_of(column: FieldColumn) -> FixedField:
     """Return the layout of one element of a primitive array, and the column that would hold it."""
     return _fixed(column.name, Field(column.name, column.field_type.partition("[")[0]))
 
 
-def _items(msg_type: str, specs: Specs, prefix: str, inside: bool) -> Iterator[Fixed | Tail]:
+def _items(
+    msg_type: str, specs: Specs, prefix: str, inside: bool
+) -> Iterator[FixedField | VariableField]:
     """Yield the fields of the message at path ``prefix`` ('' or 'a.b.') in wire order.
 
     If ``inside`` (an element of an array of messages), arrays are stored as blobs.
@@ -154,20 +156,22 @@ def _items(msg_type: str, specs: Specs, prefix: str, inside: bool) -> Iterator[F
             yield from _array(name, field, specs, inside)
         elif field.type == "string":
             column = FieldColumn(name, "text", "text", "string")
-            yield Tail("text", compile_field_skip(field, specs), (column,))
+            yield VariableField("text", compile_field_skip(field, specs), (column,))
         elif field.is_primitive:
             yield _fixed(name, field)
         else:
             yield from _items(field.type, specs, name + ".", inside)
 
 
-def _fixed(name: str, field: Field) -> Fixed:
+def _fixed(name: str, field: Field) -> FixedField:
     little, big, cql_type, kind, special = _SCALARS[field.base]
     column = FieldColumn(name, cql_type, kind, field.type)
-    return Fixed(column, little, big, struct.calcsize(">" + big), special)
+    return FixedField(column, little, big, struct.calcsize(">" + big), special)
 
 
-def _array(name: str, field: Field, specs: Specs, inside: bool) -> Iterator[Fixed | Tail]:
+def _array(
+    name: str, field: Field, specs: Specs, inside: bool
+) -> Iterator[FixedField | VariableField]:
     length, unit = field.length, fixed_size(field.type, specs)
     skip = compile_field_skip(field, specs)
     if length is not None and 0 in (length, unit):
@@ -176,18 +180,18 @@ def _array(name: str, field: Field, specs: Specs, inside: bool) -> Iterator[Fixe
     if unit and field.is_primitive:
         column = replace(column, kind="array")
         if length is None:
-            yield Tail("bytes", skip, (column,), unit)
+            yield VariableField("bytes", skip, (column,), unit)
         else:
-            yield Fixed(column, f"{length * unit}s", f"{length * unit}s", length * unit)
+            yield FixedField(column, f"{length * unit}s", f"{length * unit}s", length * unit)
     elif inside or unit == 0:
-        yield Tail("wire", skip, (column,), length=length)
+        yield VariableField("wire", skip, (column,), length=length)
     elif field.is_primitive:
         column = FieldColumn(name, "frozen<list<text>>", "text", field.full_type, True)
-        yield Tail("texts", skip, (column,), length=length)
+        yield VariableField("texts", skip, (column,), length=length)
     else:
         element = layout(field.type, specs, name + ".", True)
         columns = tuple(
             replace(c, cql_type=f"frozen<list<{c.cql_type}>>", is_list=True, array=name)
             for c, _ in columns_of(element)
         )
-        yield Tail("elements", skip, columns, length=length, element=element)
+        yield VariableField("elements", skip, columns, length=length, element=element)

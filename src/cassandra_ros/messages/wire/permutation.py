@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail
+from cassandra_ros.messages.wire.layout import FixedField, Segment, VariableField
 from cassandra_ros.messages.wire.message_stacks import ByteArray, Int64Array
 
 MAX_VALUES = 4096
@@ -148,7 +148,7 @@ class Permutation:
             at = self._tail(segment.tail, at, out)
         return at
 
-    def _fixed(self, fixed: Fixed, at: int) -> _Value:
+    def _fixed(self, fixed: FixedField, at: int) -> _Value:
         size = struct.calcsize("<" + fixed.little)
         if fixed.special == "uint64":
             raise NoPermutation  # a varint has no fixed size
@@ -162,7 +162,7 @@ class Permutation:
         zeros = ((-1, 1),) * (fixed.cql_size - size)
         return _Value(fixed.cql_size, (*zeros, *((at + size - 1 - n, 1) for n in range(size))))
 
-    def _tail(self, tail: Tail, at: int, out: Optional[List[_Value]]) -> int:
+    def _tail(self, tail: VariableField, at: int, out: Optional[List[_Value]]) -> int:
         count, start = tail.length, at
         if tail.has_count:
             (count,) = _length(self._wire, at)
@@ -200,7 +200,7 @@ class Permutation:
         self._texts.append((at, at + size))
         return _Value(size, ((at, size),))
 
-    def _elements(self, tail: Tail, count: int, at: int) -> int:
+    def _elements(self, tail: VariableField, count: int, at: int) -> int:
         if count * len(tail.columns) > MAX_VALUES:
             raise NoPermutation
         elements: List[List[_Value]] = []

@@ -9,7 +9,7 @@ from itertools import chain
 from typing import Callable, List, Sequence, Sized
 
 from cassandra_ros.messages.wire.cql_values import FROM_NS, split_equal, split_list, unpack_numbers
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
+from cassandra_ros.messages.wire.layout import FixedField, Segment, VariableField, columns_of
 
 EncodedColumns = Sequence[bytes]
 """Column values in CQL's encoding; a None among them raises TypeError."""
@@ -35,7 +35,7 @@ def compile_build(segments: Sequence[Segment], first: int = 0) -> list[BuildStep
     return steps
 
 
-def _fixed(fixed: Sequence[Fixed], first: int) -> BuildStep:
+def _fixed(fixed: Sequence[FixedField], first: int) -> BuildStep:
     after = first + len(fixed)
     unpack = struct.Struct(">" + "".join(f.big for f in fixed)).unpack
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack
@@ -62,7 +62,7 @@ def _fixed(fixed: Sequence[Fixed], first: int) -> BuildStep:
     return step
 
 
-def _tail(tail: Tail, index: int) -> BuildStep:
+def _tail(tail: VariableField, index: int) -> BuildStep:
     if tail.kind in ("text", "bytes"):
         return _bytes(index, tail.unit)
     if tail.kind == "wire":
@@ -97,7 +97,7 @@ def _texts(index: int, length: int | None) -> BuildStep:
     return step
 
 
-def _elements(tail: Tail, first: int) -> BuildStep:
+def _elements(tail: VariableField, first: int) -> BuildStep:
     """Return the step for elements of variable size: each is built like a message."""
     after, length, steps = first + len(tail.columns), tail.length, compile_build(tail.element)
     sizes = [size for _, size in columns_of(tail.element)]
@@ -113,7 +113,7 @@ def _elements(tail: Tail, first: int) -> BuildStep:
     return step
 
 
-def _numbers(fixed: Sequence[Fixed], first: int, length: int | None) -> BuildStep:
+def _numbers(fixed: Sequence[FixedField], first: int, length: int | None) -> BuildStep:
     """Return the step for elements of fixed size: column by column, then all packed at once."""
     after, splits = first + len(fixed), [unpack_numbers(f) for f in fixed]
     pack = struct.Struct("<" + "".join(f.little for f in fixed)).pack

@@ -23,7 +23,7 @@ from cassandra_ros.messages.wire.cql_values import (
     pack_varint,
 )
 from cassandra_ros.messages.wire.field_ends import Skip
-from cassandra_ros.messages.wire.layout import Fixed, Segment, Tail, columns_of
+from cassandra_ros.messages.wire.layout import FixedField, Segment, VariableField, columns_of
 
 Out = List[Optional[bytes]]
 _Head = Callable[[bytes, int, Out, List[int]], int]
@@ -63,14 +63,16 @@ def walk_message(steps: Sequence[WalkStep], wire: bytes, at: int, out: Out, odd:
     return at
 
 
-def _choose(fixed: Sequence[Fixed], wanted: Container[str]) -> tuple[list[Fixed], str]:
+def _choose(fixed: Sequence[FixedField], wanted: Container[str]) -> tuple[list[FixedField], str]:
     """Return the wanted fields, and struct codes that read them and skip the other fields."""
     kept = [f.column.name in wanted for f in fixed]
     codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, kept)]
     return [f for f, keep in zip(fixed, kept) if keep], "<" + "".join(codes)
 
 
-def _head(codes: struct.Struct, used: Sequence[Fixed], has_length: bool, strict: bool) -> _Head:
+def _head(
+    codes: struct.Struct, used: Sequence[FixedField], has_length: bool, strict: bool
+) -> _Head:
     unpack = codes.unpack_from
     if not used:  # a struct of padding only still checks that the bytes exist
         return lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
@@ -111,7 +113,7 @@ def _head(codes: struct.Struct, used: Sequence[Fixed], has_length: bool, strict:
     return special_head if stamps or bools or varints else head
 
 
-def _tail(tail: Tail, strict: bool, wanted: Container[str]) -> _Tail:
+def _tail(tail: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
     skip, unit = tail.skip, tail.unit
     if not any(column.name in wanted for column in tail.columns):
         if tail.kind in ("text", "bytes"):
@@ -188,7 +190,7 @@ def _texts(length: int | None, strict: bool) -> _Tail:
 
 
 def _numbers(
-    fixed: Sequence[Fixed], length: int | None, strict: bool, wanted: Container[str]
+    fixed: Sequence[FixedField], length: int | None, strict: bool, wanted: Container[str]
 ) -> _Tail:
     """Return the tail for elements of fixed size: all at once, column by column."""
     used, codes = _choose(fixed, wanted)
@@ -209,7 +211,7 @@ def _numbers(
     return tail
 
 
-def _elements(field: Tail, strict: bool, wanted: Container[str]) -> _Tail:
+def _elements(field: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
     """Return the tail for elements of variable size: each is walked like a message."""
     steps, length = compile_walk(field.element, strict, wanted), field.length
     sizes = [size for column, size in columns_of(field.element) if column.name in wanted]
