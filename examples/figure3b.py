@@ -71,7 +71,7 @@ def add_transforms(rosCas, scan, frame):
     scans = [(row.key, row.message().header) for row in scan.rows()]
     times = np.array([[key.ns, header.stamp.to_nsec()] for key, header in scans])
     sensor = scans[0][1].frame_id
-    poses = SensorPoses(rosCas, PoseChoice(), Measurements(rosCas, scan.name), times[:, 0].tolist())
+    poses = SensorPoses(PoseChoice(), Measurements(rosCas.catalog, scan.name), times[:, 0].tolist())
     placed = poses.at(sensor, times[:, 0], times[:, 1])
     for (key, header), place, turn, known in zip(
         scans, placed.poses.moved, placed.poses.turned, placed.known

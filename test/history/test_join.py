@@ -82,7 +82,7 @@ class Stage:
     def subscribe(self, t, bound=10**6, since=0, connected=lambda: True):
         self.now = t
         self.queue = LiveQueue(bound, lambda: self.now)
-        past = Past(self.store, self.topic)
+        past = Past(self.store.catalog, self.topic)
         self.history = History(past, self.queue, lambda now: since, connected)
 
     def live(self, header, wire, t):
@@ -445,7 +445,9 @@ def test_simulated_time_that_has_not_begun(stage):
         return clock[0]
 
     stage.queue = LiveQueue(10**6, now)
-    stage.history = History(Past(stage.store, TOPIC), stage.queue, lambda now: 0, lambda: True)
+    stage.history = History(
+        Past(stage.store.catalog, TOPIC), stage.queue, lambda now: 0, lambda: True
+    )
     for n in range(300, 320):
         stage.queue.put(fields(), numbered(n))
     stage.listen()
@@ -493,20 +495,20 @@ def test_one_run_of_two(stage):
         stage.stored(fields(), numbered(n), stage.begin + n * 10 * MS + MS, writer=2)
     stage.flush()
     stage.subscribe(stage.begin + 3000 * MS)
-    past = Past(stage.store, TOPIC, run=2)
+    past = Past(stage.store.catalog, TOPIC, run=2)
     assert past.is_written(stage.begin)
     stage.history = History(past, stage.queue, lambda now: 0, lambda: True)
     talk(stage, fields(), (), range(300, 400))
     stage.listen()
     assert stage.result(400) == list(map(numbered, range(400)))
     with pytest.raises(RunNotFound):
-        Past(stage.store, TOPIC, run="nobody")
+        Past(stage.store.catalog, TOPIC, run="nobody")
 
 
 def test_a_simulation_whose_clock_begins_at_0_reads_nothing_of_today(stage):
     stage.stored(fields(), numbered(0), stage.begin)
     stage.flush()
-    past = Past(stage.store, TOPIC)
+    past = Past(stage.store.catalog, TOPIC)
     assert list(past.rows(5 * 10**9, 6 * 10**9)) == []
     assert [row.wire for row in past.rows(5 * 10**9)] == [numbered(0)]
 

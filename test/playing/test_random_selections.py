@@ -155,9 +155,9 @@ def test_what_is_played(recordings, selection, at):
     wanted = expected(every, selection)
     if isinstance(wanted, type):
         with pytest.raises(wanted):
-            Stream(rosCas, selection)
+            Stream(rosCas.catalog, selection)
         return
-    stream = Stream(rosCas, selection)
+    stream = Stream(rosCas.catalog, selection)
     found = list(stream.messages())
 
     def shown(played):

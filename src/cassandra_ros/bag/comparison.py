@@ -26,6 +26,7 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, Time, iso_time, to_ns
 from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_finder import RunName, Writers
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -112,9 +113,10 @@ def verify_bag(
     with open_file(path, salvage, large_chunks) as reader:
         numbers = chosen_connections(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
-        stored = _stored_topics(ros_cas, chosen.values())
-        writers = ros_cas.catalog.keyspace.runs.writers(run)
-        found = _find_import(ros_cas, reader, stored, nodeID, reading, writers)
+        catalog = ros_cas.catalog
+        stored = _stored_topics(catalog, chosen.values())
+        writers = catalog.keyspace.runs.writers(run)
+        found = _find_import(catalog, reader, stored, nodeID, reading, writers)
         whose = "" if nodeID is None else f" of node {nodeID}"
         whose += "" if run is None else f" of run {run}"
         scope = f"all stored messages{whose} on its topics"
@@ -129,9 +131,11 @@ def verify_bag(
             count = sum(reader.counts[n] for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
             numbers -= gone
-        comparison = _by_place(ros_cas, reader, stored, found, nodeID, report, writers)
+        comparison = _by_place(catalog, reader, stored, found, nodeID, report, writers)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
-        late = count_differing(ros_cas, reader, found) if found is not None else 0
+        late = (
+            count_differing(catalog.keyspace.side_tables, reader, found) if found is not None else 0
+        )
         if late:
             report.add(f"publish_time or sequence of {late} messages are stored otherwise", late)
     return report
@@ -172,7 +176,8 @@ def verify_content(
         BagError, TopicNotFound, RunNotFound: As of verify_bag.
     """
     renamed = dict(mapping or {})
-    writers = ros_cas.catalog.keyspace.runs.writers(run)
+    catalog = ros_cas.catalog
+    writers = catalog.keyspace.runs.writers(run)
     with open_file(path, salvage, large_chunks) as reader:
         numbers = chosen_connections(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
@@ -180,14 +185,12 @@ def verify_content(
             numbers -= _leave_out(reader, numbers, report)
         ranks = _Ranks((), positions=False)
         wanted = {reader.connections[n].topic for n in numbers}
-        stored = _stored_topics(ros_cas, {renamed.get(topic, topic) for topic in wanted})
+        stored = _stored_topics(catalog, {renamed.get(topic, topic) for topic in wanted})
         comparisons: dict[str, Comparison] = {}
         for topic in wanted:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
-            rows = ros_cas.readMessages(
-                names, start, end, nodeID=nodeID, received=True, run=writers
-            )
+            rows = catalog.read(names, start, end, node=nodeID, received=True, run=writers)
             comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)
     return report
@@ -200,12 +203,12 @@ def _leave_out(reader: MessageFile, numbers: AbstractSet[int], report: VerifyRep
     return early
 
 
-def _stored_topics(ros_cas: RosCassandra, names: Iterable[str]) -> AbstractSet[str]:
-    return {topic.name for topic in ros_cas.getAllTopics()}.intersection(names)
+def _stored_topics(catalog: Catalog, names: Iterable[str]) -> AbstractSet[str]:
+    return {topic.name for topic in catalog.all(None)}.intersection(names)
 
 
 def _find_import(
-    ros_cas: RosCassandra,
+    catalog: Catalog,
     reader: MessageFile,
     topics: AbstractSet[str],
     node: str | None,
@@ -216,16 +219,16 @@ def _find_import(
 
     Those of tables whose keys are not the times of the bag are looked for at all times.
     """
-    parts = ros_cas.catalog.keyspace
+    keyspace = catalog.keyspace
     nodes = None if node is None else (node,)
     writers: set[tuple[str, int]] = set()
-    for table in (table for topic in topics for table in parts.tables.of_topic(topic)):
+    for table in (table for topic in topics for table in keyspace.tables.of_topic(topic)):
         first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
         if table.metadata.own_time:
             first, last = -(2**63), 2**63 - 1
-        rows = parts.directory.buckets(table.name, first, last, nodes)
+        rows = keyspace.directory.buckets(table.name, first, last, nodes)
         writers.update((row.node, row.writer) for row in rows)
-    imports = (run for run in ros_cas.catalog.keyspace.registry.runs() if run.kind == "import")
+    imports = (run for run in keyspace.registry.runs() if run.kind == "import")
     runs = [run for run in imports if (run.node, run.writer) in writers]
     runs = [run for run in runs if among is None or run.writer in among]
     if not runs:
@@ -241,7 +244,7 @@ def _find_import(
 
 
 def _by_place(
-    ros_cas: RosCassandra,
+    catalog: Catalog,
     reader: MessageFile,
     topics: AbstractSet[str],
     found: Run | None,
@@ -252,12 +255,12 @@ def _by_place(
     """Compare the rows of an import, or all rows of the topics, by time and connection."""
     ranks = _Ranks(reader.connections.values(), positions=found is not None)
     if found is None:
-        rows = ros_cas.readMessages(topics, nodeID=node, received=True, run=writers)
+        rows = catalog.read(topics, node=node, received=True, run=writers)
         return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
     # As stamps: an int near 0, a simulation's time, might be refused as seconds.
     ends = map(Stamp.from_ns, (reader.start_ns, reader.end_ns))
     own = frozenset([found.writer])
-    rows = ros_cas.readMessages(topics, *ends, nodeID=found.node, received=True, run=own)
+    rows = catalog.read(topics, *ends, node=found.node, received=True, run=own)
     # These rows know their positions, so that one which is missing shifts no others.
     return Comparison(_in_order(rows, ranks), report, _BY_POSITION)
 

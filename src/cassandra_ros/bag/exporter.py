@@ -19,7 +19,7 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.overview.latched_messages import latched_before
-from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
@@ -100,22 +100,20 @@ def export_bag(
     if os.path.exists(path) and not force:
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
     # One topic may have been asked for in two spellings.
-    names = None if topics is None else sorted({ros_cas.getTopic(name).name for name in topics})
-    rows = ros_cas.readMessages(
-        names, start, end, nodeID=nodeID, received=True, where=where, run=run
-    )
+    catalog = ros_cas.catalog
+    names = None if topics is None else sorted({catalog.get(name).name for name in topics})
+    rows = catalog.read(names, start, end, node=nodeID, received=True, where=where, run=run)
     low, high = TimeRange.between(start, end)
     before = []
     if latched and start is not None:
-        catalog = ros_cas.catalog
         before = latched_before(catalog, low, names, to=high, nodeID=nodeID, run=run, where=where)
     report = ExportReport(os.fspath(path))
     first = list(islice(rows, 1))
     if not (before or first or empty):
-        raise _not_written(report.path, why_empty(ros_cas, names, nodeID, run))
+        raise _not_written(report.path, why_empty(catalog, names, nodeID, run))
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
-        sent = SentFinder(ros_cas, writer.keeps_sent)
+        sent = SentFinder(catalog.keyspace.side_tables, writer.keeps_sent)
         for number, t_ns, row in _numbered(numbers, low, before, chain(first, rows)):
             wire = row.wire
             writer.write(number, t_ns, wire, *sent.of(row, t_ns))
@@ -140,20 +138,20 @@ def _not_written(path: str, reason: str) -> MessageNotFound:
 
 
 def why_empty(
-    ros_cas: RosCassandra,
+    catalog: Catalog,
     topics: Sequence[str] | None,
     node: str | None = None,
     run: RunName = None,
 ) -> str:
     """Say why some topics, None = all, have no message of a node and run in some window."""
-    infos = ros_cas.info(topics)
+    infos = catalog.infos(topics)
     if not infos:
-        return f"keyspace {ros_cas.keyspace} holds none of these topics"
+        return f"keyspace {catalog.keyspace.name} holds none of these topics"
     nodes = sorted({info.node for info in infos})
     if node is not None and node not in nodes:
         return f"none is of node {node!r}, but of {', '.join(map(repr, nodes))}"
     if run is not None:
-        infos = ros_cas.info(topics, run=run)
+        infos = catalog.infos(topics, run=run)
         if not infos:
             which = f"run {run!r}" if isinstance(run, (str, int)) else "the run"
             return f"{which} stored none in these topics"

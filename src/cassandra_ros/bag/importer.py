@@ -31,6 +31,7 @@ from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
 from cassandra_ros.topics.key_selection import Whose
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.stored_totals import holds_any
@@ -125,27 +126,28 @@ def import_bag(
         WriteFailed, StoreUnavailable: The store did not take all of it.
     """
     jobs = check_integer("jobs", jobs, 1, MAX_JOBS)
+    keyspace = ros_cas.catalog.keyspace
     store = {**ros_cas.cassandra.arguments(), "keyspace": ros_cas.keyspace} if jobs > 1 else {}
     with open_file(path, salvage, large_chunks) as reader:
         numbers = chosen_connections(reader, topics)
         content = identity.read_content(reader, reading)
-        writer_id = _writer_id(ros_cas, reader, nodeID, content)
+        writer_id = _writer_id(keyspace, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID, salvaged=reader.salvaged)
         _tell_damage(report)
         numbers = _refuse_names(reader, numbers, report)
         _tell_left_out(reader, topics, report)
         run = _run(reader, nodeID, writer_id, format, content)
-        formats = _formats(ros_cas, reader, numbers, run)
+        formats = _formats(keyspace, reader, numbers, run)
         lengths = table_lengths(reader, content.sizes)
-        with bag_writer(ros_cas, reader, writer_id, nodeID, format=format, run=run) as writer:
+        with bag_writer(keyspace, reader, writer_id, nodeID, format=format, run=run) as writer:
             handles = {
                 n: connect(writer, connection, lengths[n], formats[n])
                 for n, connection in reader.connections.items()
                 if n in numbers
             }
             _name_topics(handles, report)
-            _remove_other_blocks(ros_cas, handles, run)
-            store_sent(ros_cas, reader, run)
+            _remove_other_blocks(keyspace, handles, run)
+            store_sent(keyspace.side_tables, reader, run)
             opening = reader.path, salvage, large_chunks
             task = partial(ImportTask, opening, formats, lengths, writer_id, nodeID, store)
             parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
@@ -212,9 +214,9 @@ def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: Im
         _log.warning("%s", report.warnings[-1])
 
 
-def _writer_id(ros_cas: RosCassandra, reader: MessageFile, node: str, content: BagContent) -> int:
+def _writer_id(keyspace: Keyspace, reader: MessageFile, node: str, content: BagContent) -> int:
     """Return the writer id of this bag's import: that of an earlier one where there is one."""
-    runs = {run.writer: run for run in ros_cas.catalog.keyspace.registry.runs() if run.node == node}
+    runs = {run.writer: run for run in keyspace.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)
     if known is not None:
         return known.writer
@@ -225,7 +227,7 @@ def _writer_id(ros_cas: RosCassandra, reader: MessageFile, node: str, content: B
 
 
 def _formats(
-    ros_cas: RosCassandra, reader: MessageFile, numbers: AbstractSet[int], run: Run
+    keyspace: Keyspace, reader: MessageFile, numbers: AbstractSet[int], run: Run
 ) -> dict[int, str]:
     """Return in which format the messages of each connection are kept.
 
@@ -234,20 +236,20 @@ def _formats(
     Raises:
         TopicExists: They lie in tables of another format than is asked for: all would be double.
     """
-    parts, found = ros_cas.catalog.keyspace, {}
+    found: dict[int, str] = {}
     for number in sorted(numbers):
         connection, kept = reader.connections[number], set()
-        for table in parts.tables.of_topic(connection.topic):
+        for table in keyspace.tables.of_topic(connection.topic):
             first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
             if table.metadata.md5sum == connection.md5sum:
-                rows = parts.directory.buckets(table.name, first, last, (run.node,))
+                rows = keyspace.directory.buckets(table.name, first, last, (run.node,))
                 if any(row.writer == run.writer for row in rows):
                     kept.add(table.metadata.format)
-        wanted = parts.format_for(connection.topic, connection.md5sum, run.format)
+        wanted = keyspace.format_for(connection.topic, connection.md5sum, run.format)
         usable, _ = usable_definition(connection, wanted)
         if run.format and kept - {wanted if usable is not None else FALLBACK_FORMAT}:
             raise TopicExists(
-                f"{reader.path} is stored in keyspace {ros_cas.keyspace} already, topic "
+                f"{reader.path} is stored in keyspace {keyspace.name} already, topic "
                 f"{connection.topic} in format {', '.join(sorted(kept))}; in format {wanted} "
                 f"every message would be there twice: 'cassandra_bag convert {connection.topic} "
                 f"--format {wanted}' changes the format of what is stored; or import it into "
@@ -257,19 +259,19 @@ def _formats(
     return found
 
 
-def _remove_other_blocks(ros_cas: RosCassandra, handles: Mapping[int, Handle], run: Run) -> None:
+def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run: Run) -> None:
     """Remove what an earlier import of the bag stored in blocks that begin elsewhere than ours.
 
     A conversion has made them, or the topic was removed meanwhile: what both hold would be double.
     """
-    parts, whose = ros_cas.catalog.keyspace, Whose((run.node,), frozenset((run.writer,)))
+    whose = Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
     for table in tables.values():
         # What was deleted of it since comes back between what is noted.
-        parts.place_index.withdraw(table.name, run=(run.node, run.writer))
+        keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
         other = table.packed and (table.metadata.replaces or table.metadata.cut)
-        if other and holds_any(parts.directory, [table], whose):
-            delete_time_range(parts, [table], 0, MAX_NS, whose)
+        if other and holds_any(keyspace.directory, [table], whose):
+            delete_time_range(keyspace, [table], 0, MAX_NS, whose)
 
 
 def _write_messages(

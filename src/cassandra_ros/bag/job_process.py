@@ -27,6 +27,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 
 TELL_SEC = 0.1
@@ -105,7 +106,7 @@ def read_batches(reader: MessageFile, spans: Dict[int, Span]) -> Iterator[Messag
 
 
 def bag_writer(
-    ros_cas: RosCassandra,
+    keyspace: Keyspace,
     reader: MessageFile,
     writer_id: int,
     node: str,
@@ -116,9 +117,7 @@ def bag_writer(
     """Make the writer for a bag or for a part of it."""
     # Blocks are not sealed by time, nor do they depend on the topics that are chosen.
     limits, node = limits_for(len(reader.connections)), check_new_node(node)
-    return MessageWriter(
-        ros_cas.catalog.keyspace, writer_id, format=format, node=node, run=run, limits=limits
-    )
+    return MessageWriter(keyspace, writer_id, format=format, node=node, run=run, limits=limits)
 
 
 def connect(
@@ -173,7 +172,7 @@ def _write(part: ImportTask, teller: _Teller) -> None:
     with RosCassandra(**part.store) as ros_cas, reader:  # type: ignore[arg-type]
         teller.hurry = ros_cas.cassandra.outage.hurry
         # The import's run, its heartbeat and its tables are those of the process that started us.
-        with bag_writer(ros_cas, reader, part.writer_id, part.node) as writer:
+        with bag_writer(ros_cas.catalog.keyspace, reader, part.writer_id, part.node) as writer:
             handles = {
                 n: connect(writer, reader.connections[n], part.lengths[n], part.formats[n])
                 for n in part.spans

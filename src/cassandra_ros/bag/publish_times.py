@@ -10,26 +10,26 @@ from typing import Iterator
 import numpy as np
 
 from cassandra_ros.bag.message_file import MessageFile
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.keys import split_seq
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.sent_times import STRIPE, Sent, SentTimes
+from cassandra_ros.tables.side_tables import SideTables
 from cassandra_ros.topics.stored_row import StoredRow
 
 _STRIPES_HELD = 64
 """Of 64 KiB each: rows come in the order of time, nearly that of a file."""
 
 
-def store_sent(ros_cas: RosCassandra, reader: MessageFile, run: Run) -> None:
+def store_sent(side_tables: SideTables, reader: MessageFile, run: Run) -> None:
     """Store what a file, whose content was read before, tells of its messages."""
-    table = SentTimes(ros_cas.catalog.keyspace.side_tables)
+    table = SentTimes(side_tables)
     for stripe, sent in _stripes(reader):
         table.put(run.writer, run.node, stripe, sent)
 
 
-def count_differing(ros_cas: RosCassandra, reader: MessageFile, run: Run) -> int:
+def count_differing(side_tables: SideTables, reader: MessageFile, run: Run) -> int:
     """Count the messages of which the store tells something else than their file."""
-    table, count = SentTimes(ros_cas.catalog.keyspace.side_tables), 0
+    table, count = SentTimes(side_tables), 0
     for stripe, sent in _stripes(reader):
         stored = table.get(run.writer, run.node, stripe) or _nothing()
         equal = (stored.delays == sent.delays) & (stored.sequences == sent.sequences)
@@ -40,8 +40,8 @@ def count_differing(ros_cas: RosCassandra, reader: MessageFile, run: Run) -> int
 class SentFinder:
     """Finds delay and sequence of stored rows; 0 and 0 where nothing is known, or wanted."""
 
-    def __init__(self, ros_cas: RosCassandra, wanted: bool) -> None:
-        table = SentTimes(ros_cas.catalog.keyspace.side_tables)
+    def __init__(self, side_tables: SideTables, wanted: bool) -> None:
+        table = SentTimes(side_tables)
         self._any = wanted and table.any()
         self._get = lru_cache(maxsize=_STRIPES_HELD)(table.get)
 

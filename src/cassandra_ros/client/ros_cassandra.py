@@ -7,7 +7,7 @@ from __future__ import annotations
 from copy import copy
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
-from cassandra_ros.arguments import check_new_topic, check_text, check_topics
+from cassandra_ros.arguments import check_new_topic, check_text
 from cassandra_ros.client.near_rows import near_rows
 from cassandra_ros.client.statements import Statements
 from cassandra_ros.connection.address import from_environment
@@ -23,14 +23,13 @@ from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.descriptions import Infos, RunList
-from cassandra_ros.topics.key_selection import Clock, TimeRange
+from cassandra_ros.topics.key_selection import Clock
 from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.stored_totals import describe
 from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.upkeep.conversion import Converted, convert_topic
 from cassandra_ros.upkeep.table_copy import Progress
@@ -281,9 +280,7 @@ class RosCassandra:
 
         Of a node or run there are only the tables in which they have messages.
         """
-        tables, whose = self.catalog.tables(check_topics(topics)), self.catalog.whose(nodeID, run)
-        losses = self.catalog.keyspace.runs.losses(None, TimeRange(), whose)
-        return Infos(describe(self.catalog.keyspace.directory, tables, whose, losses))
+        return Infos(self.catalog.infos(topics, nodeID, run))
 
     def runs(self) -> RunList:
         """List the recordings and imports, with state, counts and losses as they are now."""
@@ -309,8 +306,7 @@ class RosCassandra:
 
         The arguments are those of readMessages: a loss counts whose time range is touched.
         """
-        names, time_range = check_topics(topics), TimeRange.between(key, to_key)
-        return self.catalog.keyspace.runs.losses(names, time_range, self.catalog.whose(nodeID, run))
+        return self.catalog.losses(topics, key, to_key, nodeID, run)
 
     def readMessages(
         self,
@@ -344,10 +340,9 @@ class RosCassandra:
             InvalidOption, InvalidQuery: A condition is for a topic that is not read; is none.
             InvalidName, InvalidKey: A name or time is none.
         """
-        names, space = check_topics(topics), self.catalog
-        filters, whose = space.filters(where, names, nodeID, run), space.whose(nodeID, run)
-        time_range = space.time_range(names, key, to_key)
-        return space.merged(space.tables(names), filters, time_range, whose, received)
+        return self.catalog.read(
+            topics, key, to_key, node=nodeID, received=received, where=where, run=run
+        )
 
     def near(
         self,

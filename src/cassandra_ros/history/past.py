@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from typing import Iterator, List, Optional, Union
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.tables.registry import Loss
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import StoredRow
 
 FRESH_SEC = 25.0
@@ -23,7 +23,7 @@ class Past:
     """The stored messages of a topic, by the time of reception.
 
     Args:
-        ros_cas: Where it is stored.
+        catalog: Where it is stored.
         topic: Its name.
         node: Only messages of this nodeID; None = of all.
         run: Only messages of this run, by name or writer id; None = of all.
@@ -34,21 +34,24 @@ class Past:
 
     def __init__(
         self,
-        ros_cas: RosCassandra,
+        catalog: Catalog,
         topic: str,
         node: Optional[str] = None,
         run: Union[None, str, int] = None,
     ) -> None:
-        ros_cas.catalog.keyspace.runs.writers(run)
-        self._rosCas, self.topic, self._node, self._run = ros_cas, topic, node, run
+        catalog.keyspace.runs.writers(run)
+        self.topic = topic
+        self._catalog = catalog
+        self._node = node
+        self._run = run
 
     def exists(self) -> bool:
         """Say whether the topic is stored at all."""
-        return self._rosCas.existTopic(self.topic)
+        return self._catalog.exists(self.topic)
 
     def losses(self, low: int) -> List[Loss]:
         """List what was not recorded of the topic since a time, ns."""
-        return self._rosCas.losses([self.topic], low, nodeID=self._node, run=self._run)
+        return self._catalog.losses([self.topic], low, None, self._node, self._run)
 
     def rows(self, low: int, high: Optional[int] = None) -> Iterator[StoredRow]:
         """Yield what was received in [low, high], ns; nothing of a topic that is not stored."""
@@ -57,8 +60,8 @@ class Past:
         # As stamps: an int near 0, a simulation's time, might be refused as seconds.
         first, last = Stamp.from_ns(low), None if high is None else Stamp.from_ns(high)
         try:
-            yield from self._rosCas.readMessages(
-                [self.topic], first, last, nodeID=self._node, received=True, run=self._run
+            yield from self._catalog.read(
+                [self.topic], first, last, node=self._node, received=True, run=self._run
             )
         except TopicNotFound:
             return
@@ -66,11 +69,11 @@ class Past:
     def is_written(self, now_ns: int) -> bool:
         """Say whether somebody has written the topic just now."""
         try:
-            tables = self._rosCas.getTopic(self.topic).tables
+            tables = self._catalog.get(self.topic).tables
         except TopicNotFound:
             return False
-        directory = self._rosCas.catalog.keyspace.directory
-        writers = self._rosCas.catalog.keyspace.runs.writers(self._run)
+        directory = self._catalog.keyspace.directory
+        writers = self._catalog.keyspace.runs.writers(self._run)
         nodes = None if self._node is None else (self._node,)
         for table in tables:
             if table.named:
@@ -89,5 +92,5 @@ class Past:
 
     def may_be_written(self) -> bool:
         """Say whether a recording has begun in the keyspace that has not ended."""
-        runs = self._rosCas.catalog.keyspace.registry.runs()
+        runs = self._catalog.keyspace.registry.runs()
         return any(run.kind == "recording" and run.ended is None for run in runs)

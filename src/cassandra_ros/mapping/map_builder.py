@@ -43,6 +43,7 @@ from cassandra_ros.messages.stamps import Stamp, Time, to_ns
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_finder import RunName, Writers
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -175,7 +176,7 @@ def makeMap(
             f"{' or '.join(SENSORS)}, or is a {OCCUPANCY_GRID}"
         )
     total = wanted.count()
-    work = _Work(rosCas, SENSORS[types.pop()], options, poses, wanted)
+    work = _Work(rosCas.catalog, SENSORS[types.pop()], options, poses, wanted)
     step = 1 if options.most is None else max(1, -(-total // options.most))
     for done, batch in _batches(wanted.read(), step):
         if progress is not None:
@@ -207,10 +208,10 @@ class _Rows:
         rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
         return islice(rows, limit)
 
-    def measured(self, store: RosCassandra, node: str) -> Measurements:
+    def measured(self, catalog: Catalog, node: str) -> Measurements:
         """Return what of this is one robot's."""
         ends = [None if end is None else to_ns(end) for end in (self.key, self.to_key)]
-        return Measurements(store, self.topic.name, ends[0], ends[1], node, self.writers)
+        return Measurements(catalog, self.topic.name, ends[0], ends[1], node, self.writers)
 
     def some_times(self, node: str) -> List[int]:
         """Return the keys of the first, a middle and the last message of a robot, ns."""
@@ -274,13 +275,15 @@ class _Work:
 
     def __init__(
         self,
-        store: RosCassandra,
+        catalog: Catalog,
         sensor: Sensor,
         options: MapOptions,
         choice: PoseChoice,
         wanted: _Rows,
     ) -> None:
-        self._store, self._sensor, self._options = store, sensor, options
+        self._catalog = catalog
+        self._sensor = sensor
+        self._options = options
         self._choice, self._wanted = choice, wanted
         self._low, self._high = options.heights(sensor)
         self._grid = LogOddsGrid(options.resolution, options.hit, options.miss)
@@ -310,8 +313,8 @@ class _Work:
     def _place(self, node: str, sensor: str, measured: Sequence[_Measured]) -> None:
         """Take in the messages of one sensor."""
         if node not in self._robots:
-            mine, times = self._wanted.measured(self._store, node), self._wanted.some_times(node)
-            self._robots[node] = SensorPoses(self._store, self._choice, mine, times)
+            mine, times = self._wanted.measured(self._catalog, node), self._wanted.some_times(node)
+            self._robots[node] = SensorPoses(self._choice, mine, times)
         robot = self._robots[node]
         keys = np.array([each.key for each in measured], np.int64)
         stamps = np.array([each.stamp for each in measured], np.int64)

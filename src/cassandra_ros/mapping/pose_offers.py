@@ -9,10 +9,10 @@ from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.overview.timeline.lanes import Timeline, View
 from cassandra_ros.overview.timeline.time_cells import Bools, Floats, Longs, Scale
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.run_finder import Writers
 
@@ -37,7 +37,7 @@ class PoseOffer(NamedTuple):
 class Measurements:
     """The messages of one robot for which poses are asked."""
 
-    store: RosCassandra
+    catalog: Catalog
     topic: str
     start: Optional[int] = None
     """First key, ns, included; None = that of the first message."""
@@ -73,7 +73,7 @@ class Measurements:
     def _shares(self, names: Sequence[str], gap_ns: int) -> Dict[str, float]:
         shares = dict.fromkeys(names, 0.0)
         nodes = None if self.node is None else [self.node]
-        timeline, whose = Timeline(self.store.catalog), Whose(nodes, self.writers)
+        timeline, whose = Timeline(self.catalog), Whose(nodes, self.writers)
         own = View(self.start, self.end, 1, [self.topic], whose)
         found = timeline.picture(own).scale
         if found is None:

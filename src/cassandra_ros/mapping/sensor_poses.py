@@ -9,7 +9,6 @@ from typing import Dict, List, Optional, Sequence
 
 import numpy as np
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.mapping.pose_offers import Measurements, PoseOffer
@@ -19,6 +18,7 @@ from cassandra_ros.places.pose_topic import PoseTopic, tells_robot
 from cassandra_ros.places.poses import LONGEST_GAP_SEC, Poses
 from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.places.sources import key_behind
+from cassandra_ros.transforms.lookup import lookup_transform
 
 FRAMES = ("map", "odom", "odom_combined", "world")
 """In which of its frames a robot's map is, the first that there is; else in the topmost one."""
@@ -51,7 +51,6 @@ class SensorPoses:
     """The poses of the sensors of one robot.
 
     Args:
-        store: Connected to the keyspace.
         choice: From what they are taken.
         measured: The messages for which poses will be asked, all of one robot.
         times: Row keys of some of them, ns.
@@ -65,13 +64,14 @@ class SensorPoses:
 
     def __init__(
         self,
-        store: RosCassandra,
         choice: PoseChoice,
         measured: Measurements,
         times: Sequence[int],
     ) -> None:
-        self._store, self._choice = store, choice
-        self._measured, self._times = measured, times
+        self._catalog = measured.catalog
+        self._choice = choice
+        self._measured = measured
+        self._times = times
         self._node, self._writers = measured.node, measured.writers
         by_topic = choice.odom or choice.sensor_offset is not None
         self._frames = None if by_topic else self._recorded_tf()
@@ -83,9 +83,7 @@ class SensorPoses:
     def _recorded_tf(self) -> Optional[Frames]:
         choice = self._choice
         try:
-            return Frames(
-                self._store.getTopic, self._node, self._writers, choice.tf, choice.tf_static
-            )
+            return Frames(self._catalog.get, self._node, self._writers, choice.tf, choice.tf_static)
         except TopicNotFound:
             return None
 
@@ -137,9 +135,9 @@ class SensorPoses:
                 self._sources[sensor] = f"tf ({frame.lstrip('/')} to {sensor.lstrip('/')})"
                 return Poses(Chain(self._frames, sensor, frame), choice.longest_gap_sec)
         self.offers = self.offers or self._pose_offers()
-        topic = self._store.getTopic(choice.odom or self._best_topic(sensor)).name
+        topic = self._catalog.get(choice.odom or self._best_topic(sensor)).name
         self.offers = [offer._replace(taken=offer.topic == topic) for offer in self.offers]
-        told = PoseTopic(self._store.getTopic, topic, self._node, self._writers)
+        told = PoseTopic(self._catalog.get, topic, self._node, self._writers)
         offset, how = self._offset(topic, sensor)
         if choice.frame and told.frame and choice.frame.strip("/") != told.frame:
             raise InvalidOption(
@@ -147,7 +145,7 @@ class SensorPoses:
                 "the frame out, or leave it to tf"
             )
         self._sources[sensor] = f"{topic}, {how}"
-        placed = PoseTopic(self._store.getTopic, topic, self._node, self._writers, offset)
+        placed = PoseTopic(self._catalog.get, topic, self._node, self._writers, offset)
         placed.frame = (choice.frame or "").strip("/") or told.frame or FRAMES[1]
         return Poses(placed, choice.longest_gap_sec)
 
@@ -189,7 +187,7 @@ class SensorPoses:
         """List the topics that tell this robot's poses, the best one first."""
         kinds = {
             topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
-            for topic in self._store.getAllTopics()
+            for topic in self._catalog.all(None)
             if any(t.msg_type in _TYPES for t in topic.tables) and tells_robot(topic)
             if key_behind(topic, -1, self._node, self._writers) is not None
         }
@@ -201,19 +199,13 @@ class SensorPoses:
         given = self._choice.sensor_offset
         if given is not None:
             return given, "sensor offset as given"
-        row = next(self._store.getTopic(topic).rows(nodeID=self._node, limit=1), None)
+        row = next(self._catalog.get(topic).rows(nodeID=self._node, limit=1), None)
         robot = "" if row is None else getattr(row.message(), "child_frame_id", "").lstrip("/")
         if robot and sensor.strip("/"):
             tf, tf_static = self._choice.tf, self._choice.tf_static
             try:
-                found = self._store.lookupTransform(
-                    robot,
-                    sensor,
-                    0,
-                    nodeID=self._node,
-                    tf=tf,
-                    tf_static=tf_static,
-                    run=self._writers,
+                found = lookup_transform(
+                    self._catalog.get, self._node, self._writers, robot, sensor, 0, tf, tf_static
                 )
             except (TransformException, TopicNotFound):
                 pass

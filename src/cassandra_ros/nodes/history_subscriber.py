@@ -106,7 +106,7 @@ class HistorySubscriber:
         self.failed = 0
         """How often the callback has raised, or a message was none of data_class."""
         try:
-            past = Past(self._rosCas, self.resolved_name, node, run)
+            past = Past(self._rosCas.catalog, self.resolved_name, node, run)
         except CassandraRosError:
             self._close_own()
             raise

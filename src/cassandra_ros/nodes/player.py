@@ -77,7 +77,7 @@ class Player:
         self.options = options = options or PlayerOptions()
         """How it is played."""
         self._rosCas = rosCas
-        self._stream = Stream(rosCas, selection or PlaySelection())
+        self._stream = Stream(rosCas.catalog, selection or PlaySelection())
         self._outlets: Optional[Outlets] = None
         self._registration = Registration()
         self._control: Optional[rospy.Subscriber] = None

@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.overview.latched_messages import (
     LatchedFinder,
@@ -19,7 +18,7 @@ from cassandra_ros.overview.latched_messages import (
     tests_of,
 )
 from cassandra_ros.playing.extent import Extent
-from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.row_finder import Filter, Where
 from cassandra_ros.topics.stored_row import StoredRow
@@ -35,7 +34,7 @@ class Part:
     Stretches that its methods take, and times that they return, are the replay's.
     """
 
-    ros_cas: RosCassandra
+    catalog: Catalog
     topics: Sequence[str]
     node: Optional[str]
     """None = of all nodes."""
@@ -85,10 +84,10 @@ class Part:
     def _stored(self, time_range: TimeRange) -> Iterator[StoredRow]:
         if time_range.low > time_range.high:
             return iter(())
-        return self.ros_cas.readMessages(
+        return self.catalog.read(
             self.topics,
             *time_range,
-            nodeID=self.node,
+            node=self.node,
             received=True,
             where=self.where,
             run=self.writers,
@@ -96,13 +95,13 @@ class Part:
 
     def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
         """Walk lazily through the times of the messages of a topic that satisfy a condition."""
-        inner, found = self._received(time_range), self.ros_cas.getTopic(topic)
+        inner, found = self._received(time_range), self.catalog.get(topic)
         if inner.low > inner.high:
             return iter(())
         if any(table.metadata.own_time or table.named for table in found.tables):
             where = {topic: condition}
-            rows = self.ros_cas.readMessages(
-                [topic], *inner, nodeID=self.node, received=True, where=where, run=self.writers
+            rows = self.catalog.read(
+                [topic], *inner, node=self.node, received=True, where=where, run=self.writers
             )
         else:
             rows = Filter(found, condition, self.node, self.writers).rows(inner, bare=True)
@@ -114,11 +113,9 @@ class Part:
 
     @cached_property
     def _finder(self) -> LatchedFinder:
-        tests = tests_of(self.ros_cas.catalog, self.where, self.node)
+        tests = tests_of(self.catalog, self.where, self.node)
         nodes = check_nodes(self.node)
-        return LatchedFinder(
-            self.ros_cas.catalog.keyspace, self._tables, nodes, self.writers, tests
-        )
+        return LatchedFinder(self.catalog.keyspace, self._tables, nodes, self.writers, tests)
 
     def latched(
         self, window: TimeRange, sent: Optional[Sent] = None

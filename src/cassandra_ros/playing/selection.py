@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from typing import List, Mapping, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_ros_name, check_topics
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.playing.times import PlayTime
-from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.patterns import compiled, matching
 from cassandra_ros.topics.row_finder import Where
 
@@ -69,7 +68,7 @@ class PlaySelection:
     node_prefix: bool = False
 
 
-def chosen_topics(ros_cas: RosCassandra, selection: PlaySelection) -> List[str]:
+def chosen_topics(catalog: Catalog, selection: PlaySelection) -> List[str]:
     """List the names of the topics that are played, sorted.
 
     Raises:
@@ -78,28 +77,28 @@ def chosen_topics(ros_cas: RosCassandra, selection: PlaySelection) -> List[str]:
     """
     wanted, names = check_topics(selection.topics), set()
     if selection.regex and wanted is not None:
-        every = {topic.name for topic in ros_cas.getAllTopics()}
-        names = matching("topic", wanted, every, f"keyspace {ros_cas.keyspace}")
+        every = {topic.name for topic in catalog.all(None)}
+        names = matching("topic", wanted, every, f"keyspace {catalog.keyspace.name}")
     elif wanted is not None:
-        names = {ros_cas.getTopic(name).name for name in wanted}
+        names = {catalog.get(name).name for name in wanted}
     else:
-        names = {topic.name for topic in ros_cas.getAllTopics()}
+        names = {topic.name for topic in catalog.all(None)}
     if selection.exclude:
         pattern = compiled("exclude", selection.exclude)
         names = {name for name in names if not pattern.fullmatch(name)}
     if selection.regex or wanted is None:  # others were asked for by name
-        names = {name for name in names if _is_readable(ros_cas, name)}
+        names = {name for name in names if _is_readable(catalog, name)}
     if not names:
         raise TopicNotFound(
-            f"there is no topic to play in keyspace {ros_cas.keyspace}"
+            f"there is no topic to play in keyspace {catalog.keyspace.name}"
             + (f": exclude {selection.exclude!r:.80} leaves none" if selection.exclude else "")
         )
     return sorted(names)
 
 
-def _is_readable(ros_cas: RosCassandra, topic: str) -> bool:
+def _is_readable(catalog: Catalog, topic: str) -> bool:
     try:
-        _ = ros_cas.getTopic(topic).tables
+        _ = catalog.get(topic).tables
     except DefinitionError as exc:
         _log.error("topic %s is left out, it cannot be read here: %s", topic, exc)
         return False

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
@@ -26,6 +25,7 @@ from cassandra_ros.playing.robot_alignment import (
 )
 from cassandra_ros.playing.selection import Names, PlaySelection, chosen_topics
 from cassandra_ros.playing.times import check_length, read_when, resolve_times
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.hit_windows import Piece, joined, merge_windows
 from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.stored_row import StoredRow
@@ -78,8 +78,8 @@ class Stream:
         InvalidName, InvalidQuery: A name or a condition is none.
     """
 
-    def __init__(self, ros_cas: RosCassandra, selection: PlaySelection) -> None:
-        self._ros_cas = ros_cas
+    def __init__(self, catalog: Catalog, selection: PlaySelection) -> None:
+        self._catalog = catalog
         self.selection = selection
         self._names = Names(selection.prefix, selection.remap)
         self._align = check_alignment(selection.align_start)
@@ -88,7 +88,7 @@ class Stream:
             raise InvalidOption("an end and a duration were given: give one of them")
         length = check_length("duration", selection.duration)
         self._around = Around.of(selection.around, selection.before, selection.after)
-        self.topics = chosen_topics(ros_cas, selection)
+        self.topics = chosen_topics(catalog, selection)
         self._extents = self._find_extents()
         self._parts = self._find_parts(start, end)
         if self._align:
@@ -101,10 +101,10 @@ class Stream:
         self._sources = self._source_names() if selection.node_prefix else {}
 
     def _find_extents(self) -> List[Extent]:
-        asked, ros_cas = self.selection, self._ros_cas
-        self._writers = ros_cas.catalog.keyspace.runs.writers(asked.run)
-        tables, nodes = ros_cas.catalog.tables(self.topics), check_nodes(asked.nodeID)
-        found = extents(ros_cas.catalog.keyspace, tables, nodes, self._writers)
+        asked, keyspace = self.selection, self._catalog.keyspace
+        self._writers = keyspace.runs.writers(asked.run)
+        tables, nodes = self._catalog.tables(self.topics), check_nodes(asked.nodeID)
+        found = extents(keyspace, tables, nodes, self._writers)
         if found:
             return found
         node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
@@ -118,7 +118,7 @@ class Stream:
     def _find_parts(self, start: Optional[When], end: Optional[When]) -> List[Part]:
         asked = self.selection
         whole = Part(
-            self._ros_cas, self.topics, asked.nodeID, self._writers, asked.where, self._extents
+            self._catalog, self.topics, asked.nodeID, self._writers, asked.where, self._extents
         )
         if not self._align:
             return self._begun([whole])
@@ -139,7 +139,7 @@ class Stream:
         )
 
     def _source_names(self) -> Dict[Source, str]:
-        run_names = {run.writer: run.name for run in self._ros_cas.catalog.keyspace.registry.runs()}
+        run_names = {run.writer: run.name for run in self._catalog.keyspace.registry.runs()}
         return source_names(self._extents, run_names, self._align)
 
     def _name_of(self, topic: str, node: str, writer: int) -> str:
@@ -187,7 +187,7 @@ class Stream:
         for extent in self._extents:
             by_table.setdefault(extent.table.name, []).append(extent)
         found: Dict[Tuple[str, str, str], Channel] = {}
-        for name, _, connection in self._ros_cas.catalog.keyspace.connections.of_tables(by_table):
+        for name, _, connection in self._catalog.keyspace.connections.of_tables(by_table):
             metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
             kind = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition

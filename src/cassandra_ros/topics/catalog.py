@@ -14,7 +14,7 @@ from dataclasses import replace
 from operator import attrgetter
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.arguments import check_nodes, check_topic
+from cassandra_ros.arguments import check_nodes, check_topic, check_topics
 from cassandra_ros.errors import (
     CassandraRosError,
     DefinitionError,
@@ -31,6 +31,7 @@ from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.tables.directory import STALE_SEC
+from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
@@ -48,7 +49,7 @@ from cassandra_ros.topics.row_finder import Filter, Where, time_range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.stored_totals import count_rows
+from cassandra_ros.topics.stored_totals import TopicInfo, count_rows, describe
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
@@ -304,6 +305,43 @@ class Catalog:
                 raise InvalidOption(f"there are two conditions for topic {topic.name}; join them")
             found[topic.name] = Filter(topic, condition, node, writers)
         return found
+
+    def losses(
+        self,
+        topics: Optional[Iterable[str]],
+        key: Optional[Time],
+        to_key: Optional[Time],
+        node: Optional[str],
+        run: RunName,
+    ) -> List[Loss]:
+        """List what should have been recorded and was not; see RosCassandra.losses."""
+        names, time_range = check_topics(topics), TimeRange.between(key, to_key)
+        return self.keyspace.runs.losses(names, time_range, self.whose(node, run))
+
+    def infos(
+        self, topics: Optional[Iterable[str]], node: Optional[str] = None, run: RunName = None
+    ) -> List[TopicInfo]:
+        """Describe what is stored; see RosCassandra.info."""
+        tables, whose = self.tables(check_topics(topics)), self.whose(node, run)
+        losses = self.keyspace.runs.losses(None, TimeRange(), whose)
+        return describe(self.keyspace.directory, tables, whose, losses)
+
+    def read(
+        self,
+        topics: Optional[Iterable[str]],
+        key: Optional[Time] = None,
+        to_key: Optional[Time] = None,
+        *,
+        node: Optional[str] = None,
+        received: bool = False,
+        where: Conditions = None,
+        run: RunName = None,
+    ) -> Iterator[StoredRow]:
+        """Walk lazily through the rows of several topics; see RosCassandra.readMessages."""
+        names = check_topics(topics)
+        filters, whose = self.filters(where, names, node, run), self.whose(node, run)
+        time_range = self.time_range(names, key, to_key)
+        return self.merged(self.tables(names), filters, time_range, whose, received)
 
     def merged(
         self,

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import Callable, Sequence
 
 from cassandra_ros.arrays.array_types import column_types
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
@@ -35,6 +34,7 @@ from cassandra_ros.query.tree.syntax import (
     Select,
     TimeNs,
 )
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.lossless_json import Cells
@@ -211,7 +211,7 @@ def _complete(call: Call) -> Json:
 # ---------------------------------------------------------------- plots
 
 
-def _cache(store: RosCassandra, settings: ViewerSettings) -> EnvelopeCache:
+def _cache(catalog: Catalog, settings: ViewerSettings) -> EnvelopeCache:
     return EnvelopeCache()
 
 

@@ -12,6 +12,7 @@ from typing import Callable, Mapping, Sequence, TypeVar
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.messages.stamps import written_time_ns
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route, Value
 from cassandra_ros.viewing.shared import Shared
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
@@ -72,15 +73,20 @@ class Call:
         return self._shared.store
 
     @property
+    def catalog(self) -> Catalog:
+        """The topics of the keyspace that is asked for."""
+        return self._shared.store.catalog
+
+    @property
     def settings(self) -> ViewerSettings:
         """What the viewer was started with."""
         return self._viewer.settings
 
-    def shared(self, make: Callable[[RosCassandra, ViewerSettings], T]) -> T:
+    def shared(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
         """Return what ``make`` made for this keyspace at its first call, as a cache."""
         return self._shared.get(make)
 
-    def shared_by_all(self, make: Callable[[RosCassandra, ViewerSettings], T]) -> T:
+    def shared_by_all(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
         """Return what ``make`` made for this viewer, whatever the keyspace, as a spool."""
         return self._viewer.get(make)
 

@@ -34,7 +34,7 @@ def _keyspace(call: Call) -> Json:
         }
         for each in store.getKeyspaces()
     ]
-    absence = store.catalog.keyspace.side_tables.absence()
+    absence = call.catalog.keyspace.side_tables.absence()
     return {
         "keyspace": store.keyspace,
         "exists": not absence,
@@ -123,7 +123,7 @@ def _runs(call: Call) -> Json:
     wanted, limit = call.texts("runs"), listed_at_most(call)
     by_topic, counts = call.flag("by_topic"), call.flag("counts")
     # Those of runs that did not end are counted in all tables of the keyspace.
-    known = call.store.runs() if counts else list_runs(call.store.catalog.keyspace, ())
+    known = call.store.runs() if counts else list_runs(call.catalog.keyspace, ())
     every = [run for run in known if not wanted or _names(run, wanted)]
     every.sort(key=lambda run: str(run.started), reverse=True)
     listed: List[Json] = [_run(run, by_topic, counts) for run in every[:limit]]

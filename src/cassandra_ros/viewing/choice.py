@@ -23,7 +23,7 @@ def tables_chosen(call: Call) -> list[TopicTable]:
     Raises:
         TopicNotFound: One of them is not stored.
     """
-    return call.store.catalog.tables(call.texts("topics") or None)
+    return call.catalog.tables(call.texts("topics") or None)
 
 
 def whose_chosen(call: Call) -> Whose:
@@ -33,7 +33,7 @@ def whose_chosen(call: Call) -> Whose:
         RunNotFound, InvalidName: There is no such run; a nodeID is none.
     """
     nodes, names = call.texts("nodes"), call.texts("runs")
-    runs = call.store.catalog.keyspace.runs
+    runs = call.catalog.keyspace.runs
     writers = [runs.writers(name) or frozenset() for name in names or ()]
     return Whose(
         tuple(map(check_node, nodes)) if nodes else None,

@@ -10,11 +10,11 @@ from collections import OrderedDict
 from dataclasses import replace
 from typing import Iterator, Sequence
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import decode_cursor
 from cassandra_ros.overview.latest_messages import Latest
 from cassandra_ros.overview.timeline.lanes import Lane, View
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.key_selection import LAST_NS, TimeRange, Whose
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -133,7 +133,7 @@ def _messages(call: Call) -> Stream:
     if limit > MAX_PAGE_BYTES:
         raise InvalidOption(f"bytes={limit}: give at most {MAX_PAGE_BYTES}")
     # What is kept under names has no place among what passes by: /api/latest has it.
-    rows = call.store.catalog.keyspace.rows.read(
+    rows = call.catalog.keyspace.rows.read(
         [table for table in _shown(call) if not table.named],
         time_range,
         whose=whose_chosen(call),
@@ -172,8 +172,8 @@ def _studio(call: Call) -> Json:
 class _Finders:
     """Keeps what finds the last messages of some topics: it knows which of them are latched."""
 
-    def __init__(self, store: RosCassandra, settings: ViewerSettings) -> None:
-        self._store = store
+    def __init__(self, catalog: Catalog, settings: ViewerSettings) -> None:
+        self._keyspace = catalog.keyspace
         self._made: OrderedDict[object, Latest] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -182,7 +182,7 @@ class _Finders:
         age = time.monotonic() // _FINDER_SEC
         key = (tuple(table.name for table in tables), whose, age)
         with self._lock:
-            found = self._made.pop(key, None) or Latest(self._store.catalog.keyspace, tables, whose)
+            found = self._made.pop(key, None) or Latest(self._keyspace, tables, whose)
             self._made[key] = found
             while len(self._made) > _MAX_FINDERS:
                 self._made.popitem(last=False)

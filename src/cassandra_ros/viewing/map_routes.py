@@ -9,12 +9,12 @@ import threading
 from collections import OrderedDict
 from typing import Callable, FrozenSet, Hashable, Optional
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.drawing.map_picture import map_info, map_png
 from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.mapping.map_builder import DEFAULT_RESOLUTION, MadeMap, MapOptions, makeMap
 from cassandra_ros.mapping.sensor_poses import PoseChoice
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.route import Parameter, Route
@@ -28,7 +28,7 @@ _KEPT = 8
 class MapCache:
     """The pictures that were asked for last; one that is being made is made once."""
 
-    def __init__(self, store: RosCassandra, settings: ViewerSettings) -> None:
+    def __init__(self, catalog: Catalog, settings: ViewerSettings) -> None:
         self._made: OrderedDict[Hashable, Bytes] = OrderedDict()
         self._making = threading.Lock()
 
@@ -94,7 +94,7 @@ def _writers(call: Call) -> Optional[FrozenSet[int]]:
     names = call.texts("runs")
     if not names:
         return None
-    found = (call.store.catalog.keyspace.runs.writers(name) for name in names)
+    found = (call.catalog.keyspace.runs.writers(name) for name in names)
     return frozenset().union(*(writers for writers in found if writers is not None))
 
 

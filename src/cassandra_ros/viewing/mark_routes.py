@@ -59,9 +59,9 @@ class Mark:
 def _marks(call: Call) -> Json:
     start, end = call.time_ns("start"), call.time_ns("end")
     time_range = TimeRange(start or 0, LAST_NS if end is None else end)
-    whose, limit, parts = whose_chosen(call), listed_at_most(call), call.store.catalog.keyspace
-    runs = {(run.writer, run.node): run for run in parts.registry.runs()}
-    losses = parts.runs.losses(call.texts("topics") or None, time_range, whose)
+    whose, limit, keyspace = whose_chosen(call), listed_at_most(call), call.catalog.keyspace
+    runs = {(run.writer, run.node): run for run in keyspace.registry.runs()}
+    losses = keyspace.runs.losses(call.texts("topics") or None, time_range, whose)
     found = [_of_loss(loss, runs) for loss in losses]
     for run in runs.values():
         if (whose.nodes is None or run.node in whose.nodes) and (

@@ -7,9 +7,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Mapping
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.key_selection import Nodes, TimeRange, Whose
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.viewing.call import Call
@@ -61,9 +61,9 @@ def selected(call: Call) -> Selected:
     start, end = (_stamp(call.time_ns(name)) for name in ("start", "end"))
     if start is not None and end is not None and start > end:
         raise InvalidOption(f"start {start} lies behind end {end}")
-    store, names, whose = call.store, call.texts("topics"), whose_chosen(call)
-    topics = tuple(sorted({store.getTopic(name).name for name in names})) if names else None
-    where = _of_nodes(store, topics, _conditions(store, call.lines("where")), whose.nodes)
+    catalog, names, whose = call.catalog, call.texts("topics"), whose_chosen(call)
+    topics = tuple(sorted({catalog.get(name).name for name in names})) if names else None
+    where = _of_nodes(catalog, topics, _conditions(catalog, call.lines("where")), whose.nodes)
     return Selected(topics, start, end, whose, where)
 
 
@@ -72,13 +72,13 @@ def _stamp(ns: int | None) -> Stamp | None:
     return None if ns is None else Stamp.from_ns(ns)
 
 
-def _conditions(store: RosCassandra, lines: tuple[str, ...]) -> dict[str, Where]:
+def _conditions(catalog: Catalog, lines: tuple[str, ...]) -> dict[str, Where]:
     found: dict[str, Where] = {}
     for line in lines:
         topic, _, condition = (part.strip() for part in line.partition(":"))
         if not (topic and condition):
             raise InvalidOption(f"where {line[:200]!r} is not of the form 'TOPIC: CONDITION'")
-        name = store.getTopic(topic).name
+        name = catalog.get(topic).name
         if name in found:
             raise InvalidOption(f"where has two conditions for {name}; join them with AND or OR")
         found[name] = condition
@@ -86,7 +86,7 @@ def _conditions(store: RosCassandra, lines: tuple[str, ...]) -> dict[str, Where]
 
 
 def _of_nodes(
-    store: RosCassandra,
+    catalog: Catalog,
     topics: tuple[str, ...] | None,
     where: dict[str, Where],
     nodes: Nodes,
@@ -94,7 +94,7 @@ def _of_nodes(
     """Add to the conditions that messages are of one of several robots: reads take one, or all."""
     if nodes is None or len(nodes) == 1:
         return where
-    names = [topic.name for topic in store.getAllTopics()] if topics is None else topics
+    names = [topic.name for topic in catalog.all(None)] if topics is None else topics
     of_them = f"NODE IN ({', '.join('?' * len(nodes))})"
     found: dict[str, Where] = dict(where)
     for name in names:

@@ -8,6 +8,7 @@ import threading
 from typing import Callable, TypeVar, cast
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
@@ -52,11 +53,11 @@ class Shared:
                 self._others.pop(next(iter(self._others)))
         return found
 
-    def get(self, make: Callable[[RosCassandra, ViewerSettings], T]) -> T:
+    def get(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
         """Return what ``make`` made at its first call; if it has a ``close``, the end calls it."""
         with self._lock:
             if make not in self._made:
-                self._made[make] = make(self.store, self.settings)
+                self._made[make] = make(self.store.catalog, self.settings)
             return cast(T, self._made[make])
 
     def close(self) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.overview.timeline.lanes import Lane, RunSpan, Timeline, View
 from cassandra_ros.overview.timeline.time_cells import (
     MAX_CELLS,
@@ -14,6 +13,7 @@ from cassandra_ros.overview.timeline.time_cells import (
     runs_of_cells,
     time_ranges_of_cells,
 )
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.catalog_routes import shown_ns
@@ -24,9 +24,9 @@ from cassandra_ros.viewing.viewer_settings import ViewerSettings
 _PIXELS = 1000
 
 
-def timeline_of(store: RosCassandra, settings: ViewerSettings) -> Timeline:
+def timeline_of(catalog: Catalog, settings: ViewerSettings) -> Timeline:
     """Make what a viewer's calls share; see Call.shared."""
-    return Timeline(store.catalog)
+    return Timeline(catalog)
 
 
 def _answer(call: Call) -> Json:
@@ -40,7 +40,7 @@ def _answer(call: Call) -> Json:
     )
     picture = call.shared(timeline_of).picture(view, call.gone)
     (first, last), scale = picture.extent or (None, None), picture.scale
-    names = {run.writer: run.name for run in call.store.catalog.keyspace.registry.runs()}
+    names = {run.writer: run.name for run in call.catalog.keyspace.registry.runs()}
     lanes: List[Json] = [_lane(lane, scale) for lane in picture.lanes]
     runs: List[Json] = [_run(span, names) for span in picture.runs]
     return {

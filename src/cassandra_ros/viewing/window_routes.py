@@ -23,6 +23,7 @@ from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.overview.content_version import content_version
 from cassandra_ros.overview.latched_messages import latched_before
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Answer, SpooledFile, Stream
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.route import Parameter, Route
@@ -40,7 +41,7 @@ _STREAM = Parameter(
 )
 
 
-def make_spool(store: RosCassandra, settings: ViewerSettings) -> Spool:
+def make_spool(catalog: Catalog, settings: ViewerSettings) -> Spool:
     """Make the spool of a viewer; half of those who are answered at a time may wait for files."""
     return Spool(settings.spool, settings.spool_bytes, max(1, settings.threads // 2))
 
@@ -48,14 +49,14 @@ def make_spool(store: RosCassandra, settings: ViewerSettings) -> Spool:
 def _answer(call: Call, ending: str) -> Answer:
     wanted, compression = selected(call), _compression(call, ending)
     latched, streamed = call.flag("latched"), ending == "mcap" and call.flag("stream")
-    spool, name = call.shared_by_all(make_spool), _name(call.store, wanted, ending)
-    request = _digest(repr((ending, wanted, compression, latched, call.store.keyspace)))
+    spool, name = call.shared_by_all(make_spool), _name(call.catalog, wanted, ending)
+    request = _digest(repr((ending, wanted, compression, latched, call.catalog.keyspace.name)))
     headers = call.headers
     if "range" in headers and not {"if-range", "if-match"}.intersection(headers):
         known = spool.latest(request)
         if known is not None:
             return SpooledFile(known.path, name, _CONTENT_TYPES[ending], known.key)
-    key = _digest(request + _version(call.store, wanted, latched))
+    key = _digest(request + _version(call.catalog, wanted, latched))
     write = partial(_write, call.store, wanted, compression, latched)
 
     def chunks() -> Iterator[bytes]:
@@ -82,22 +83,22 @@ def _compression(call: Call, ending: str) -> str | None:
     return found
 
 
-def _name(store: RosCassandra, wanted: Selected, ending: str) -> str:
+def _name(catalog: Catalog, wanted: Selected, ending: str) -> str:
     """Return as which a window is saved: of letters that every file system takes."""
     begin = "" if wanted.start is None else "_" + iso_time(wanted.start.ns)[:19]
-    return f"{store.keyspace}{begin}.{ending}".replace(":", "-")
+    return f"{catalog.keyspace.name}{begin}.{ending}".replace(":", "-")
 
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:32]
 
 
-def _version(store: RosCassandra, wanted: Selected, latched: bool) -> str:
+def _version(catalog: Catalog, wanted: Selected, latched: bool) -> str:
     """Return what tells the content of a window; of the directory."""
     topics, time_range, before = wanted.topics, wanted.time_range, []
     if latched and wanted.start is not None:
         before = latched_before(
-            store.catalog,
+            catalog,
             time_range.low,
             topics,
             to=time_range.high,
@@ -105,10 +106,8 @@ def _version(store: RosCassandra, wanted: Selected, latched: bool) -> str:
             run=wanted.whose.writers,
             where=wanted.where or None,
         )
-    tables = store.catalog.tables(topics)
-    return content_version(
-        store.catalog.keyspace.directory, tables, time_range, wanted.whose, before
-    )
+    tables = catalog.tables(topics)
+    return content_version(catalog.keyspace.directory, tables, time_range, wanted.whose, before)
 
 
 def _write(
@@ -134,7 +133,7 @@ def _write(
             latched=latched,
         )
     except MessageNotFound as exc:
-        reason = why_empty(store, wanted.topics, wanted.node, wanted.whose.writers)
+        reason = why_empty(store.catalog, wanted.topics, wanted.node, wanted.whose.writers)
         raise MessageNotFound(f"there is no such message: {reason}") from exc
 
 
