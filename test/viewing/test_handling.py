@@ -228,7 +228,7 @@ class Kept:
 
     closed: list = []
 
-    def __init__(self, store, settings):
+    def __init__(self, settings):
         self.number = next(Kept.numbers)
 
     numbers = itertools.count(1)
@@ -243,7 +243,7 @@ def test_the_end_closes_streams_handlers_and_what_was_kept():
     def waits(call):
         begun.set()
         call.gone.wait(180)
-        return call.shared(Kept).number
+        return call.shared_by_all(Kept).number
 
     routes = [route("/endless", endless.answer), route("/api/wait", waits)]
     with running_viewer(None, routes) as viewer:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import threading
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Callable, Mapping, Sequence, TypeVar
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -84,11 +84,11 @@ class Call:
 
     def shared(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
         """Return what ``make`` made for this keyspace at its first call, as a cache."""
-        return self._shared.get(make)
+        return self._shared.get(make, partial(make, self.catalog, self.settings))
 
-    def shared_by_all(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
+    def shared_by_all(self, make: Callable[[ViewerSettings], T]) -> T:
         """Return what ``make`` made for this viewer, whatever the keyspace, as a spool."""
-        return self._viewer.get(make)
+        return self._viewer.get(make, partial(make, self.settings))
 
     def text(self, name: str) -> str | None:
         """Return a parameter of kind text; missing: its default."""

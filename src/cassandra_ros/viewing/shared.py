@@ -8,7 +8,6 @@ import threading
 from typing import Callable, TypeVar, cast
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
@@ -53,12 +52,15 @@ class Shared:
                 self._others.pop(next(iter(self._others)))
         return found
 
-    def get(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
-        """Return what ``make`` made at its first call; if it has a ``close``, the end calls it."""
+    def get(self, key: Callable[..., T], make: Callable[[], T]) -> T:
+        """Return what ``make`` made at the first call for this key.
+
+        If that has a method ``close``, the end of the viewer calls it.
+        """
         with self._lock:
-            if make not in self._made:
-                self._made[make] = make(self.store.catalog, self.settings)
-            return cast(T, self._made[make])
+            if key not in self._made:
+                self._made[key] = make()
+            return cast(T, self._made[key])
 
     def close(self) -> None:
         """Close all that was made, the last one first. Twice is harmless."""

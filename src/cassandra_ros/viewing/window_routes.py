@@ -41,7 +41,7 @@ _STREAM = Parameter(
 )
 
 
-def make_spool(catalog: Catalog, settings: ViewerSettings) -> Spool:
+def make_spool(settings: ViewerSettings) -> Spool:
     """Make the spool of a viewer; half of those who are answered at a time may wait for files."""
     return Spool(settings.spool, settings.spool_bytes, max(1, settings.threads // 2))
 
