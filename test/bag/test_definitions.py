@@ -74,7 +74,7 @@ def by_writer(rosCas, tmp_path, messages, form):
 
 def by_recorder(rosCas, tmp_path, messages, form):
     times = iter(range(T0, T0 + len(messages)))
-    recorder = Recording(rosCas, format=form, clock=lambda: next(times))
+    recorder = Recording(rosCas.catalog, format=form, clock=lambda: next(times))
     for fields, wire in messages:
         recorder.received("/t", fields, wire)
     assert sum(report.lost for report in recorder.close()) == 0

@@ -149,7 +149,7 @@ def test_new_names_have_a_length_that_people_can_read(rosCas):
 
 def test_a_split_recording_refuses_a_name_that_its_later_runs_could_not_have(rosCas):
     options = RecorderOptions(all=True, split=True, duration=1, output_name="n" * MAX_NAME_BYTES)
-    series = Series(rosCas, options, lambda: T0, lambda recording: None)
+    series = Series(rosCas.catalog, options, lambda: T0, lambda recording: None)
     with pytest.raises(InvalidName, match=r"run\.name"):
         series.begin()
     assert rosCas.runs() == []

@@ -72,7 +72,7 @@ def test_an_import_goes_on_by_another_session(rosCas, connect, tmp_path, shut_do
 
 @pytest.mark.parametrize("shut_down", ENDS)
 def test_a_recording_goes_on_by_another_session(rosCas, connect, shut_down, caplog):
-    recording = Recording(rosCas, format="binary")
+    recording = Recording(rosCas.catalog, format="binary")
     wires = [serialize(String(str(n))) for n in range(2000)]
     for n, wire in enumerate(wires):
         if n in (500, 1500):

@@ -400,7 +400,7 @@ class Clock:
 def record(store, monkeypatch, moments, **options):
     """Record messages at some times: each a time, a topic, and a message."""
     clock, headers = Clock(), {}
-    recording = Recording(store, clock=clock, name="live", **options)
+    recording = Recording(store.catalog, clock=clock, name="live", **options)
     keeper = recording._places
     for t, topic, message in moments:
         clock.now = t
@@ -720,7 +720,7 @@ ODOM, NUMBER = header_of(Odometry()), header_of(Int32())
 
 def begun(store):
     """A recording of which the first part is noted."""
-    recording = Recording(store, clock=Clock(), name="live")
+    recording = Recording(store.catalog, clock=Clock(), name="live")
     drives_on(recording, 0, 40)
     await_true(lambda: all(s.handle for s in recording._sources.values()))
     recording._places._note(last=False)
@@ -733,7 +733,7 @@ def test_a_recorder_notes_poses_that_came_before_the_store_answered(rosCas):
     recording = Recording(store, clock=Clock(), name="live")
     drives_on(recording, 0, 40)
     recording._places._try_to_note(last=False)
-    store.set_result(rosCas)
+    store.set_result(rosCas.catalog)
     assert {report.lost for report in recording.close()} == {0}
     assert noted_of(rosCas) == [(T0, T0 + 39 * SEC)]
 
@@ -804,7 +804,7 @@ def test_a_recorder_without_a_thread_for_places_records_all_the_same(rosCas, mon
         start(thread)
 
     monkeypatch.setattr(threading.Thread, "start", refused)
-    recording = Recording(rosCas, clock=Clock(), name="live")
+    recording = Recording(rosCas.catalog, clock=Clock(), name="live")
     drives_on(recording, 0, 5)
     reports = {report.topic: (report.stored, report.lost) for report in recording.close()}
     assert reports == {"/odom": (5, 0), "/n": (5, 0)}

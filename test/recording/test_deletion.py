@@ -35,7 +35,7 @@ def recorded(rosCas, connect):
 
     class Recorded:
         def begin(self, form):
-            self.recording = Recording(rosCas, format=form)
+            self.recording = Recording(rosCas.catalog, format=form)
             self.feeder = threading.Thread(target=self.feed, daemon=True)
             self.feeder.start()
 

@@ -31,7 +31,7 @@ def header(cls, callerid="/publisher"):
 def recording(rosCas, **options):
     ticks = itertools.count(T0, STEP)
     settings = Settings(TopicSettings("packed"))
-    return Recording(rosCas, clock=lambda: next(ticks), settings=settings, **options)
+    return Recording(rosCas.catalog, clock=lambda: next(ticks), settings=settings, **options)
 
 
 def blocks(cql, rosCas, topic):
@@ -78,7 +78,7 @@ def test_a_topic_whose_key_is_no_time_is_recorded_in_the_format_that_it_has(rosC
     rosCas.addTopic("/map", "binary", msg_type="std_msgs/String", key_format="manual")
     rules = [[("/by_name", {"key_part": "frame_id"}), ("/found", {"index": ("data",)})]]
     settings = Settings(TopicSettings("packed"), rules)
-    running = Recording(rosCas, clock=itertools.count(T0, STEP).__next__, settings=settings)
+    running = Recording(rosCas.catalog, clock=itertools.count(T0, STEP).__next__, settings=settings)
     for topic, cls in (("/map", String), ("/by_name", Header), ("/found", String)):
         assert running.received(topic, header(cls), serialize(cls()))
     assert all(report.stored == 1 and not report.lost for report in running.close())

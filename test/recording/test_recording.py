@@ -149,7 +149,7 @@ def test_any_definition_text(definition):
 
 
 def test_messages_are_stored_as_they_came(rosCas):
-    recorder = Recording(rosCas, format="ros", node="husky")
+    recorder = Recording(rosCas.catalog, format="ros", node="husky")
     header = header_of(String)
     before = time.time_ns()
     for n in range(500):
@@ -176,7 +176,7 @@ def test_stamps_and_counters_have_one_order(rosCas):
         with clock_lock:
             return next(ticks) // 10 * 10  # ten messages share a stamp
 
-    recorder = Recording(rosCas, clock=clock)
+    recorder = Recording(rosCas.catalog, clock=clock)
 
     def publish(name):
         header = header_of(String, callerid=name)
@@ -201,7 +201,7 @@ def test_what_does_not_fit_is_counted(cassandra, keyspace, rosCas):
     with Proxy(cassandra.host, cassandra.port) as proxy:
         held = proxy.catch(lambda frame: frame.opcode == BATCH, failed=False).hold()
         with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
-            recorder = Recording(store, buffer_bytes=100_000)
+            recorder = Recording(store.catalog, buffer_bytes=100_000)
             header = header_of(String)
             for n in range(2000):
                 recorder.received("/text", header, text(n))
@@ -218,7 +218,7 @@ def test_what_does_not_fit_is_counted(cassandra, keyspace, rosCas):
 
 
 def test_the_limit(rosCas):
-    recorder = Recording(rosCas, limit=3)
+    recorder = Recording(rosCas.catalog, limit=3)
     for n in range(10):
         recorder.received("/a", header_of(String), text(n))
     recorder.received("/b", header_of(String), text(0))
@@ -233,7 +233,7 @@ def test_a_clock_that_is_not_set(rosCas):
     def clock():
         raise ClockNotSet("no /clock")
 
-    recorder = Recording(rosCas, clock=clock)
+    recorder = Recording(rosCas.catalog, clock=clock)
     recorder.received("/text", header_of(String), text(0))
     (report,) = recorder.close()
     assert (report.received, report.stored) == (1, 0)
@@ -245,7 +245,7 @@ def test_time_that_goes_back_is_told(rosCas, caplog):
     """Simulated time that begins anew: messages are kept at the times that they have."""
     times = [T0 + 100 * 10**9, T0 + 101 * 10**9, T0, T0 + 10**9]
     ticks = iter(times)
-    recorder = Recording(rosCas, clock=lambda: next(ticks))
+    recorder = Recording(rosCas.catalog, clock=lambda: next(ticks))
     header = header_of(String)
     for n in range(4):
         recorder.received("/text", header, text(n))
@@ -256,7 +256,7 @@ def test_time_that_goes_back_is_told(rosCas, caplog):
 
 
 def test_a_context_is_kept_when_the_store_is_back(rosCas, monkeypatch):
-    recorder = Recording(rosCas)
+    recorder = Recording(rosCas.catalog)
     registry = rosCas.catalog.keyspace.registry
     put, tries = registry.put_context, []
 
@@ -274,7 +274,7 @@ def test_a_context_is_kept_when_the_store_is_back(rosCas, monkeypatch):
 
 
 def test_what_is_given_up_is_counted(rosCas):
-    recorder = Recording(rosCas)
+    recorder = Recording(rosCas.catalog)
     recorder.received("/text", header_of(String), text(0))
     (report,) = recorder.abandon()  # before its table was made
     assert (report.stored, report.reasons) == (0, {LossKind.AT_END: 1})
@@ -289,7 +289,7 @@ def test_only_the_end_gives_up(cassandra, keyspace, monkeypatch, failures, lost)
     with Proxy(cassandra.host, cassandra.port) as proxy:
         failed = proxy.catch(lambda frame: frame.opcode == BATCH, most=failures)
         with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
-            recorder = Recording(store)
+            recorder = Recording(store.catalog)
             recorder.received("/text", header_of(String), text(0))
             failed.wait(4)  # tried for 0.7 s
             if not lost:
@@ -312,7 +312,7 @@ def test_only_the_end_gives_up(cassandra, keyspace, monkeypatch, failures, lost)
     ],
 )
 def test_headers_that_lack_or_lie(rosCas, header):
-    recorder = Recording(rosCas, format="ros")
+    recorder = Recording(rosCas.catalog, format="ros")
     wires = [text(0), b"", bytes(range(256))]
     for wire in wires:
         recorder.received("/text", header, wire)
@@ -329,7 +329,7 @@ def test_headers_that_lack_or_lie(rosCas, header):
 @pytest.mark.parametrize("how", sparing(["truncateTopic", "removeTopic"], kept=["removeTopic"]))
 def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace, how):
     """What was not stored before goes on into the topic's next table: nothing lost, or doubled."""
-    recorder = Recording(rosCas)
+    recorder = Recording(rosCas.catalog)
     sent, stop = [], threading.Event()
 
     def publish():
@@ -361,7 +361,7 @@ def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace,
 
 
 def test_a_topic_that_cannot_have_a_table(rosCas):
-    recorder = Recording(rosCas, clock=itertools.count(T0).__next__)
+    recorder = Recording(rosCas.catalog, clock=itertools.count(T0).__next__)
     recorder.received("", header_of(String), text(0))
     recorder.received("/good", header_of(String), text(0))
     reports = by_topic(recorder.close())
@@ -373,7 +373,7 @@ def test_a_topic_that_cannot_have_a_table(rosCas):
 
 
 def test_the_first_second_fixes_the_bucket(rosCas):
-    recorder = Recording(rosCas)
+    recorder = Recording(rosCas.catalog)
     imu = message(Imu())
     header = header_of(Imu)
     for _ in range(6000):
@@ -400,7 +400,7 @@ def test_what_comes_before_the_store_answers_is_stored_when_it_does(rosCas):
     assert not recorder.opened
     assert recorder.held_bytes > 700_000
     assert [report.stored for report in recorder.reports()] == [0, 0, 0, 0]
-    store.set_result(rosCas)
+    store.set_result(rosCas.catalog)
     reports = recorder.close()
     assert [(r.received, r.stored, r.lost) for r in reports] == [(600, 600, 0)] * 4
     for topic in headers:
@@ -418,7 +418,7 @@ def test_what_does_not_fit_before_the_store_answers_is_a_loss(rosCas):
         recorder.received("/a", header, text(n))
     lost = recorder.reports()[0].lost
     assert 600 < lost < 1000
-    store.set_result(rosCas)
+    store.set_result(rosCas.catalog)
     (report,) = recorder.close()
     assert (report.stored, report.reasons) == (1000 - lost, {LossKind.BUFFER_FULL: lost})
     rows = list(rosCas.getTopic("/a").rows())
@@ -455,7 +455,7 @@ def test_the_end_waits_for_a_store_that_has_not_answered_yet(rosCas, monkeypatch
     assert not recorder.stop(0.0)
     recorder.received("/a", header_of(String), text(1))  # behind the end
     if answers:
-        store.set_result(rosCas)
+        store.set_result(rosCas.catalog)
     (report,) = recorder.close()
     reasons = {} if answers else {LossKind.AT_END: 1}
     assert (report.received, report.stored, report.reasons) == (1, int(answers), reasons)
@@ -472,7 +472,7 @@ def test_topics_with_a_table_go_on_while_that_of_another_cannot_be_made(cassandr
     """Only what waits for a table in vain is dropped beyond half of the buffer."""
     held = threading.Event()
     with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as store:
-        recorder = Recording(store, buffer_bytes=100_000)
+        recorder = Recording(store.catalog, buffer_bytes=100_000)
         make = recorder._connect
 
         def connect(source):

@@ -38,7 +38,7 @@ def text(n):
 def series_of(rosCas, **options):
     ticks = itertools.count(T0, SEC)
     begun = []
-    made = Series(rosCas, RecorderOptions(**options), lambda: next(ticks), begun.append)
+    made = Series(rosCas.catalog, RecorderOptions(**options), lambda: next(ticks), begun.append)
     return made, begun
 
 
@@ -250,7 +250,7 @@ def test_a_ring_stays_within_its_bytes(bound):
 
 def snapshots_of(rosCas, seconds=5.0, **options):
     now = [T0]
-    series = Series(rosCas, RecorderOptions(**options), lambda: now[0], lambda run: None)
+    series = Series(rosCas.catalog, RecorderOptions(**options), lambda: now[0], lambda run: None)
     bound = Bound(seconds=seconds)
     return Snapshots(bound, 0, lambda: now[0], series.filters, series.single), now
 

@@ -121,7 +121,7 @@ def test_what_the_condition_leaves_out_does_not_count_for_the_rate():
 
 def test_left_out_is_counted_and_not_lost(rosCas):
     options = RecorderOptions(where=[("/n", "data >= 3")])
-    recorder = Recording(rosCas, settings=options.settings, limit=2)
+    recorder = Recording(rosCas.catalog, settings=options.settings, limit=2)
     for n in range(10):
         recorder.received("/n", header_of(Int32), message(Int32(n)))
     (report,) = recorder.close()
@@ -130,7 +130,9 @@ def test_left_out_is_counted_and_not_lost(rosCas):
 
 
 def test_a_condition_on_a_field_that_is_not_there(rosCas, caplog):
-    recorder = Recording(rosCas, settings=RecorderOptions(where=[("/n", "date > 3")]).settings)
+    recorder = Recording(
+        rosCas.catalog, settings=RecorderOptions(where=[("/n", "date > 3")]).settings
+    )
     recorder.received("/n", header_of(Int32), message(Int32(1)))
     (report,) = recorder.close()
     assert (report.stored, report.left_out) == (1, 0)
@@ -149,7 +151,7 @@ topics:
 
 def test_tables_are_made_as_the_settings_say(rosCas, caplog):
     settings = settings_of(TABLES, format="binary")
-    recorder = Recording(rosCas, settings=settings)
+    recorder = Recording(rosCas.catalog, settings=settings)
     imu = Imu()
     imu.header.stamp.secs = 77
     recorder.received("/imu", header_of(Imu), message(imu))
@@ -164,7 +166,7 @@ def test_tables_are_made_as_the_settings_say(rosCas, caplog):
     assert rosCas.getTopic("/text").getMeta["format"] == "binary"
     # What is stored stays as it is.
     other = settings_of("topics: [{pattern: /imu, ttl: 60, index: [header.seq]}]")
-    recorder = Recording(rosCas, settings=other)
+    recorder = Recording(rosCas.catalog, settings=other)
     recorder.received("/imu", header_of(Imu), message(imu))
     recorder.close()
     assert "was made with a ttl of 3600 s, not 60 s" in caplog.text
@@ -173,7 +175,7 @@ def test_tables_are_made_as_the_settings_say(rosCas, caplog):
 
 def test_a_plan_writes_nothing(rosCas):
     types = {"/imu": "sensor_msgs/Imu", "/new": ""}
-    plan = plan_topics(rosCas, settings_of(TABLES), types)
+    plan = plan_topics(rosCas.catalog, settings_of(TABLES), types)
     assert [(p.topic, p.format, p.ttl, p.stored) for p in plan] == [
         ("/imu", "ros", 3600, False),
         ("/new", "ros", 0, False),
@@ -193,17 +195,17 @@ def test_a_plan_writes_nothing(rosCas):
 )
 def test_a_plan_checks_conditions_against_the_fields_of_known_types(rosCas, msg_type, said):
     settings = settings_of("topics: [{pattern: /a, where: liner.x > 1}]")
-    (planned,) = plan_topics(rosCas, settings, {"/a": msg_type})
+    (planned,) = plan_topics(rosCas.catalog, settings, {"/a": msg_type})
     assert bool(planned.problem) == bool(said)
     assert said in planned.problem
     fitting = settings_of("topics: [{pattern: /a, where: 'linear.x > 1 and KEY > 0'}]")
-    assert plan_topics(rosCas, fitting, {"/a": msg_type})[0].problem == ""
+    assert plan_topics(rosCas.catalog, fitting, {"/a": msg_type})[0].problem == ""
 
 
 def test_a_plan_checks_conditions_on_a_topic_that_is_stored_and_not_published(rosCas):
     rosCas.addTopic("/n").addData(Int32(1))
     settings = RecorderOptions(where=[("/n", "date > 3")]).settings
-    (planned,) = plan_topics(rosCas, settings, {"/n": ""})
+    (planned,) = plan_topics(rosCas.catalog, settings, {"/n": ""})
     assert "/n" in planned.problem
     assert "did you mean data?" in planned.problem
 

@@ -22,7 +22,7 @@ BROKEN = {**HEADER, "message_definition": "string data\nno_type\n"}
 
 
 def record(rosCas, folder, format):
-    recorder = Recording(rosCas, format=format)
+    recorder = Recording(rosCas.catalog, format=format)
     recorder.received("/scan", HEADER, string_wire("recorded"))
     (report,) = recorder.close()
     assert report.stored == 1
@@ -101,7 +101,7 @@ def test_of_several_formats_the_newest_is_kept(rosCas, tmp_path, newest):
 
 def test_one_publisher_without_a_definition_does_not_decide_for_all(rosCas, tmp_path):
     rosCas.addTopic("/scan", "json").addData(String("first"), key=1)
-    recorder = Recording(rosCas)
+    recorder = Recording(rosCas.catalog)
     recorder.received("/scan", BROKEN, string_wire("broken"))
     assert recorder.close()[0].stored == 1
     assert formats(rosCas) == ["binary", "json"]

@@ -323,7 +323,7 @@ def main() -> int:
     say = partial(line.say, quiet=options.quiet)
     if options.dry_run:
         with open_store(options, make=True) as ros_cas:
-            plan = make_plan(ros_cas, chosen)
+            plan = make_plan(ros_cas.catalog, chosen)
         print(plan_table(plan, chosen))
         return _tell_problems([each.problem for each in plan if each.problem])
     place = StorePlace(store_place(options)[0], options.keyspace)

@@ -9,6 +9,7 @@ import logging
 import struct
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import Callable, Collection, Iterable, Mapping, Optional, Sequence, Union
 
@@ -16,6 +17,7 @@ import rospy
 from std_msgs.msg import String
 
 from cassandra_ros.arguments import check_ros_name
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, InvalidName, InvalidOption
 from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration
@@ -26,7 +28,7 @@ from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.run_series import Series
 from cassandra_ros.recording.snapshot import Snapshots
 from cassandra_ros.recording.status import RECORDING, SNAPSHOT, STOPPED, WAITING, Status
-from cassandra_ros.recording.store_future import Store
+from cassandra_ros.recording.store_future import Store, then
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
 from cassandra_ros.tables.registry import LossKind
 
@@ -60,7 +62,7 @@ class Recorder:
 
     def __init__(
         self,
-        rosCas: Store,
+        rosCas: Union[RosCassandra, Future[RosCassandra]],
         options: Union[RecorderOptions, Sequence[str]],
         *,
         say: Optional[Say] = None,
@@ -71,7 +73,7 @@ class Recorder:
         self._say: Say = _log.info if say is None else say
         self._publisher: Optional[rospy.Publisher] = None
         self._contexts: list[threading.Thread] = []
-        self._series = series = Series(rosCas, options, now_ns, self._begun)
+        self._series = series = Series(_catalog_of(rosCas), options, now_ns, self._begun)
         bound = options.snapshot
         self._snapshots = (
             None
@@ -446,6 +448,13 @@ class Recorder:
         self._left.update(complete)
         self._subscriptions.remove(complete)
         return len(complete) == len(topics)
+
+
+def _catalog_of(store: Union[RosCassandra, Future[RosCassandra]]) -> Store:
+    """Return the catalog of the connected keyspace, or a future of it."""
+    if isinstance(store, Future):
+        return then(store, lambda ros_cas: ros_cas.catalog)
+    return store.catalog
 
 
 class _Own:

@@ -7,11 +7,13 @@ from __future__ import annotations
 import logging
 import signal
 import time
+from concurrent.futures import Future
 from types import FrameType
 from typing import Callable, Mapping, Optional, Sequence
 
 import rospy
 
+from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.nodes.diagnostics import Diagnostics, StorePlace
 from cassandra_ros.nodes.node import (
     REMAP,
@@ -24,7 +26,6 @@ from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
 from cassandra_ros.nodes.recorder_services import serve
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.status import Rates, Status
-from cassandra_ros.recording.store_future import Store, store_future
 from cassandra_ros.recording.topic_counts import TopicReport
 
 _log = logging.getLogger(__name__)
@@ -49,7 +50,7 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
 
 
 def record(
-    store: Store,
+    store: Future[RosCassandra],
     options: RecorderOptions,
     place: StorePlace,
     say: Say,
@@ -58,7 +59,7 @@ def record(
     """Record until a signal, the master, the options or a problem end it.
 
     Args:
-        store: A RosCassandra connected to a keyspace, or a future of one.
+        store: A future of a RosCassandra connected to a keyspace.
         place: Where the store is, for /diagnostics.
         say: Called with each line for people who watch.
         show: Called each second with how it goes.
@@ -66,17 +67,16 @@ def record(
     Returns:
         A report on each topic, and why nothing could be stored ('' = it could).
     """
-    opening = store_future(store)
-    recorder = Recorder(opening, options, say=say)
+    recorder = Recorder(store, options, say=say)
 
     def signalled(number: int, frame: Optional[FrameType]) -> None:
         signals.append(number)
         recorder.interrupt()
         if not began:  # what has come is stored with more patience
-            opening.result().cassandra.outage.hurry()
+            store.result().cassandra.outage.hurry()
 
     # The start waits for a store that is there; for one that is not the recording waits.
-    began = not opening.done()
+    began = not store.done()
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)

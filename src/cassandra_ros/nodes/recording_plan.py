@@ -6,13 +6,13 @@ from __future__ import annotations
 
 import rospy
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.nodes.subscriptions import published_topics, subscribed_topics
 from cassandra_ros.recording.dry_run import PlannedTopic, plan_topics
 from cassandra_ros.recording.recording_options import RecorderOptions
+from cassandra_ros.topics.catalog import Catalog
 
 
-def make_plan(ros_cas: RosCassandra, options: RecorderOptions) -> list[PlannedTopic]:
+def make_plan(catalog: Catalog, options: RecorderOptions) -> list[PlannedTopic]:
     """Say what would be recorded now, and how; raises one of MASTER_ERRORS."""
     named = [] if options.regex else [rospy.resolve_name(name) for name in options.topics]
     if options.node:
@@ -21,4 +21,4 @@ def make_plan(ros_cas: RosCassandra, options: RecorderOptions) -> list[PlannedTo
     topics.update(filter(options.chooses, published_topics()))
     _, _, pairs = rospy.get_master().getTopicTypes()
     types = dict(pairs)
-    return plan_topics(ros_cas, options.settings, {t: types.get(t, "") for t in topics})
+    return plan_topics(catalog, options.settings, {t: types.get(t, "") for t in topics})

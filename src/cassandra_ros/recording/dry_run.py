@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Mapping, Optional, Sequence
 
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import DefinitionError, InvalidOption, InvalidQuery
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import api_connection
@@ -16,6 +15,7 @@ from cassandra_ros.query.run import Condition
 from cassandra_ros.recording.tables import differences
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings
 from cassandra_ros.recording.unstored import UnstoredTable
+from cassandra_ros.topics.catalog import Catalog
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,18 @@ class PlannedTopic:
 
 
 def plan_topics(
-    ros_cas: RosCassandra, settings: Settings, types: Mapping[str, str]
+    catalog: Catalog, settings: Settings, types: Mapping[str, str]
 ) -> list[PlannedTopic]:
     """Say how topics would be recorded.
 
     Args:
         types: Topic → its type as the master knows it; '' = it does not.
     """
-    tables = list(ros_cas.catalog.keyspace.schema.tables(fresh=True).values())
+    tables = list(catalog.keyspace.schema.tables(fresh=True).values())
     found = []
     for topic, msg_type in sorted(types.items()):
         wanted = settings.of(topic)
-        fmt = ros_cas.catalog.keyspace.format_for(topic, asked=wanted.format)
+        fmt = catalog.keyspace.format_for(topic, asked=wanted.format)
         own = [m for m in tables if m.topic == topic and m.format == fmt]
         found.append(
             PlannedTopic(
@@ -61,15 +61,15 @@ def plan_topics(
                 bool(own),
                 _described(wanted),
                 differences(wanted, own[0]) if own else [],
-                _problem(ros_cas, topic, msg_type, wanted.where) if wanted.where else "",
+                _problem(catalog, topic, msg_type, wanted.where) if wanted.where else "",
             )
         )
     return found
 
 
-def _problem(ros_cas: RosCassandra, topic: str, msg_type: str, where: str) -> str:
+def _problem(catalog: Catalog, topic: str, msg_type: str, where: str) -> str:
     """Say why a condition does not fit the fields of a topic; '' = it does, or they are unknown."""
-    tables = _known_tables(ros_cas, topic, msg_type)
+    tables = _known_tables(catalog, topic, msg_type)
     try:
         if tables:
             Condition(where).test(tables)
@@ -78,14 +78,14 @@ def _problem(ros_cas: RosCassandra, topic: str, msg_type: str, where: str) -> st
     return ""
 
 
-def _known_tables(ros_cas: RosCassandra, topic: str, msg_type: str) -> Sequence[Table]:
+def _known_tables(catalog: Catalog, topic: str, msg_type: str) -> Sequence[Table]:
     """Return the installed type as a table, else the tables in which the topic is stored."""
     try:
         if msg_type:
             return [UnstoredTable(api_connection(topic, installed_definition(msg_type), ""))]
     except DefinitionError:  # not installed: its messages bring the definition
         pass
-    return ros_cas.getTopic(topic).tables if ros_cas.existTopic(topic) else ()
+    return catalog.get(topic).tables if catalog.exists(topic) else ()
 
 
 def _described(wanted: TopicSettings) -> list[str]:

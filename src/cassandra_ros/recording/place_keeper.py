@@ -31,7 +31,6 @@ from typing import (
 )
 
 from cassandra_ros.arrays.gather import read_arrays
-from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.connection_header import Connection
@@ -46,6 +45,7 @@ from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
 from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
 from cassandra_ros.tables.place_index import Placed, Visited
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.transforms.transform_samples import TRANSFORMS_MD5
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ class PlaceKeeper:
     """Notes where the robot of one run is.
 
     Args:
-        store: A RosCassandra connected to a keyspace, when it answers.
+        store: The catalog of the connected keyspace, when it answers.
         whose: nodeID and writer id of the run.
         losses: Of the run: which of the messages that were taken are not stored.
         wanted: Do so; else take nothing.
@@ -201,7 +201,7 @@ class PlaceKeeper:
 
     def __init__(
         self,
-        store: Future[RosCassandra],
+        store: Future[Catalog],
         whose: Whose,
         losses: LossLog,
         wanted: bool = True,
@@ -297,13 +297,13 @@ class PlaceKeeper:
         for name in moving:
             visits += self._visits(name, low, high)
             placed += self._placed(name, high)
-        self._store.result().catalog.keyspace.place_index.put(visits, placed, self._ttl(moving))
+        self._store.result().keyspace.place_index.put(visits, placed, self._ttl(moving))
         self._said.update((each.table, each.robot) for each in placed)
         self._noted, self._read_to = high, self._latest
 
     def _take_back(self, moving: Sequence[str]) -> None:
         """Say no more than holds: other poses may be stored than those that were taken."""
-        index = self._store.result().catalog.keyspace.place_index
+        index = self._store.result().keyspace.place_index
         for name in moving:
             table, first = self._table(name), self._first[name]
             lost = self._losses.last_ns(name)
@@ -349,7 +349,7 @@ class PlaceKeeper:
     def _stored_statics(self) -> List[Row]:
         """Return the fixed transforms that others stored: who asks takes the last of them all."""
         try:
-            topic = self._store.result().getTopic(TF_STATIC)
+            topic = self._store.result().get(TF_STATIC)
         except TopicNotFound:
             return []
         return list(topic.rows(nodeID=self._whose.node))

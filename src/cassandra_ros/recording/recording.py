@@ -34,7 +34,7 @@ from cassandra_ros.recording.topic_settings import Settings, TopicSettings
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.tables.registry import LossKind, Run
-from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.message_writer import Handle, MessageWriter, make_writer
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +69,7 @@ class Recording:
     """Stores messages as they arrive: one run.
 
     Args:
-        store: A RosCassandra connected to a keyspace, or a future of one: what comes before it
+        store: The catalog of the connected keyspace, or a future of it: what comes before it
             answers is kept in the buffer.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
         format: As addTopic takes it, for topics of which the settings say nothing.
@@ -144,7 +144,7 @@ class Recording:
     def _open(self) -> None:
         """Begin the run in the store; raises what the store raises."""
         self._writers.append(self._make_writer(self.writer_id))
-        self._store.result().cassandra.outage.waiting = self._waiting_for_long
+        self._store.result().keyspace.cassandra.outage.waiting = self._waiting_for_long
 
     @property
     def opened(self) -> bool:
@@ -154,7 +154,7 @@ class Recording:
     @property
     def is_held_up(self) -> bool:
         """Whether the store does not answer now."""
-        return not self.opened or self._store.result().cassandra.outage.seconds > 0
+        return not self.opened or self._store.result().keyspace.cassandra.outage.seconds > 0
 
     @staticmethod
     def _thread_of(work: Callable[[], None], name: str) -> threading.Thread:
@@ -464,10 +464,11 @@ class Recording:
             format=self._settings.default.format or "",
             labels=self._labels,
         )
-        return self._store.result().messageWriter(
+        return make_writer(
+            self._store.result().keyspace,
             writer_id=number,
             format=self._settings.default.format,
-            nodeID=self.node,
+            node=self.node,
             ttl=self._settings.default.ttl,
             run=run,
             block_sec=self._block_sec,
@@ -493,7 +494,7 @@ class Recording:
     def _save(self) -> None:
         if not is_there(self._store):
             return
-        registry = self._store.result().catalog.keyspace.registry
+        registry = self._store.result().keyspace.registry
         try:
             # One at a time: what is older must not be written over what is newer.
             with self._saving:

@@ -90,7 +90,7 @@ class Series:
     ``begin``, ``poll`` and ``end`` are called by one thread at a time, the others by any.
 
     Args:
-        store: A RosCassandra connected to a keyspace, or a future of one; see Recording.
+        store: The catalog of the connected keyspace, or a future of it; see Recording.
         options: How to record.
         clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
         begun: Called with each run when it has begun.
@@ -290,13 +290,13 @@ class Series:
     def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
         """Delete a run: its messages, then what is said of it."""
         try:
-            ros_cas = self._store.result()
+            catalog = self._store.result()
             for report in reports:
                 if report.stored:
                     with suppress(TopicNotFound):
-                        ros_cas.getTopic(report.topic).removeData(run=run.writer_id)
+                        catalog.get(report.topic).removeData(run=run.writer_id)
             topics = [report.topic for report in reports]
-            ros_cas.catalog.keyspace.registry.forget_run(run.writer_id, run.node, topics)
+            catalog.keyspace.registry.forget_run(run.writer_id, run.node, topics)
         except CassandraRosError as exc:
             _log.error("run %s could not be removed (--max-splits): %s", run.name, exc)
 
