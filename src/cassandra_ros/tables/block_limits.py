@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How much a block holds at the most."""
+"""Maximum size of a block."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from typing import NamedTuple
 
 MAX_MESSAGES = 1024
 MAX_BYTES = 256 * 1024
-"""Of serialised messages in a block."""
+"""Maximum number of serialised bytes in a block."""
 MIN_BYTES = 16 * 1024
 ALL_BYTES = 64 * 1024 * 1024
-"""What the blocks of all connections of a bag may hold together while they are filled."""
+"""Maximum number of bytes in all blocks of a bag together while they are being filled."""
 ALONE_BYTES = 64 * 1024
-"""A larger message is a block of its own."""
+"""Size from which a message gets a block of its own, bytes."""
 
 
 class Limits(NamedTuple):
-    """Most of what one block holds."""
+    """Maximum number of messages and of serialised bytes in one block."""
 
     messages: int = MAX_MESSAGES
     bytes: int = MAX_BYTES
@@ -27,7 +27,7 @@ FULL = Limits()
 
 
 def limits_for(connections: int) -> Limits:
-    """Return the limits of blocks where so many are filled at once, in bounded memory."""
+    """Return the limits of blocks for ``connections`` blocks that are filled at the same time."""
     nbytes = max(MIN_BYTES, min(MAX_BYTES, ALL_BYTES // max(connections, 1)))
-    # A message takes some memory besides its bytes.
+    # Each message takes some memory in addition to its bytes.
     return Limits(nbytes * MAX_MESSAGES // MAX_BYTES, nbytes)

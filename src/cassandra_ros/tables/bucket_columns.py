@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the directory says of many buckets, as columns of numbers: a timeline needs them by 100,000.
+"""Rows of the directory as columns of numbers, for timelines of 100,000 buckets.
 
-As rows of Python objects they would take ten times as long to make as the server needs to send.
+As rows of Python objects they would take ten times as long as the server needs to send them.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Bools = NDArray[np.bool_]
 Place = Tuple[str, str, int]
 """Table, node and slot: a partition of the directory."""
 Wanted = Tuple[Place, Sequence[int], int]
-"""A partition; its buckets: the ends of a stretch, included, or single ones; and how many rows."""
+"""A partition; its buckets, as the ends of a range (both included) or one by one; row limit."""
 
 COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, t_min, t_max, toTimestamp(now())"
 PAGE_ROWS = 5000
@@ -30,39 +30,38 @@ _NEVER = (-(2**63)).to_bytes(8, "big", signed=True)
 
 
 class BucketColumns(NamedTuple):
-    """Buckets of one partition of the directory, in order: an entry for each writer of one."""
+    """Rows of one partition of the directory in order: one entry for each bucket and writer."""
 
     bucket: Longs
     writer: Longs
     closed: Bools
-    """The counts hold. Of others they are estimates."""
+    """Whether the counts are final; otherwise they are estimates."""
     writing: Bools
-    """The writer has not closed it."""
+    """Whether the writer has not closed the bucket."""
     cut: Bools
-    """Messages were deleted since it was counted."""
+    """Whether messages were deleted since the bucket was counted."""
     age_ms: Longs
-    """Since the heartbeat, by the server's clock; large where there was none."""
+    """Time since the heartbeat by the server's clock, ms; very large without a heartbeat."""
     rows: Longs
-    """0 where nothing is known yet, or all was deleted."""
+    """Number of messages; 0 if it is not known yet, or if all were deleted."""
     bytes: Longs
     t_min: Longs
     t_max: Longs
 
     def where(self, chosen: Bools) -> BucketColumns:
-        """Return those of which ``chosen`` says so."""
+        """Return the entries for which ``chosen`` is true."""
         return BucketColumns._make(column[chosen] for column in self)
 
 
 def read_columns(
     cassandra: Cassandra, table: str, wanted: Iterable[Wanted], *, single: bool = False
 ) -> Iterator[BucketColumns]:
-    """Read some partitions of cr_bucket, several at once, in the order in which they are wanted.
+    """Read partitions of cr_bucket, several at once, and yield them in the order of ``wanted``.
 
     Args:
-        table: Its qualified name.
-        wanted: What of which; taken as the answers are.
-        single: Buckets are single ones, of which those are given that there are; else the ends of
-            a stretch.
+        table: Qualified name of cr_bucket.
+        wanted: The partitions and their buckets; each is taken when a request can be sent.
+        single: The buckets are listed one by one, otherwise they are the ends of a range.
     """
     which = "bucket IN ?" if single else "bucket >= ? AND bucket <= ?"
     cql = (
@@ -90,7 +89,7 @@ def _ask(
 
 
 def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
-    """Make columns of rows of COLUMNS, as Cassandra stores their values."""
+    """Convert rows of COLUMNS, as Cassandra stores their values, to columns of numbers."""
     columns = list(zip(*rows)) or [()] * 10
     bucket, writer, state, deleted, beat, count, size, t_min, t_max, now = columns
     writing = np.array([text == b"open" for text in state], bool)

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What stood around a run at its start: the ROS parameters and the node graph, as one blob.
+"""ROS parameters and node graph at the start of a run, as one blob.
 
-It is compressed JSON. What JSON lacks stands in a mapping of one key that begins with ``$``:
-``{"$float": "nan"}``, ``{"$datetime": "20260102T03:04:05"}``, ``{"$binary": base64}``, and a
-mapping of the parameters' own that has such a key is ``{"$mapping": {…}}``.
+The blob is compressed JSON. A value that JSON lacks is a mapping with one key that begins with
+``$``: ``{"$float": "nan"}``, ``{"$datetime": "20260102T03:04:05"}``, ``{"$binary": base64}``. A
+mapping among the parameters that has such a key itself becomes ``{"$mapping": {…}}``.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from typing import Mapping, Sequence
 from cassandra_ros.errors import CorruptMessage, InvalidOption
 
 MAX_CONTEXT_BYTES = 64 * 1024 * 1024
-"""Of the JSON: what a hostile or broken blob may unfold to."""
+"""Maximum size of the JSON in bytes, so that a hostile or broken blob cannot fill the memory."""
 
 Graph = Mapping[str, Sequence[str]]
-"""Topic or service -> names of nodes."""
+"""Topic or service → names of nodes."""
 
 
 @dataclass(frozen=True)
 class NodeGraph:
-    """Who publishes, hears and serves what, as the ROS master knows it (``getSystemState``)."""
+    """ROS nodes with their topics and services, as listed by the master's ``getSystemState``."""
 
     publishers: Graph = field(default_factory=dict)
     subscribers: Graph = field(default_factory=dict)
     services: Graph = field(default_factory=dict)
     types: Mapping[str, str] = field(default_factory=dict)
-    """Topic -> 'pkg/Name'."""
+    """Topic → 'pkg/Name'."""
 
     @property
     def nodes(self) -> list[str]:
-        """The names of all nodes, sorted."""
+        """Names of all nodes, sorted."""
         every = (self.publishers, self.subscribers, self.services)
         return sorted({node for part in every for nodes in part.values() for node in nodes})
 
@@ -49,11 +49,11 @@ class RunContext:
     """ROS parameters and node graph at the start of a run.
 
     Attributes:
-        params: The tree of the parameter server: what ``rosgraph.Master.getParam('/')`` gives.
+        params: The tree of the parameter server, as ``rosgraph.Master.getParam('/')`` returns it.
             Its values are those of XML-RPC: bools, ints, floats, texts, lists, mappings of texts,
-            ``xmlrpc.client.DateTime`` and ``Binary``, and None. They come back as they were, but
-            that tuples are lists, and datetime and bytes are DateTime and Binary.
-        graph: The nodes and what they speak about.
+            ``xmlrpc.client.DateTime`` and ``Binary``, and None. They are read back as they were,
+            except that a tuple becomes a list, a datetime a DateTime, and bytes a Binary.
+        graph: The nodes with their topics and services.
     """
 
     params: Mapping[str, object] = field(default_factory=dict)
@@ -61,10 +61,11 @@ class RunContext:
 
 
 def encode_context(context: RunContext) -> bytes:
-    """Write a context as a blob.
+    """Return a context as a blob.
 
     Raises:
-        InvalidOption: A parameter is of no type that a parameter server has, or all are too large.
+        InvalidOption: A parameter has a type that no parameter server has, or all together are
+            too large.
     """
     parts = {
         "params": _plain(context.params, "", 0),
@@ -81,7 +82,7 @@ def encode_context(context: RunContext) -> bytes:
 
 
 def decode_context(blob: bytes) -> RunContext:
-    """Read a context back; CorruptMessage where encode_context did not write it."""
+    """Return the context in a blob; raises CorruptMessage if encode_context did not write it."""
     try:
         unpacker = zlib.decompressobj()
         text = unpacker.decompress(blob, MAX_CONTEXT_BYTES)
@@ -102,7 +103,7 @@ _MAX_DEPTH = 200
 
 
 def _plain(value: object, place: str, depth: int) -> object:
-    """Return what JSON keeps of a value."""
+    """Return a value as JSON can hold it."""
     if depth > _MAX_DEPTH:
         raise InvalidOption(f"parameter {place[:80]}… is nested deeper than {_MAX_DEPTH} levels")
     if value is None or isinstance(value, (bool, int, str)):
@@ -126,7 +127,7 @@ def _plain(value: object, place: str, depth: int) -> object:
 
 
 def _value(plain: object) -> object:
-    """Return the value that ``_plain`` wrote."""
+    """Return the value from which ``_plain`` made ``plain``."""
     if isinstance(plain, list):
         return [_value(each) for each in plain]
     if not isinstance(plain, dict):

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The directory: which buckets a table has, by node, and what lies in each.
+"""The directory: the list of a table's buckets by robot, with counts and times.
 
-A bucket is the partition of a stretch of key time. Its row in the directory is written *open*
-before its first data row, so the directory always lists a superset of what is there. The values
-of a row count only when it is *closed*; of an open one they are estimates. Heartbeats are the
-server's time: robots' clocks are wrong.
+A bucket is a partition with the rows of one time range. A writer adds it to the directory as *open*
+before its first data row, so the directory lists every bucket that has rows, and perhaps some that
+have none. The counts of a *closed* bucket are final, those of an open one are estimates. Heartbeats
+have the server's time, because clocks of robots are wrong.
 """
 
 from __future__ import annotations
@@ -40,46 +40,47 @@ MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
 MIN_SPAN_NS = 10_000_000
 UNKNOWN_SPAN_NS = 10 * SECOND_NS
-"""Of the time that a block covers: the least, and what it is where the rate is unknown."""
+"""Minimum time range of a block, ns; and the time range of a block if the rate is unknown, ns."""
 BLOCKS_IN_SPAN = 4
 SLOT_BUCKETS = 4096
-"""Buckets per partition of the directory."""
+"""Number of buckets in one partition of the directory."""
 ALL_ROWS = 2**31 - 1
 STALE_SEC = 60.0
-"""An open bucket whose heartbeat is older than this has no living writer."""
+"""Age of the heartbeat from which an open bucket has no living writer, s."""
 HEARTBEAT_SEC = 10.0
 TTL_MARGIN_SEC = 900
-"""How much longer than its rows a bucket is listed: so long a row may be tried."""
+"""How much longer than its rows a bucket is listed, s: a row may be retried for this time."""
 CLOCKS_SEC = 2.0
-"""How far the clocks of two servers may be apart."""
+"""Maximum difference between the clocks of two servers, s."""
 NOTE_SEC = 3600.0
-"""A note that expires with its rows is renewed after so long, while rows are written."""
+"""Age at which a row of cr_node that expires with its data is renewed, while rows are written,
+s."""
 NOTE_MARGIN_SEC = 7200
-"""How much longer than a row written now a note must stay."""
+"""How much longer than a data row that is written now its row of cr_node must stay, s."""
 
 
 class Lengths(NamedTuple):
-    """Of a topic's table, chosen when it is made; times in ns, 0 = as where the rate is unknown."""
+    """Lengths of buckets and blocks, fixed when a table is made, in ns; 0 = the rate is unknown."""
 
     bucket_ns: int = 0
-    """Of its buckets."""
+    """Length of a bucket, ns."""
     span_ns: int = 0
-    """Most time that a block covers."""
+    """Maximum time range of a block, ns."""
     large: bool = False
-    """Its messages are too large for rows, going by those that were seen."""
+    """Whether the messages seen so far are too large to be stored in their rows."""
 
 
 def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LENGTHS[-1]) -> int:
-    """Choose the length of a topic's buckets.
+    """Return the length of a topic's buckets.
 
     Args:
         rate_hz: Messages a second, >= 0.
         bytes_per_sec: Serialised bytes a second, >= 0.
-        longest_ns: Upper bound of the answer, ns; shorter where the rate may still grow.
+        longest_ns: Maximum length, ns; give a short one if the rate may still grow.
 
     Returns:
-        The longest of 1 s, 10 s, 1 min, 10 min, 1 h, 6 h, 1 day with at most 64 MB and
-        100,000 rows a bucket, in ns; 1 s where none fits.
+        The longest of 1 s, 10 s, 1 min, 10 min, 1 h, 6 h and 1 day that has at most 64 MB and
+        100,000 rows a bucket, in ns; 1 s if all have more.
     """
     for length in reversed(BUCKET_LENGTHS):
         seconds = length / SECOND_NS
@@ -90,10 +91,10 @@ def bucket_for(rate_hz: float, bytes_per_sec: float, longest_ns: int = BUCKET_LE
 
 
 def span_for(rate_hz: float, bytes_per_sec: float) -> int:
-    """Choose how much time a block of a connection covers at the most, ns.
+    """Return the maximum time range of a block of a connection, ns.
 
-    That is what four full ones take at this rate of the connection, messages and serialised bytes
-    a second; at least 10 ms. Without a rate: 10 s.
+    It is the time of four full blocks at this rate of messages and of serialised bytes a second,
+    at least 10 ms; 10 s if the rate is unknown (0).
     """
     if not rate_hz:
         return UNKNOWN_SPAN_NS
@@ -104,7 +105,7 @@ def span_for(rate_hz: float, bytes_per_sec: float) -> int:
 
 
 def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:
-    """Shorten a bucket so that at least 24 of them fit into a TTL (0 = none)."""
+    """Return a bucket length of which at least 24 fit into a TTL; 0 = rows do not expire."""
     if not ttl_sec:
         return bucket_ns
     longest = min(bucket_ns, ttl_sec * SECOND_NS // 24)
@@ -112,52 +113,56 @@ def limit_for_ttl(bucket_ns: int, ttl_sec: int) -> int:
 
 
 def slot_of(bucket: int) -> int:
-    """Return the directory partition in which a bucket is listed."""
+    """Return the slot in which a bucket is listed."""
     return bucket // SLOT_BUCKETS
 
 
 _COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
 Place = Tuple[str, str, int, int]
-"""Table, node, bucket and writer."""
+"""Table, node, bucket and writer: the key of a row of cr_bucket."""
 
 
 class BucketRow(NamedTuple):
-    """What one writer put into one bucket."""
+    """Counts of the rows that one writer put into one bucket."""
 
     node: str
     bucket: int
     writer: int
     closed: bool
-    """The values hold."""
+    """Whether the counts are final."""
     heartbeat: Optional[datetime]
     rows: int
     bytes: int
     largest: int
-    """Size of the largest message kept in its row, bytes."""
+    """Size of the largest message that is stored in its row (not in chunks), bytes."""
     t_min: int
     t_max: int
     odd: int
-    """Messages of which the server cannot check every field: of blocks all of one that has any."""
+    """Number of messages with a field that the server cannot check. A block with one such message
+    counts with all its messages."""
     age_sec: float
-    """Seconds since the heartbeat, by the server's clock."""
+    """Time since the heartbeat, by the server's clock, s."""
     filled: FrozenSet[str] = frozenset()
-    """Shadow columns that are filled in all rows of this writer in the bucket."""
+    """Shadow columns that have values in all rows of this writer in the bucket."""
     writing: bool = False
-    """The writer has not closed it. Without that it is not closed where rows were deleted."""
+    """Whether the writer has not closed the bucket. If rows were deleted, ``closed`` and
+    ``writing``
+    may both be false."""
     cut: bool = False
-    """Rows were deleted since it was counted."""
+    """Whether rows were deleted since the bucket was counted."""
 
     def expired(self, ttl: int) -> bool:
-        """Say whether all rows of this writer in the bucket have outlived their ttl, seconds."""
-        # A bucket is closed behind its last row; while it is open rows may come that were tried
-        # for minutes.
+        """Return whether all rows of this writer in the bucket have expired; ttl in seconds."""
+        # A bucket is closed after its last row. While it is open, a row may come that was retried
+        # for
+        # minutes.
         margin = CLOCKS_SEC if self.closed else TTL_MARGIN_SEC
         return self.age_sec > ttl + margin
 
 
 @dataclass
 class BucketTotals:
-    """Values of a bucket that a writer closes."""
+    """Counts with which a writer closes a bucket."""
 
     rows: int = 0
     bytes: int = 0
@@ -167,7 +172,7 @@ class BucketTotals:
     odd: int = 0
 
     def count(self, t: int, size: int, chunked: bool, odd: bool) -> None:
-        """Add one row."""
+        """Add one row to the counts."""
         self.rows += 1
         self.bytes += size
         self.t_min = min(self.t_min, t)
@@ -177,7 +182,10 @@ class BucketTotals:
             self.largest = max(self.largest, size)
 
     def add(self, rows: int, nbytes: int, largest: int, ends: Tuple[int, int], odd: bool) -> None:
-        """Add a block of messages: how many, their bytes, and the first and the last time."""
+        """Add a block.
+
+        Its number of messages, their bytes, the largest, first and last time, odd.
+        """
         self.rows += rows
         self.bytes += nbytes
         self.largest = max(self.largest, largest)
@@ -185,7 +193,7 @@ class BucketTotals:
         self.odd += rows * odd
 
     def columns(self) -> dict[str, int]:
-        """Return the columns of cr_bucket that hold them."""
+        """Return the counts by the names of their columns in cr_bucket."""
         return {"n": self.rows, **{name: v for name, v in vars(self).items() if name != "rows"}}
 
 
@@ -197,26 +205,27 @@ class Directory:
         self._tables = side_tables
         self._noted: Dict[Tuple[str, int, str], float] = {}
         self.seen: Dict[str, Dict[int, Tuple[str, ...]]] = {}
-        """Table -> slot -> nodes, as some were listed last: what it may be, not what it is."""
+        """Table → slot → nodes, as listed last; may be out of date."""
         self.first: Dict[Tuple[str, bool], Tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
-        """Table and whether the newest come first -> nodes, and buckets in which the last read of
-        few rows began; see foreseen.py."""
+        """Table and whether newest rows come first → nodes and buckets in which the last read of
+        few rows
+        began; see ``first_buckets``."""
 
     def patient(self, retry_sec: Seconds) -> Directory:
-        """Return the directory for one writer, which guards it and tries for so long."""
+        """Return a copy for one writer, which retries each request for ``retry_sec``."""
         directory, tables = copy(self), copy(self._tables)
         tables.retry_sec = retry_sec
         directory._tables, directory._noted = tables, {}
         return directory
 
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
-        """List the (slot, node) of a table in [first_slot, last_slot]."""
+        """Return the (slot, node) pairs of a table for slots in [first_slot, last_slot]."""
         return self.begin_nodes(table, (first_slot, last_slot))()
 
     def begin_nodes(
         self, table: str, slots: tuple[int, int], limit: int = ALL_ROWS, *, reverse: bool = False
     ) -> Callable[[], list[CqlRow]]:
-        """Ask for the first (slot, node) of a table in [first, last]; see Cassandra.begin."""
+        """Request the first (slot, node) pairs of a table in [first, last]; see Cassandra.begin."""
         if not self._tables.has("cr_node"):
             return list
         cql = (
@@ -229,11 +238,11 @@ class Directory:
     def buckets(
         self, table: str, first: int, last: int, nodes: Sequence[str] | None = None, ttl: int = 0
     ) -> list[BucketRow]:
-        """List the buckets of a table in [first, last], one row for each writer.
+        """Return the buckets of a table in [first, last], one row for each writer.
 
         Args:
-            nodes: Only these nodeIDs; None = all.
-            ttl: Of the table's rows, seconds: buckets in which all have expired are left out.
+            nodes: The nodeIDs to read; None = all.
+            ttl: Lifetime of the table's rows, seconds; buckets with only expired rows are left out.
         """
         listed = self.nodes(table, slot_of(first), slot_of(last))
         found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
@@ -241,7 +250,7 @@ class Directory:
         return every if not ttl else [row for row in every if not row.expired(ttl)]
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
-        """List the writers of one bucket."""
+        """Return the rows of all writers for one bucket."""
         return self._buckets([(table, node, slot_of(bucket), bucket, bucket)])
 
     def _buckets(
@@ -261,9 +270,9 @@ class Directory:
         *,
         reverse: bool = False,
     ) -> Iterator[Callable[[], list[BucketRow]]]:
-        """Ask for buckets, each time one is taken: of (table, node, slot, first, last).
+        """Request buckets by (table, node, slot, first, last), one request when each is taken.
 
-        Each answer has so many rows at most, from the first bucket on or from the last.
+        Each answer has at most ``limit`` rows, from the first bucket on or (reverse) from the last.
         """
         if not self._tables.has("cr_bucket"):
             return
@@ -278,21 +287,21 @@ class Directory:
             yield partial(_bucket_rows, each[1], asked)
 
     def columns(self, wanted: Iterable[Wanted], *, single: bool = False) -> Iterator[BucketColumns]:
-        """Read buckets by the hundred thousand, some partitions at once; see read_columns."""
+        """Read many buckets as columns, several partitions at once; see read_columns."""
         if not self._tables.has("cr_bucket"):
             return iter(())
         table = self._tables.qualified("cr_bucket")
         return read_columns(self._cassandra, table, wanted, single=single)
 
     def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
-        """Note, before its first, that a node has buckets in a slot; for ttl seconds, 0 = ever."""
+        """Add a slot of a node, before its first bucket, for ``ttl`` seconds (0 = for ever)."""
         columns, what = {"tbl": table, "slot": slot, "node": node}, "writing the directory of nodes"
         self._tables.insert("cr_node", columns, what, ttl=_ttl(ttl))
 
     def note(self, table: RowTable, node: str, bucket: int) -> None:
-        """Add the slot of a bucket, unless that was done lately; before rows are written."""
+        """Add the slot of a bucket, before rows are written, unless that was done not long ago."""
         slot = (table.name, slot_of(bucket), node)
-        # What is found by name is found by this note alone.
+        # Rows found by name have no other entry in the directory, so this one never expires.
         ttl = 0 if table.named else table.metadata.ttl
         noted, now = self._noted.get(slot), time.monotonic()
         if noted is None or (ttl and now - noted > NOTE_SEC):
@@ -309,14 +318,15 @@ class Directory:
         closed: bool = False,
         deleted: bool = False,
     ) -> None:
-        """Write what a writer says of a bucket, with a fresh heartbeat.
+        """Write a writer's counts of a bucket, with a new heartbeat.
 
         Args:
-            ttl: Of the table's rows, seconds.
-            filled: Shadow columns that all of the writer's rows in it have, and will have.
-            totals: Final when closed, else estimates; None = as they were.
-            deleted: Only say that rows were deleted: no count holds until the next recount. A flag
-                of its own, for a living writer closes the bucket with what it wrote.
+            ttl: Lifetime of the table's rows, seconds; 0 = for ever.
+            filled: Shadow columns that all of the writer's rows in the bucket have and will have.
+            totals: Counts, final if closed, otherwise estimates; None = leave those that are there.
+            deleted: Only note that rows were deleted, so no count is final until the next recount.
+                It is a separate column because a living writer closes the bucket with its own
+                counts.
         """
         columns = _key(place)
         if deleted:
@@ -330,7 +340,9 @@ class Directory:
     def put_recount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
         """Close a bucket that has no living writer; return whether that was done.
 
-        It is not where something changed since its row was read, which must be before the rows are.
+        It is not done if the bucket has changed since ``row`` was read, which must be before its
+        data
+        rows are counted.
         """
         columns = {"filled": set(row.filled), **totals.columns()}
         key = _key((table, row.node, row.bucket, row.writer))
@@ -345,12 +357,12 @@ class Directory:
         return bool(answer[0][0])
 
     def tables(self) -> set[str]:
-        """List the names of the tables that have buckets, also of those that are gone (a scan)."""
+        """Return the names of the tables with buckets, including dropped tables (a full scan)."""
         rows = self._tables.select("cr_node", "DISTINCT tbl", what="listing the directory")
         return {table for (table,) in rows}
 
     def forget(self, table: str) -> None:
-        """Remove all that is known of a table that was dropped."""
+        """Delete all entries of a table that was dropped."""
         slots = [(table, node, slot) for slot, node in self.nodes(table, -(2**63), 2**63 - 1)]
         key = ("tbl", "node", "slot")
         self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
@@ -361,7 +373,7 @@ class Directory:
 
 
 def _key(place: Place) -> dict[str, object]:
-    """Return the columns of cr_bucket that find a row."""
+    """Return the primary key of a row of cr_bucket: column → value."""
     table, node, bucket, writer = place
     slot = slot_of(bucket)
     return {"tbl": table, "node": node, "slot": slot, "bucket": bucket, "writer": writer}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How long stored rows stay, where they expire, and rows that are to stay as long."""
+"""Lifetime of stored rows that expire, for copies that expire at the same time."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from cassandra_ros.tables.row_table import KEYS, RowTable, bind, decode_long
 from cassandra_ros.tables.schema import Schema
 
 STEPS = 100
-"""A lifetime is rounded up to a hundredth of the table's ttl."""
+"""Number of steps of a table's TTL to which remaining lifetimes are rounded up."""
 _PAGE_ROWS = 5000
 _LEFT = 'TTL("_conn")'
-"""A column that each row has, and no writer changes later."""
+"""The remaining lifetime of a column that each row has and that is never updated."""
 
 
 def rounded(left: int, ttl: int) -> int:
-    """Round what a row has left up to the next step, seconds; not beyond the ttl."""
+    """Round a row's remaining lifetime up to the next step, seconds; at most the ttl."""
     step = max(1, ttl // STEPS)
     return min(ttl, -(-max(1, left) // step) * step)
 
 
 def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:
-    """Return how many seconds the row of a bucket that stays longest has left; 0 = it is empty."""
+    """Return the maximum remaining lifetime of a bucket's rows, seconds; 0 = it has no rows."""
     names, place = f"{KEYS}, {_LEFT}", table.place(node, bucket)
     rows = table.select_range(names, place, page_rows=_PAGE_ROWS).rows()
     return max((decode_long(values[2]) for values in rows), default=0)
 
 
 def left_by_name(table: RowTable) -> dict[Position, int]:
-    """Return what each row of a table whose rows lie under names has left; in memory."""
+    """Return the remaining lifetime of each row of a table whose rows have names; all in memory."""
 
     def read(rows: Iterable[RawRow]) -> dict[Position, int]:
         return {_position(values[:-1], table.name): decode_long(values[-1]) for values in rows}
@@ -48,7 +48,7 @@ def _position(values: RawRow, table: str) -> Position:
 
 
 def set_lifetime(schema: Schema, table: str, seconds: int) -> None:
-    """Let rows that are written into a table from now on stay so long, 0 = for ever."""
+    """Set the lifetime of rows that are written into a table from now on, s; 0 = for ever."""
     with schema.lock() as lock:
         lock.change(
             f"ALTER TABLE {schema.qualified(table)} WITH default_time_to_live = {int(seconds)}",

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Indexes of stored topics, made and dropped under the schema lock while others read and write.
+"""Indexes of stored topics, made and dropped under the schema lock during reads and writes.
 
-An index is a shadow column, an index on it, and its line in the comment, made in this order and
-taken away in the other: what the comment lists is there. A column is never dropped, for a writer
-that has a bucket open goes on filling it, and would lose its messages.
+An index consists of a shadow column, a Cassandra index on it, and an entry in the comment. They are
+made in this order and removed in the reverse order, so what the comment lists exists. The column is
+never dropped: a writer with an open bucket goes on filling it, and would lose its messages.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from cassandra_ros.tables.schema import Schema
 from cassandra_ros.tables.side_tables import SchemaLock
 
 TypeOf = Callable[[TopicMetadata], "str | None"]
-"""CQL type of the shadow column of a field in a table; None where its type lacks the field."""
+"""Returns the CQL type of the shadow column of a field in a table; None if the type of the table's
+messages lacks the field."""
 
 
 class IndexChanges:
@@ -29,7 +30,7 @@ class IndexChanges:
         self._schema = schema
 
     def add(self, topic: str, field: str, type_of: TypeOf) -> None:
-        """Make an index in every table of a topic that can have it; complete one that is there."""
+        """Make an index in every table of a topic that can have it; complete an unfinished one."""
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
                 cql_type, shadow = type_of(metadata), metadata.indexes.get(field)
@@ -39,13 +40,13 @@ class IndexChanges:
                 elif shadow is not None and table + shadow not in files.indexes():
                     self._make(table, shadow, lock)
                 else:
-                    files.resume()  # who paused it died while he changed the indexes
+                    files.resume()  # a client that died may have left it paused
         self._schema.tables(fresh=True)
 
     def _add_to(
         self, table: str, metadata: TopicMetadata, field: str, cql_type: str, lock: SchemaLock
     ) -> None:
-        # A column that no comment has listed yet was left by somebody who died before that.
+        # A column that no comment lists was left by a client that died before it wrote the comment.
         columns, number = self._schema.columns(table), metadata.next_shadow
         while columns.get(shadow_column(number), cql_type) != cql_type:
             number += 1
@@ -59,16 +60,16 @@ class IndexChanges:
         self._schema.set_comment(table, metadata.with_index(field, number), lock)
 
     def _make(self, table: str, shadow: str, lock: SchemaLock) -> None:
-        """Make an index, anew where somebody made it who died before it was listed."""
+        """Make an index; replace one that was left by a client that died before it was listed."""
         index, files = table + shadow, self._schema.files(table, lock)
         names = files.indexes()
         if index in names:
-            # It may miss rows. Its build, if it waits for its turn, would go on without it.
+            # The old index may miss rows. If its build is still waiting, it would run without it.
             files.await_builds(names, table_files.BUILD_SEC)
             files.drop(index)
         files.pause()
         refused = None
-        # When the nodes make and build what was sent to them, if at all, is not known on an error.
+        # After an error it is not known whether and when the nodes make and build the index.
         with files.told():
             lock.renew()
             try:
@@ -80,11 +81,14 @@ class IndexChanges:
             raise refused
 
     def drop(self, topic: str, field: str) -> bool:
-        """Drop an index in every table of a topic, and what others left; return whether any was."""
+        """Drop an index in all tables of a topic, and unlisted ones.
+
+        Return whether there was any.
+        """
         done = False
         with self._schema.lock() as lock:
             for table, metadata in self._schema.tables_of(topic).items():
-                # First, for a build that waits for its turn goes on without its index.
+                # First resume merging: an index build that waits goes on without its index.
                 files = self._schema.files(table, lock)
                 files.resume()
                 if field in metadata.indexes:

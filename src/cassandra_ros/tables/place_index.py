@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""cr_place and cr_placed: in which squares of the ground robots were when, as far as it is noted.
+"""cr_place and cr_placed: the index of the squares of the ground in which robots were.
 
 A row of cr_place is a visit: from t_in to t_out a robot may have been in a square, in coordinates
-of a frame. Visits are a superset: what is deleted later may stay in it; what is written twice is
-the same row. A row of cr_placed says of which poses all visits are there: those that one run put
-into one table with keys from low to high. Poses of which nothing says so are looked at themselves;
-so whoever writes visits notes how far they go behind them, and whoever adds poses among those that
-are noted, or deletes some of them, takes that back: between the others a robot went another way.
+of a frame. There may be more visits than true ones: a visit stays after its poses are deleted. A
+visit that is written twice is one row. A row of cr_placed says that the visits of some poses are
+complete: those that one run stored in one table with keys from low to high. All other poses are
+read themselves. So a program that writes visits then adds the row of cr_placed. A program that adds
+poses between these keys, or deletes some, removes the row, because the robot's way between the
+remaining poses is no longer known.
 """
 
 from __future__ import annotations
@@ -22,23 +23,26 @@ from cassandra_ros.tables.side_tables import SideTables
 _VISIT = ("frame", "robot", "size", "x", "y", "node", "t_in", "writer", "t_out")
 _DONE = ("tbl", "node", "writer", "robot", "low", "high", "frames", "above")
 _LONGER_SEC = 86400
-"""So much longer visits stay than what says that they are there."""
+"""How much longer than the rows of cr_placed the visits stay, s."""
 
 
 class Square(NamedTuple):
-    """A square of the ground, for one robot: a frame, or the table of a topic of its poses."""
+    """A square of the ground for one robot.
+
+    Frame = a tf frame, or a table with the robot's poses.
+    """
 
     frame: str
     robot: str
     size: int
-    """Its side, metres."""
+    """Length of its side, m."""
     x: int
     y: int
-    """Its number to the east and to the north; (0, 0) begins at the origin."""
+    """Number of the square to the east and to the north; (0, 0) begins at the origin."""
 
 
 class Visited(NamedTuple):
-    """A robot may have been in a square from t_in to t_out, ns, both included."""
+    """A visit: a robot may have been in a square from t_in to t_out, ns, both included."""
 
     square: Square
     node: str
@@ -49,32 +53,38 @@ class Visited(NamedTuple):
 
 @dataclass(frozen=True)
 class Placed:
-    """Of which poses all visits are noted."""
+    """Poses whose visits are all in the index.
+
+    They are the poses of one robot in one table that one run stored, in a range of keys.
+    """
 
     table: str
-    """Where the poses lie."""
+    """Table of the poses."""
     node: str
     writer: int
-    """Of the run that stored them."""
+    """Writer id of the run that stored the poses."""
     robot: str
     low: int
     high: int
     """First and last key, ns, both included."""
     frames: FrozenSet[str] = frozenset()
-    """All frames that were seen with them."""
+    """All frames of the transforms between low and high."""
     above: Mapping[str, str] = field(default_factory=dict)
-    """The robot's frame and those above it, in which its places are noted, and for each how it is
-    fixed to the next one; '' where it moves, or is the last."""
+    """The robot's frame and the frames above it for which visits are stored, each with the fixed
+    transform to the next one as text; '' if it moves, or is the last."""
 
 
 class PlaceIndex:
-    """Reads and writes the two tables in one keyspace."""
+    """Reads and writes cr_place and cr_placed of one keyspace."""
 
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
     def put(self, visits: Sequence[Visited], done: Iterable[Placed], ttl: int = 0) -> None:
-        """Note visits, and then how far they go; for ttl seconds, 0 = ever."""
+        """Write visits, and then the poses whose visits are complete.
+
+        For ttl seconds, 0 = for ever.
+        """
         self._tables.make("cr_place", "cr_placed")
         rows = [(*square, *rest) for square, *rest in visits]
         longer = ttl + _LONGER_SEC if ttl else 0
@@ -87,7 +97,7 @@ class PlaceIndex:
         self._tables.insert_many("cr_placed", _DONE, placed, what, ttl=ttl)
 
     def placed(self, tables: Sequence[str]) -> list[Placed]:
-        """Return what is noted of the poses in some tables."""
+        """Return the rows of cr_placed of some tables."""
         what = "reading how far the index of places goes"
         every = [(table,) for table in tables]
         found = self._tables.select_many("cr_placed", ", ".join(_DONE), "tbl = ?", every, what)
@@ -96,10 +106,11 @@ class PlaceIndex:
     def visits(
         self, squares: Sequence[Square], node: str, low: int, high: int
     ) -> list[Tuple[int, int]]:
-        """Return from when to when a robot of a node was in one of some squares.
+        """Return the (t_in, t_out) of a robot's visits to some squares, ns.
 
         Args:
-            low, high: t_in of the visits, ns, both included.
+            node: nodeID of the robot.
+            low, high: Range of t_in, ns, both included.
         """
         where = f"{' AND '.join(f'{name} = ?' for name in _VISIT[:6])} AND t_in >= ? AND t_in <= ?"
         params = [(*square, node, low, high) for square in squares]
@@ -108,7 +119,7 @@ class PlaceIndex:
         return [(t_in, t_out) for rows in found for t_in, t_out in rows]
 
     def noted(self, table: str, node: str, writer: int) -> Set[str]:
-        """Return of which robots it is noted that all visits of a run's poses are there."""
+        """Return the robots for which the visits of a run's poses in a table are complete."""
         where, what = "tbl = ? AND node = ? AND writer = ?", "reading how far the index goes"
         rows = self._tables.select("cr_placed", "robot", where, (table, node, writer), what=what)
         return {robot for (robot,) in rows}
@@ -120,11 +131,11 @@ class PlaceIndex:
         high: int = MAX_NS,
         run: Optional[Tuple[str, int]] = None,
     ) -> None:
-        """Take back that all visits are noted of poses among which some come or go.
+        """Note that visits are no longer complete, because poses are added or deleted.
 
         Args:
-            low, high: Keys of these, ns, both included.
-            run: Node and writer id whose poses they are; None = anybody's.
+            low, high: Range of the keys of these poses, ns, both included.
+            run: Node and writer id of the run that stored the poses; None = any run.
         """
         what = "taking back how far the index of places goes"
         names = "node, writer, robot, low, high"
@@ -138,7 +149,7 @@ class PlaceIndex:
             self._tables.delete("cr_placed", ("tbl", "node", "writer", "robot"), keys, what)
 
     def forget(self, table: str) -> None:
-        """Remove what is noted of a table that was dropped; its visits are found by nobody then."""
+        """Delete the rows of cr_placed of a dropped table; its visits are never read then."""
         if self._tables.has("cr_placed"):
             what = "clearing the index of places"
             self._tables.delete("cr_placed", ("tbl",), [(table,)], what)

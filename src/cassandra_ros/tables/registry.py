@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""cr_connection, cr_definition, cr_run: what the rows refer to, written before them.
+"""cr_connection, cr_definition and cr_run: written before the rows that refer to them.
 
-Beside them cr_loss, what could not be stored, and cr_context, what stood around a run.
+Also cr_loss (messages that could not be stored) and cr_context (parameters and node graph of runs).
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _OWN_LABELS = ("content",)
 
 
 class StoredHeader(NamedTuple):
-    """A connection header as it is kept: the definition cut out, its place noted."""
+    """A connection header as stored: without the definition, which is stored once."""
 
     topic: str
     number: int
-    """-1, or of a bag: 0 to 2**32 - 1."""
+    """Number of the connection in its bag, 0 to 2**32 - 1; -1 = not from a bag."""
     header: bytes
     def_offset: int
-    """Where the definition was cut out; -1 = the header has none."""
+    """Offset at which the definition was cut out, bytes; -1 = the header has none."""
     md5sum: str
     definition: bytes
 
@@ -55,11 +55,11 @@ class Run:
     lost: Mapping[str, int] = field(default_factory=dict)
 
     state: str = "ended"
-    """'recording' (an import, too), 'ended', or 'interrupted': killed, or it failed."""
+    """'recording' (imports too), 'ended', or 'interrupted': the run was killed or failed."""
 
     @property
     def public_labels(self) -> dict[str, str]:
-        """The labels that people gave, without what an import notes to find itself again."""
+        """Labels that users gave, without those by which an import finds its run again."""
         return {name: text for name, text in self.labels.items() if name not in _OWN_LABELS}
 
     def __repr__(self) -> str:
@@ -75,16 +75,16 @@ _RUN = tuple(each.name for each in fields(Run) if each.name != "state")
 
 
 class Sign(NamedTuple):
-    """What a run that has not ended told of itself last."""
+    """Last sign of life of a run that has not ended."""
 
     age_sec: float
-    """Since it began or was seen alive, by the server's clock."""
+    """Time since it began or since its last heartbeat, by the server's clock, s."""
     interrupted: bool
-    """It ended with an error."""
+    """Whether the run ended with an error."""
 
 
 class LossKind(str, Enum):
-    """Why messages are missing."""
+    """Reason for which messages are missing."""
 
     BUFFER_FULL = "buffer full"
     TABLE_LATE = "buffer full before its table stood"
@@ -99,30 +99,30 @@ class LossKind(str, Enum):
 
 @dataclass(frozen=True)
 class Loss:
-    """Messages of a topic that a run should hold and does not."""
+    """Messages of a topic that a run should have stored and has not."""
 
     topic: str
     node: str
     writer: int
     kind: LossKind
     first_ns: int
-    """When the first of them came, or the stretch began in which they were missed."""
+    """Time of the first lost message, or of the beginning of the time range with losses, ns."""
     last_ns: int
     count: int
-    """0 = nobody knows how many."""
+    """Number of lost messages; 0 = the number is unknown."""
 
 
 _LOSS = "node, writer, kind, first, last, n"
 
 
 class Registry:
-    """Reads and writes connections, definitions and runs of one keyspace."""
+    """Reads and writes connections, definitions, runs, losses and contexts of one keyspace."""
 
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
     def put_header(self, table: str, conn: int, row: StoredHeader) -> None:
-        """Store a connection header and its definition; the same values at each repeat."""
+        """Write a connection header and its definition; a repetition writes the same rows."""
         def_hash = hashlib.sha256(row.definition).digest()
         definition = {"md5sum": row.md5sum, "hash": def_hash, "text": row.definition}
         of = f"of topic {row.topic}"
@@ -133,7 +133,7 @@ class Registry:
         self._tables.insert("cr_connection", header, f"storing the connection header {of}")
 
     def get_header(self, table: str, conn: int) -> StoredHeader | None:
-        """Read a connection header back; None when there is none with this number."""
+        """Return a connection header; None if no header has this number."""
         names, where = "topic, number, header, def_offset, md5sum, def_hash", "tbl = ? AND conn = ?"
         what = "reading a connection header"
         rows = self._tables.select("cr_connection", names, where, (table, conn), what=what)
@@ -146,10 +146,11 @@ class Registry:
         return StoredHeader(topic, _unsigned(number), header, offset, key[0], text)
 
     def headers(self, tables: Container[str]) -> Iterator[tuple[str, int, StoredHeader]]:
-        """Walk through the connection headers of some tables (a scan: connections are few).
+        """Yield the connection headers of some tables (a full scan: connections are few).
 
-        Yields (table, number of the connection in it, header). A definition is read once,
-        however many connections have it.
+        Yields (table, number of the connection in it, header). Each definition is read once,
+        however
+        many connections have it.
         """
         names = "tbl, conn, topic, number, header, def_offset, md5sum, def_hash"
         rows = self._tables.select("cr_connection", names, what="listing the connections")
@@ -161,7 +162,7 @@ class Registry:
             if key not in texts:
                 found = self._definition(key)
                 if found is None:
-                    continue  # as get_header takes it: changed by hand
+                    continue  # changed by hand; get_header returns None for it
                 texts[key] = found
             yield (
                 table,
@@ -175,7 +176,7 @@ class Registry:
         return bytes(texts[0][0]) if texts else None
 
     def damaged_definitions(self) -> list[str]:
-        """List the md5sums under which a text lies that is not the one that was stored."""
+        """Return the md5sums of definitions whose text is no longer the one that was stored."""
         rows = self._tables.select(
             "cr_definition", "md5sum, hash, text", what="reading the message definitions"
         )
@@ -186,29 +187,29 @@ class Registry:
         )
 
     def tables(self) -> set[str]:
-        """List the names of the tables of which connections are kept (a scan)."""
+        """Return the names of the tables that have connection headers (a full scan)."""
         rows = self._tables.select("cr_connection", "tbl", what="listing the connections")
         return {table for (table,) in rows}
 
     def forget(self, table: str) -> None:
-        """Remove the connections of a table that was dropped (a scan: connections are few)."""
+        """Delete the connection headers of a dropped table (a full scan: connections are few)."""
         rows = self._tables.select("cr_connection", "tbl, conn", what="listing the connections")
         mine = [row for row in rows if row[0] == table]
         self._tables.delete("cr_connection", ("tbl", "conn"), mine, "removing connection headers")
 
     def put_run(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
-        """Store a run; the server notes the time when it starts and ends."""
+        """Write a run; the server adds the time at which it started or ended."""
         columns = {name: getattr(run, name) for name in _RUN if name not in ("started", "ended")}
         now = ["started"] * started + ["ended"] * ended
         self._tables.insert("cr_run", columns, "storing the run", now=now)
 
     def runs(self) -> list[Run]:
-        """List all runs of the keyspace (a scan: runs are few)."""
+        """Return all runs of the keyspace (a full scan: runs are few)."""
         rows = self._tables.select("cr_run", ", ".join(_RUN), what="listing the runs")
         return [_run(row) for row in rows]
 
     def signs(self) -> dict[tuple[int, str], Sign]:
-        """Tell of each run, by writer and node, when it was last seen (scans: runs are few)."""
+        """Return the last sign of life of each run, by writer and node (two full scans)."""
         now, what = "toTimestamp(now())", "reading the state of the runs"
         begun = self._tables.select("cr_run", f"writer, node, started, {now}", what=what)
         names = f"writer, node, heartbeat, interrupted, {now}"
@@ -219,7 +220,7 @@ class Registry:
             beat, broken = beats.get((writer, node), (None, None))
             last = max(filter(None, (started, beat)), default=None)
             age_sec = math.inf if last is None else (asked - last).total_seconds()
-            # An import that is made again is another try.
+            # An import that is repeated has started again after its interruption.
             failed = broken is not None and (started is None or broken >= started)
             found[writer, node] = Sign(age_sec, failed)
         return found
@@ -232,7 +233,7 @@ class Registry:
         self._tables.insert("cr_context", columns, "noting that the run goes on", now=now)
 
     def forget_run(self, writer: int, node: str, topics: Iterable[str]) -> None:
-        """Remove a run whose messages were removed, with its context and losses of some topics."""
+        """Delete a run whose messages were deleted, its context, and its losses of some topics."""
         what, place = "removing a run", [(writer, node)]
         if self._tables.has("cr_loss"):
             losses = [(topic, node, writer) for topic in topics]
@@ -242,14 +243,17 @@ class Registry:
                 self._tables.delete(table, ("writer", "node"), place, what)
 
     def put_loss(self, loss: Loss) -> None:
-        """Store a loss; one of the same topic, node, writer, kind and first_ns is replaced."""
+        """Write a loss; it replaces one with the same topic, node, writer, kind and first_ns."""
         self._tables.make("cr_loss")
         columns = {"topic": loss.topic, "node": loss.node, "writer": loss.writer}
         columns.update(kind=loss.kind.value, first=loss.first_ns, last=loss.last_ns, n=loss.count)
         self._tables.insert("cr_loss", columns, f"storing a loss of topic {loss.topic}")
 
     def losses(self, topics: Sequence[str] | None = None) -> list[Loss]:
-        """List the losses of some topics, None = all (a scan: losses are few), by time."""
+        """Return the losses of some topics, or of all (None.
+
+        A full scan: losses are few), by time.
+        """
         what, names = "listing the losses", f"topic, {_LOSS}"
         if topics is None:
             rows = self._tables.select("cr_loss", names, what=what)
@@ -260,12 +264,12 @@ class Registry:
         return sorted(map(_loss, rows), key=lambda loss: (loss.first_ns, loss.topic, loss.writer))
 
     def forget_losses(self, topic: str) -> None:
-        """Remove the losses of a topic whose messages were removed."""
+        """Delete the losses of a topic whose messages were deleted."""
         if self._tables.has("cr_loss"):
             self._tables.delete("cr_loss", ("topic",), [(topic,)], "removing losses")
 
     def rename_losses(self, topic: str, new_name: str) -> None:
-        """Let the losses of a topic follow it to its new name."""
+        """Move the losses of a topic to its new name."""
         losses = self.losses([topic])
         for loss in losses:
             self.put_loss(replace(loss, topic=new_name))
@@ -273,7 +277,10 @@ class Registry:
             self.forget_losses(topic)
 
     def put_context(self, writer: int, node: str, context: RunContext) -> None:
-        """Store the parameters and the node graph of a run; InvalidOption where they cannot be."""
+        """Write parameters and node graph of a run.
+
+        Raises InvalidOption if they cannot be encoded.
+        """
         blob = encode_context(context)
         self._tables.make("cr_context")
         columns = {"writer": writer, "node": node, "context": blob}
@@ -281,14 +288,15 @@ class Registry:
         self._tables.insert("cr_context", columns, what, now=["heartbeat"])
 
     def get_context(self, writer: int, node: str) -> RunContext | None:
-        """Read the parameters and the node graph of a run back; None where none were kept."""
+        """Return parameters and node graph of a run; None if they were not stored."""
         where, what = "writer = ? AND node = ?", "reading the parameters of a run"
         rows = self._tables.select("cr_context", "context", where, (writer, node), what=what)
         return None if not rows or rows[0][0] is None else decode_context(rows[0][0])
 
 
-# The column is an int of CQL, the numbers of bags go to 2**32 - 1: those from 2**31 on are kept as
-# the negative int of the same 32 bits. The last one would be -1, which is live; it is null.
+# The column is a signed 32-bit int, and connection numbers of bags go to 2**32 - 1. Numbers from
+# 2**31 on are stored as the negative int of the same 32 bits. The last would be -1, which means
+# "not from a bag", so it is stored as null.
 
 
 def _signed(number: int) -> int | None:
@@ -307,7 +315,7 @@ def _loss(row: CqlRow) -> Loss:
     topic, node, writer, kind, first, last, count = row
     try:
         known = LossKind(kind)
-    except ValueError:  # a newer release knows more of them
+    except ValueError:  # a kind that only newer releases know
         known = LossKind.MISTAKE
     return Loss(topic, node, writer, known, first, last or first, count or 0)
 

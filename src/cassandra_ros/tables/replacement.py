@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A table is made and filled unseen, then takes the place of others; see ``succession``."""
+"""Replacement of a topic's tables by a new one, which is filled before readers see it."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.tables.schema import CACHE_SEC, Planner, Schema
 
 SETTLE_SEC = CACHE_SEC + 1.0
-"""After so long every client has read the comments anew that were changed."""
+"""Time after which every client has read the changed comments, s."""
 
 
 def clear(schema: Schema, topic: str) -> list[str]:
-    """Drop what conversions of a topic that were killed left behind; return the names."""
+    """Drop the tables that killed conversions of a topic left; return their names."""
     with schema.lock() as lock:
         listing = schema.listing(fresh=True)
         mine = {name for name, m in listing.every.items() if m.topic == topic}
@@ -28,15 +28,15 @@ def clear(schema: Schema, topic: str) -> list[str]:
 def begin(
     schema: Schema, plan: Planner, topic: str, olds: Sequence[str]
 ) -> tuple[str, TopicMetadata]:
-    """Make the table that is to replace others; return its name and metadata.
+    """Make the table that is to replace ``olds``; return its name and metadata.
 
-    From SETTLE_SEC on no client begins to write into the others, or to delete in them.
+    After SETTLE_SEC no client begins to write into the old tables, or to delete in them.
 
     Args:
-        plan: Given what the comments of those say, under the lock.
+        plan: Called under the lock with the metadata of the old tables.
 
     Raises:
-        SchemaConflict: One of them is not read any more, or is being replaced already.
+        SchemaConflict: An old table is not read any more, or is being replaced already.
     """
     with schema.lock() as lock:
         listing = schema.listing(fresh=True)
@@ -55,10 +55,10 @@ def begin(
 
 
 def finish(schema: Schema, name: str, olds: Sequence[str]) -> None:
-    """Let a table take the place of others, for all who read: the one change that does it.
+    """Let a table replace the old ones for all readers, by one change of its comment.
 
     Raises:
-        SchemaConflict: It, or one of the others, was dropped or replaced meanwhile.
+        SchemaConflict: The table or an old one was dropped or replaced meanwhile.
     """
     with schema.lock() as lock:
         listing = schema.listing(fresh=True)
@@ -74,7 +74,7 @@ def finish(schema: Schema, name: str, olds: Sequence[str]) -> None:
 
 
 def drop(schema: Schema, names: Sequence[str]) -> None:
-    """Drop tables that are not read."""
+    """Drop those of the tables that are not read."""
     with schema.lock() as lock:
         visible = schema.tables(fresh=True)
         schema.drop([name for name in names if name not in visible], lock)

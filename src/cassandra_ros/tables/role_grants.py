@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Who may do what with a keyspace: three roles, as CQL."""
+"""Three roles with their rights on a keyspace, as CQL."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ _RIGHTS = {
     "owner": ("ALL PERMISSIONS",),
 }
 ROLES = tuple(_RIGHTS)
-"""viewer reads; recorder also writes and deletes messages, and makes tables and indexes of topics;
-owner also removes them, and gives rights to others."""
+"""Names of the roles. A viewer reads. A recorder also writes and deletes messages, and makes tables
+and indexes of topics. An owner also removes topics and grants rights to others."""
 
 _PROGRESS = "system_views"
-"""Where the server tells how far an index is built; who makes indexes asks it."""
+"""Keyspace with the progress of index builds, which a client that makes an index reads."""
 
 
 def role_name(keyspace: str, role: str) -> str:
-    """Return the name of a role of a keyspace, as it stands in CQL."""
+    """Return the quoted name of a role of a keyspace."""
     return quote_name(f"{keyspace}_{role}")
 
 
 def role_statements(keyspace: str) -> list[str]:
-    """Return the statements that make the three roles of a keyspace, which must exist.
+    """Return the statements that make the three roles of an existing keyspace.
 
-    Repeating them changes nothing.
+    Running them again changes nothing.
     """
     found = []
     for role, rights in _RIGHTS.items():
@@ -41,10 +41,10 @@ def role_statements(keyspace: str) -> list[str]:
 
 
 def apply_roles(side_tables: SideTables) -> None:
-    """Make the keyspace, where it is missing, and its three roles.
+    """Make the keyspace if it is missing, and its three roles.
 
     Raises:
-        AccessDenied: Who is logged in may not make roles, or not give these rights.
+        AccessDenied: The logged-in user may not make roles or grant these rights.
     """
     side_tables.make_keyspace()
     for statement in role_statements(side_tables.keyspace):

@@ -21,9 +21,11 @@ from cassandra_ros.metadata import TopicMetadata
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
-"""Messages above this go to the chunk table in pieces of this size (schema version 1)."""
+"""Size of a chunk, bytes. A larger message goes to the chunk table in pieces of this size (schema
+version 1)."""
 INLINE_COLUMN_BYTES = 64 * 1024
-"""Columns above this are left unset in the row of a chunked message."""
+"""Maximum size of a column in the row of a chunked message, bytes. Larger columns are left
+unset."""
 ODD = b"\x01"
 """Encoded value of ``_odd``."""
 MIN_SEQ, MAX_SEQ = -(2**63), 2**63 - 1
@@ -44,61 +46,63 @@ _T = TypeVar("_T")
 Indexed = Tuple[Sequence[Optional[bytes]], bool]
 """Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
 Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
-"""Encoded values of the zone columns (None = unset), the fields of which a value is NaN (sorted),
+"""Encoded values of the zone columns (None = unset), names of the fields with a NaN value (sorted),
 and whether the block must be marked odd."""
 Terms = Tuple[Tuple[str, str, bytes], ...]
-"""Column, operator and encoded value; all of them hold."""
+"""Conditions for the server, joined by AND: column, operator and encoded value of each."""
 Order = Tuple[int, int]
-"""``_t`` and ``_seq``: where a row lies in its partition."""
+"""``_t`` and ``_seq`` of a row: its place in its partition."""
 FIRST: Order = (-(2**63), MIN_SEQ)
 LAST: Order = (2**63 - 1, MAX_SEQ)
 ALL = (FIRST, LAST)
-"""Ends of a whole partition."""
+"""Range of a whole partition."""
 
 
 class NewRow(NamedTuple):
-    """A message on its way into a table."""
+    """A message that is about to be stored as a row."""
 
     t: int
-    """Key time, ns; 0 where equal messages are kept once."""
+    """Key time, ns; 0 if equal messages are stored once."""
     seq: int
-    """Writer id << 32 | counter, fixed before the first attempt; 0 as above."""
+    """Writer id << 32 | counter, fixed before the first attempt; 0 if equal messages are stored
+    once."""
     conn: int
     wire: bytes
     columns: Optional[Sequence[Optional[bytes]]]
-    """Encoded values of the format's columns, and of those that say when it was received; None =
-    unset. None for all: they are made of the message when its batch is sent."""
+    """Encoded values of the format's columns and of the columns with the receive time; None for one
+    =
+    unset. None for all = they are encoded when the batch of the row is sent."""
     odd: bool = False
     raw: Optional[bytes] = None
     name: str = ""
 
 
 class Shadows(NamedTuple):
-    """The columns that carry a table's indexes."""
+    """The columns on which a table's indexes are."""
 
     names: Tuple[str, ...]
     values: Callable[[bytes], Indexed]
-    """From the serialised message."""
+    """Returns the values of the columns for a serialised message."""
 
 
 class Sent(NamedTuple):
-    """A request that is on its way."""
+    """A request whose answer has not been awaited yet."""
 
     future: ResponseFuture
 
 
 class BlockKey(NamedTuple):
-    """A row that holds several messages."""
+    """Key of the row of a block."""
 
     t: int
     """Key time of its first message, ns."""
     seq: int
     messages: int
-    """How many there were at first."""
+    """Number of messages when the block was written."""
 
 
 class TableRow(NamedTuple):
-    """A row as it lies in its table, columns undecoded."""
+    """A row as read from its table, columns undecoded."""
 
     t: int
     node: str
@@ -107,23 +111,23 @@ class TableRow(NamedTuple):
     conn: int
     size: int
     nchunks: int
-    """0 = the message is in the row."""
+    """Number of chunks; 0 = the message is in the row."""
     crc: int
     odd: bool
     raw: bytes | None
     columns: tuple[bytes | None, ...]
     name: str = ""
-    """Key of a row that is found by name."""
+    """Name of a row that is found by name; '' otherwise."""
     received: int = -1
-    """When the message was received, ns; -1 = that is its key time."""
+    """Receive time of the message, ns; -1 = it equals the key time."""
     block: BlockKey | None = None
-    """The block in which it lies; None where it has a row of its own."""
+    """Block of the message; None = the message has its own row."""
     place: int = 0
-    """Its position in the block."""
+    """Position of the message in its block, from 0."""
 
     @property
     def position(self) -> Position:
-        """Its place in the order of all reads."""
+        """Position of the row in the order of all reads."""
         return Position(self.t, self.node, self.seq, self.table, self.name)
 
 
@@ -170,7 +174,7 @@ class RowTable:
         self._plain = not (self._received or self.named)
         self._every = self.listing(self.columns)
         self.known_nodes: set[str] = set()
-        """nodeIDs that have been seen to write the table; more may."""
+        """nodeIDs known to have written to the table; there may be more."""
         self.has_chunks = False
         """Whether the chunk table is known to exist."""
 
@@ -179,7 +183,7 @@ class RowTable:
         return t_ns // self.metadata.bucket_ns
 
     def place(self, node: str, where: int | str) -> tuple[bytes, bytes]:
-        """Encode the partition key of a bucket, or of the rows of a name."""
+        """Encode the partition key of a bucket, or of the rows with a name."""
         part = encode_long(where) if isinstance(where, int) else where.encode("utf-8")
         return node.encode("utf-8"), part
 
@@ -188,7 +192,7 @@ class RowTable:
         return self.place(node, name if self.named else self.bucket_of(t_ns))
 
     def stored_order(self, t: int, seq: int) -> Order:
-        """Return ``_t`` and ``_seq`` of a row; where equal messages are kept once they are 0."""
+        """Return ``_t`` and ``_seq`` as stored: both 0 if equal messages are stored once."""
         return (0, 0) if self._once else (t, seq)
 
     def key_of(self, row: TableRow) -> tuple[bytes, ...]:
@@ -224,33 +228,36 @@ class RowTable:
     # ---------------------------------------------------------------- statements
 
     def insert(self, shadows: Sequence[str] = (), *, full: bool = True) -> PreparedStatement:
-        """INSERT of a row; not full: of one without chunks and ``_raw``, as nearly all are."""
+        """INSERT of a row.
+
+        Not full: without the columns of chunks and ``_raw``, which few rows need.
+        """
         own = _OWN if full else _OWN[:4]
         names = ["_node", self.partition, *own, *self.columns, *self._received, *shadows]
         marks = ", ".join("?" * len(names))
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
     def insert_block(self) -> PreparedStatement:
-        """INSERT of a block: its key, what OpenBucket says of it in _BLOCK, and its zones."""
+        """INSERT of a block: its key, the columns _BLOCK, and its zones."""
         names = ["_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns]
         marks = ", ".join("?" * len(names))
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
     def insert_chunk(self) -> PreparedStatement:
-        """INSERT of one piece of a large message."""
+        """INSERT of one chunk of a large message."""
         names = _listed(["_node", self.partition, "_t", "_seq", "_chunk", "_data"])
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
     def select_chunks(self) -> PreparedStatement:
-        """SELECT of all pieces of one large message, in order."""
+        """SELECT of all chunks of one large message, in order."""
         return self._prepare(f'SELECT "_chunk", "_data" FROM {self._chunks} {self._where} {_ROW}')
 
     def select_partitions(self) -> PreparedStatement:
-        """SELECT of the partition keys under which there are rows; in no order."""
+        """SELECT of the partition keys that have rows, in no order."""
         return self._prepare(f'SELECT DISTINCT "_node", "{self.partition}" FROM {self.qualified}')
 
     def select_chunked(self) -> PreparedStatement:
-        """SELECT of the keys of messages that have pieces, and when one was written, us."""
+        """SELECT of the keys of messages that have chunks, and the write time of one chunk, us."""
         names = f'"_node", "{self.partition}", {KEYS}, WRITETIME("_data")'
         return self._prepare(f"SELECT {names} FROM {self._chunks} PER PARTITION LIMIT 1")
 
@@ -269,8 +276,9 @@ class RowTable:
     def select_over(self, names: str) -> PreparedStatement:
         """SELECT of columns, as CQL, of the blocks that may hold a message.
 
-        Parameters are the place, bounds of ``_t`` and of ``_seq``, and the key time that their
-        last message does not lie before.
+        Parameters are the partition key, the ranges of ``_t`` and of ``_seq``, and a key time:
+        blocks
+        whose last message is earlier are left out.
         """
         return self._select(
             names,
@@ -279,10 +287,10 @@ class RowTable:
         )
 
     def select_names(self, *more: str) -> PreparedStatement:
-        """SELECT of the keys of all rows of a table that is read by name; in no order.
+        """SELECT of the keys of all rows of a table whose rows have names, in no order.
 
         Args:
-            more: What else to read, as CQL.
+            more: Further columns, as CQL.
         """
         names = ", ".join(['"_node", "_key"', COUNTED, *map(quote_name, self._received), *more])
         return self._prepare(f"SELECT {names} FROM {self.qualified}")
@@ -292,43 +300,43 @@ class RowTable:
         where = f"{self._where} AND" if bucket else "WHERE"
         return self._prepare(
             f'SELECT "_node", "_t", "_seq" FROM {self.qualified} '
-            # It is filtered only where the index is missing: somebody died before making it.
+            # The server filters only if the index is missing: a client died before making it.
             f"{where} {quote_name(shadow)} = ? ALLOW FILTERING"
         )
 
     def update(self, column: str) -> PreparedStatement:
-        """UPDATE of one column of a row, with the timestamp and time to live that are given."""
+        """UPDATE of one column of a row, with a given timestamp and time to live."""
         return self._prepare(
             f"UPDATE {self.qualified} USING TIMESTAMP ? AND TTL ? "
             f"SET {quote_name(column)} = ? {self._where} {_ROW}"
         )
 
     def delete_range(self, *, older: bool = False) -> str:
-        """DELETE of a stretch of one partition, both ends included.
+        """DELETE of a range of one partition, both ends included.
 
         Args:
-            older: Only of what was written up to a timestamp, which is the first parameter.
+            older: Delete only rows written up to a timestamp, which is the first parameter.
         """
         return f"DELETE FROM {self.qualified} {_OLDER if older else ''}{self._where} {_RANGE}"
 
     def delete_one(self, *, chunks: bool = False, older: bool = False) -> str:
-        """DELETE of one row, or of the pieces of its message; for older see delete_range."""
+        """DELETE of one row, or of the chunks of its message; for older see delete_range."""
         table = self._chunks if chunks else self.qualified
         return f"DELETE FROM {table} {_OLDER if older else ''}{self._where} {_ROW}"
 
     def mark_gone(self) -> str:
-        """UPDATE that adds to the positions of a block whose messages were deleted."""
+        """UPDATE that adds to the positions of deleted messages in a block."""
         return f'UPDATE {self.qualified} SET "_gone" = "_gone" + ? {self._where} {_ROW}'
 
     def unmark_gone(self) -> str:
-        """DELETE of those positions alone."""
+        """DELETE of these positions only."""
         return f'DELETE "_gone" FROM {self.qualified} {self._where} {_ROW}'
 
     def _prepare(self, cql: str) -> PreparedStatement:
         return self._cassandra.prepare(cql)
 
     def listing(self, columns: Sequence[str] | None = None) -> str:
-        """List what row_from_values reads, with these of the format's columns, None = all."""
+        """Return the columns that row_from_values reads, with some of the format's (None = all)."""
         if columns is None:
             return self._every
         return _listed([*_OWN, *self._received, *columns])
@@ -350,12 +358,12 @@ class RowTable:
         refused: Refused | None = None,
         on_page: OnPage | None = None,
     ) -> Asked:
-        """Ask for the rows from end to end of one partition, or for those behind the last one.
+        """Request the rows of one partition in a range, or those of them after ``last``.
 
         Args:
-            names: What to read, as CQL; begins with KEYS where there are many pages.
-            terms: What the server is to check.
-            first_rows: Rows of the first page, where fewer are wanted than page_rows; see Asked.
+            names: Columns to read, as CQL; must begin with KEYS if there may be several pages.
+            terms: Conditions that the server checks.
+            first_rows: Number of rows of the first page if it should be smaller; see PagedRead.
         """
         checks = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator, _ in terms)
         order, allow = _NEWEST if reverse else "", " ALLOW FILTERING" if terms else ""
@@ -369,9 +377,9 @@ class RowTable:
         return self._asked(rest, what, refused, on_page, first_rows)
 
     def ask_row(self, place: tuple[bytes, bytes], t: int, seq: int | None) -> Asked:
-        """Ask for all of a row; seq None = of the first with its time.
+        """Request a whole row; seq None = the first one with this time.
 
-        A server finds equal keys sooner than the stretch from one to the same: by 60 us.
+        A server finds a row by equal keys 60 us sooner than by a range that holds one key.
         """
         if seq is None:
             statement = self._select(self._every, 'AND "_t" = ?')
@@ -380,7 +388,7 @@ class RowTable:
         return self.send(bind(statement, (*place, encode_long(t), encode_long(seq))))
 
     def send(self, statement: Statement, what: str = "reading") -> Asked:
-        """Send a statement whose answer is one page, or of which only one is wanted."""
+        """Send a statement whose answer is one page, or of which only the first page is needed."""
         return self._asked(lambda last: statement, what)
 
     def _asked(
@@ -402,10 +410,10 @@ class RowTable:
         *,
         sent: Sent | None = None,
     ) -> _T:
-        """Give all rows of a statement to make; anew where one of its pages fails.
+        """Pass all rows of a statement to ``make``; start again if one of its pages fails.
 
         Args:
-            sent: What begin gave for the statement, where it was called.
+            sent: Result of ``begin`` for this statement; None = it has not been sent.
         """
         begun = [sent] if sent is not None else []
 
@@ -417,7 +425,7 @@ class RowTable:
         return retried(self._doing(what), run, outage=outage)
 
     def begin(self, statement: BoundStatement) -> Sent:
-        """Send a statement whose rows collect is to give."""
+        """Send a statement whose rows ``collect`` will take."""
         return Sent(self._cassandra.send_raw(statement))
 
     def _doing(self, what: str) -> str:
@@ -426,11 +434,14 @@ class RowTable:
     # ---------------------------------------------------------------- values
 
     def is_rest(self, values: RawRow) -> bool:
-        """Say whether a row has expired but for the value of an index."""
+        """Return whether a row has expired except for the value of an index."""
         return values[2] is None and bool(self.metadata.ttl)
 
     def row_from_values(self, node: str, values: RawRow, name: str = "") -> TableRow:
-        """Read the values of a listing; raises CorruptMessage where one that all have is null."""
+        """Return a row from the values of a listing.
+
+        Raises CorruptMessage if a key value is null.
+        """
         try:
             t, seq, conn, size = _PACK.unpack(b"".join(values[:4]))  # type: ignore[arg-type]
         except TypeError as exc:
@@ -441,7 +452,7 @@ class RowTable:
         nchunks, crc, odd, raw = values[4:8]
         if nchunks is None and odd is None and self._plain:
             own = t, node, seq, self.name, conn, size, 0, 0, False, raw, values[8:]
-            return _new_row((*own, "", -1, None, 0))  # a third of the time, of every row
+            return _new_row((*own, "", -1, None, 0))  # takes a third of the time, for every row
         received = decode_long(values[8]) if self._received else -1
         if self._once:
             t, seq = received, decode_long(values[9])
@@ -461,7 +472,7 @@ def encode_long(value: int) -> bytes:
 
 
 def decode_long(raw: bytes | None) -> int:
-    """Decode a bigint or int; null is 0."""
+    """Decode a bigint or an int; null becomes 0."""
     return int.from_bytes(raw or b"", "big", signed=True)
 
 
@@ -479,7 +490,7 @@ def encode_texts(values: Iterable[str]) -> bytes:
 def _encode_ends(
     ends: tuple[Order, Order], last: RawRow | None, reverse: bool
 ) -> tuple[bytes, ...]:
-    """Encode the ends of what lies behind the last row that was read, in the order of reading."""
+    """Encode the range of the rows that follow the last row that was read, in order of reading."""
     low, high = ends
     if last is not None and reverse:
         high = (decode_long(last[0]), decode_long(last[1]) - 1)
@@ -495,7 +506,7 @@ def _listed(names: Iterable[str]) -> str:
 def bind(
     statement: PreparedStatement, values: Iterable[bytes | memoryview], page_rows: int | None = None
 ) -> BoundStatement:
-    """Bind values that are encoded already; the answer has pages of so many rows."""
+    """Bind values that are already encoded; page_rows = maximum number of rows in a page."""
     bound = BoundStatement(statement)
     bound.values = list(values)
     if page_rows is not None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The topics' tables: made under the lock, found by reading comments, dropped for good."""
+"""The tables of topics: made under the schema lock, found by their comments, dropped for good."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from cassandra_ros.tables.table_files import TableFiles
 _log = logging.getLogger(__name__)
 
 CACHE_SEC = 2.0
-"""How old the list of tables may be: other clients add definitions and drop topics."""
+"""Maximum age of the cached list of tables, s. Other clients add and drop tables."""
 BUILD_SEC = 2.0
-"""How long messages wait until Cassandra begins to build the indexes of their new table."""
+"""How long messages of a new table wait until Cassandra begins to build its indexes, s."""
 
 OWN_COLUMNS = {
     "_conn": "bigint",
@@ -41,11 +41,11 @@ OWN_COLUMNS = {
     "_raw": "blob",
 }
 KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
-"""Second part of the partition key: a time range, or the name of a message."""
+"""Type of the second part of the partition key: the bucket, or the name of a message."""
 _WINDOWS = 25
 _CHUNK_TTL_MARGIN_SEC = 86_400
 _ROWS = "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
-_PACKED = (  # what is compressed already stays as it is, with its checksum
+_PACKED = (  # compressed data stay as they are, with a checksum
     "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, 'min_compress_ratio': 1.1}"
 )
 _UNFINISHED = (
@@ -54,13 +54,13 @@ _UNFINISHED = (
 )
 
 Planned = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
-"""What a comment will say (the generation is chosen here), the columns of the format, and the
+"""Metadata for a comment (``create`` chooses the generation), the columns of the format, and the
 columns with an index, both name → CQL type."""
 Planner = Callable[[Sequence[TopicMetadata]], Planned]
 
 
 class Schema:
-    """Topic tables of one keyspace. Thread-safe; what it lists is cached until it changes."""
+    """Topic tables of one keyspace. Thread-safe; the list of tables is cached until it changes."""
 
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
@@ -70,11 +70,11 @@ class Schema:
         self._read_at = 0.0
         self._mark: Mark | None = None
         self.seen: set[tuple[str, str]] = set()
-        """(topic, format) of every table that was ever listed here."""
+        """(topic, format) of every table that was ever listed by this object."""
         self._mutex = threading.Lock()
 
     def lock(self) -> SchemaLock:
-        """Return the lock under which the schema is changed; side tables are made before."""
+        """Make the side tables if they are missing and return the lock of the schema."""
         self._side_tables.make()
         return SchemaLock(self._cassandra, self.keyspace)
 
@@ -83,11 +83,11 @@ class Schema:
         return qualified(self.keyspace, table)
 
     def tables(self, *, fresh: bool = False) -> Mapping[str, TopicMetadata]:
-        """List the tables that are read: name → metadata, from comments up to 2 s old, or fresh."""
+        """Return the tables that are read, name → metadata; from comments at most 2 s old."""
         return self.listing(fresh=fresh).visible
 
     def listing(self, *, fresh: bool = False) -> Listing:
-        """List all topic tables, and which take the place of others, as ``tables`` does."""
+        """Return all topic tables, also replaced ones, by comments at most 2 s old, or fresh."""
         self._cassandra.require_open()
         with self._mutex:
             now, mark = time.monotonic(), self._cassandra.schema_changes.mark(self.keyspace)
@@ -98,16 +98,16 @@ class Schema:
             return self._listing
 
     def latest(self, table: str, known: TopicMetadata) -> TopicMetadata:
-        """Return the metadata of a table, those known where they cannot be read now."""
+        """Return the metadata of a table; ``known`` if they cannot be read now."""
         try:
             return self.tables().get(table, known)
         except CassandraRosError as exc:
-            # No reason to lose a message: the directory is told which indexes its row is given.
+            # Not a reason to lose a message: the directory says which indexes its row is in.
             _log.warning("topic %s keeps the indexes it had: %s", known.topic, exc)
             return known
 
     def takes_rows(self, table: str) -> bool:
-        """Say whether new messages may go into a table; also where that cannot be read now."""
+        """Return whether new messages may go into a table; True if that cannot be read now."""
         try:
             return self.listing().takes_rows(table)
         except CassandraRosError as exc:
@@ -115,13 +115,13 @@ class Schema:
             return True
 
     def format_after(self, table: str, format_name: str) -> str:
-        """Return in which format the messages of a table go on: another, where it is replaced."""
+        """Return the format for further messages of a table: the new one if it is replaced."""
         listing = self.listing()
         heir = listing.leaving.get(table) or listing.heirs.get(table)
         return format_name if heir is None else listing.every[heir].format
 
     def _comments(self, table: str = "") -> list[CqlRow]:
-        """Read (name, comment) of one table, where it is there, or of all."""
+        """Read (name, comment) of all tables, or of one table, if it exists."""
         return self._cassandra.system_schema("tables", "table_name, comment", self.keyspace, table)
 
     def _read(self, table: str = "") -> dict[str, TopicMetadata]:
@@ -135,7 +135,10 @@ class Schema:
         return found
 
     def find(self, topic: str, kind: tuple[str, str], format_name: str) -> str | None:
-        """Return the table for new messages of one kind and format, as far as it is cached."""
+        """Return the table for new messages of a topic, kind and format.
+
+        None = not in the cache.
+        """
         listing = self.listing()
         for name, m in listing.visible.items():
             if (m.topic, m.kind, m.format) == (topic, kind, format_name):
@@ -144,11 +147,11 @@ class Schema:
         return None
 
     def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
-        """Read the tables of a topic anew, under the lock.
+        """Read the tables of a topic again; the caller has the lock.
 
         Raises:
-            TopicNotFound: It is gone.
-            SchemaConflict: It is being converted.
+            TopicNotFound: The topic was removed.
+            SchemaConflict: The topic is being converted.
         """
         listing = self.listing(fresh=True)
         mine = {name: m for name, m in listing.visible.items() if m.topic == topic}
@@ -159,12 +162,12 @@ class Schema:
         return mine
 
     def ensure_table(self, key: tuple[str, tuple[str, str], str], plan: Planner) -> str:
-        """Make the table of a topic, or find the one that somebody made before; return its name.
+        """Find the table of a topic or make it; return its name.
 
         Args:
             key: Topic, kind and format.
-            plan: Called where the table is to be made, under the lock, with what the comments of
-                the topic's other tables say.
+            plan: Called under the lock if the table must be made, with the metadata of the topic's
+                other tables.
         """
         name = self.find(*key)
         if name is not None:
@@ -193,7 +196,7 @@ class Schema:
         wanted, shadows = metadata.with_(generation=time.time_ns()), metadata.indexes.values()
         name = table_name(wanted.topic, wanted.md5sum, wanted.format, wanted.generation)
         listing = ", ".join(f"{quote_name(c)} {cql}" for c, cql in columns.items())
-        # Without indexes nothing is to be done before it is found and its files are merged.
+        # Without indexes the table can be listed and its files merged at once.
         comment = _UNFINISHED if shadows else wanted.to_comment()
         lock.change(
             f"CREATE TABLE {self.qualified(name)} ({listing}, "
@@ -210,12 +213,12 @@ class Schema:
         return name, wanted
 
     def _finish(self, name: str, wanted: TopicMetadata, lock: SchemaLock) -> None:
-        """Let a table be found, by its comment, and its files be merged, with its indexes built."""
+        """List a table by its comment and let its files be merged, after its indexes were built."""
         merged, files = True, self.files(name, lock)
         try:
             files.await_builds({name + shadow for shadow in wanted.indexes.values()}, BUILD_SEC)
         except CassandraRosError as exc:
-            # No reason to lose the messages that are waiting for it.
+            # Not a reason to lose the messages that wait for the table.
             merged = False
             _log.warning("topic %s: %s", wanted.topic, exc)
             files.tell()
@@ -226,11 +229,11 @@ class Schema:
         )
 
     def files(self, table: str, lock: SchemaLock) -> TableFiles:
-        """Return the files of a table, as the nodes have them."""
+        """Return the files of a table on the nodes."""
         return TableFiles(self._cassandra, self.keyspace, table, lock)
 
     def create_sai_index(self, table: str, shadow: str) -> None:
-        """Make the index that a shadow column carries, where it is missing; under the lock."""
+        """Make the index on a shadow column if it is missing; under the lock."""
         self._cassandra.schema_change(
             f"CREATE INDEX IF NOT EXISTS {quote_name(table + shadow)} ON {self.qualified(table)} "
             f"({quote_name(shadow)}) USING 'sai'",
@@ -249,12 +252,12 @@ class Schema:
             )
 
     def columns(self, table: str) -> dict[str, str]:
-        """Read the columns of a table: name → CQL type."""
+        """Return the columns of a table, name → CQL type."""
         names = "column_name, type"
         return dict(self._cassandra.system_schema("columns", names, self.keyspace, table))
 
     def ensure_chunk_table(self, table: RowTable) -> None:
-        """Make the table for a topic's large messages where it is missing."""
+        """Make the chunk table for a topic's large messages if it is missing."""
         if not table.has_chunks and not self._comments(chunk_table_name(table.name)):
             with self.lock() as lock:
                 self._make_chunk_table(table.name, table.metadata, lock)
@@ -285,7 +288,10 @@ class Schema:
         change: Callable[[TopicMetadata], TopicMetadata],
         check: Callable[[Mapping[str, TopicMetadata]], None] = lambda tables: None,
     ) -> None:
-        """Change what the comments of a topic's tables say; check sees all first, and may raise."""
+        """Change the comments of a topic's tables.
+
+        ``check`` gets all tables first and may raise.
+        """
         with self.lock() as lock:
             every = self.listing(fresh=True).every
             if not any(metadata.topic == topic for metadata in self.tables().values()):
@@ -297,7 +303,7 @@ class Schema:
         self.tables(fresh=True)
 
     def set_comment(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
-        """Change what the comment of a table says."""
+        """Write metadata into the comment of a table."""
         comment = quote_text(metadata.to_comment())
         lock.change(
             f"ALTER TABLE {self.qualified(table)} WITH comment = {comment}",
@@ -305,15 +311,16 @@ class Schema:
         )
 
     def drop_topic(self, topic: str, *, renew: bool = False) -> list[str]:
-        """Drop all tables of a topic, or renew them: make empty ones first; return their names.
+        """Drop all tables of a topic; return their names and those of tables that they replaced.
 
-        With them are those of the tables that they replaced.
+        Args:
+            renew: Make empty tables in their place, before they are dropped.
         """
         with self.lock() as lock:
             listing = self.listing(fresh=True)
             tables = {name: m for name, m in listing.every.items() if m.topic == topic}
             if renew:
-                # Made anew under other names: a writer that has not heard of it must not go on.
+                # With new names, so that a writer with an old listing cannot write into them.
                 read = [name for name in tables if name in listing.visible]
                 one_each = {
                     (m.kind, m.format): (name, m.with_(replaces=(), cut=False))
@@ -330,7 +337,7 @@ class Schema:
         return [*tables, *{old for m in tables.values() for old in m.replaces}.difference(tables)]
 
     def drop(self, tables: Iterable[str], lock: SchemaLock) -> None:
-        """Drop some tables, under the lock."""
+        """Drop some tables with their chunk tables, under the lock."""
         for table in tables:
             for name in (table, chunk_table_name(table)):
                 lock.change(
@@ -341,7 +348,10 @@ class Schema:
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
-    """Return the options of a table for CQL; its rows stay ttl + margin seconds, 0 = for ever."""
+    """Return the options of a table as CQL.
+
+    Its rows stay ttl + margin seconds, ttl 0 = for ever.
+    """
     enabled = "" if merged else ", 'enabled': 'false'"
     if not ttl:
         return (
@@ -357,7 +367,7 @@ def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:
 
 
 def _own_columns(metadata: TopicMetadata) -> dict[str, str]:
-    """Return the columns that the table of a topic has in every format: name → CQL type."""
+    """Return the columns that a topic's table has in every format: name → CQL type."""
     partition = metadata.partition
     return {
         **{"_node": "text", partition: KEY_TYPES[partition], "_t": "bigint", "_seq": "bigint"},

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""cr_sent: what an MCAP says of its messages beside what a row holds.
+"""cr_sent: send times and sequence numbers of messages of MCAP files.
 
-That is when each was sent, where that was not when it was received, and its sequence number. Both
-are kept by the place of the message in its file, STRIPE messages a row, only where there is some.
+A row holds them for STRIPE consecutive messages of a file. It exists only if a message has a send
+time other than its receive time, or a sequence number.
 """
 
 from __future__ import annotations
@@ -25,37 +25,37 @@ Longs = NDArray[np.int64]
 
 
 class Sent(NamedTuple):
-    """Of STRIPE consecutive messages."""
+    """Send times and sequence numbers of STRIPE consecutive messages."""
 
     delays: Longs
-    """publish_time minus log_time of each, ns."""
+    """publish_time minus log_time of each message, ns."""
     sequences: Longs
 
 
 class SentTimes:
-    """Reads and writes them in one keyspace."""
+    """Reads and writes the send times in one keyspace."""
 
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
     def any(self) -> bool:
-        """Say whether there may be some."""
+        """Return whether the keyspace has the table of send times."""
         return self._tables.has(_TABLE)
 
     def put(self, writer: int, node: str, stripe: int, sent: Sent) -> None:
-        """Store those of the messages from number ``stripe * STRIPE`` on of an import."""
+        """Write those of the messages from number ``stripe * STRIPE`` on of an import."""
         self._tables.make(_TABLE)
-        # Differences, and like bytes side by side: running numbers become nothing.
+        # Differences with like bytes side by side: consecutive numbers compress to nothing.
         columns = np.array([sent.delays, np.diff(sent.sequences, prepend=0)], _NUMBER)
         raw = columns.view(np.uint8).reshape(-1, _NUMBER.itemsize).T.tobytes()
         row = {"writer": writer, "node": node, "stripe": stripe, "sent": zstandard.compress(raw)}
         self._tables.insert(_TABLE, row, "storing when messages were sent")
 
     def get(self, writer: int, node: str, stripe: int) -> Sent | None:
-        """Read them back; None = nothing is known of these messages.
+        """Return the send times and sequence numbers of a stripe; None if none are stored.
 
         Raises:
-            CorruptMessage: put did not write what is stored.
+            CorruptMessage: The stored bytes are damaged.
         """
         where, key = "writer = ? AND node = ? AND stripe = ?", (writer, node, stripe)
         what = "reading when messages were sent"

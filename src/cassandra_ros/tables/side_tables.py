@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keyspaces, the tables that stand beside the topics' own in each of them, and the schema lock.
+"""A keyspace, the tables in it that do not belong to one topic, and the schema lock.
 
 ``IF NOT EXISTS`` on two coordinators gives the union of the columns, and two ALTERs can lose a
 comment: Cassandra 4 and 5 change the schema without consensus. So every DDL statement is sent
@@ -38,14 +38,14 @@ _LOCK = "cr_lock"
 _LOCK_COLUMNS = "name text PRIMARY KEY, owner uuid"
 
 SIDE_TABLES = {
-    # Connection headers: the definition is cut out of the header and its place kept.
+    # Connection headers without the definition, with the offset where it was cut out.
     "cr_connection": (
         "tbl text, conn bigint, topic text, number int, header blob, def_offset int, "
         "md5sum text, def_hash blob, PRIMARY KEY ((tbl, conn))"
     ),
-    # md5sum does not tell one text from another (comments), so the hash of the text does.
+    # Texts with different comments have the same md5sum, so the hash of the text identifies it.
     "cr_definition": "md5sum text, hash blob, text blob, PRIMARY KEY ((md5sum, hash))",
-    # Directory: which (slot, node) a table has, and every bucket of each of them by writer.
+    # Directory: the (slot, node) pairs of each table, and every bucket of each pair by writer.
     "cr_node": "tbl text, slot bigint, node text, PRIMARY KEY ((tbl), slot, node)",
     "cr_bucket": (
         "tbl text, node text, slot bigint, bucket bigint, writer bigint, state text, "
@@ -53,7 +53,7 @@ SIDE_TABLES = {
         "t_max bigint, odd bigint, deleted boolean, filled frozen<set<text>>, "
         "PRIMARY KEY ((tbl, node, slot), bucket, writer)"
     ),
-    # Each recording or import; its writer id is the upper half of the _seq of its rows.
+    # Recordings and imports; the writer id is the upper half of the _seq of their rows.
     "cr_run": (
         "node text, writer bigint, kind text, name text, source text, format text, "
         "host text, started timestamp, ended timestamp, labels frozen<map<text, text>>, "
@@ -62,23 +62,23 @@ SIDE_TABLES = {
     ),
 }
 LATER_TABLES = {
-    # Many keyspaces never need these: what first writes to one makes it. What could not be
-    # recorded, beside the data:
+    # Many keyspaces never need these tables: each is made before its first row is written.
+    # Messages that could not be recorded:
     "cr_loss": (
         "topic text, node text, writer bigint, kind text, first bigint, last bigint, n bigint, "
         "PRIMARY KEY ((topic), node, writer, kind, first)"
     ),
-    # Parameters and node graph at the start of a run, and when it was last seen alive.
+    # Parameters and node graph at the start of a run, and its last heartbeat.
     "cr_context": (
         "writer bigint, node text, heartbeat timestamp, interrupted timestamp, context blob, "
         "PRIMARY KEY ((writer), node)"
     ),
-    # When messages of an MCAP were sent, and their sequence numbers; see tables/sent_times.py.
+    # Send times and sequence numbers of messages of an MCAP file; see tables/sent_times.py.
     "cr_sent": (
         "writer bigint, node text, stripe bigint, sent blob, PRIMARY KEY ((writer, node), stripe)"
     ),
-    # When robots were in which squares of the ground, and of which of their poses that is noted;
-    # see tables/place_index.py.
+    # Squares of the ground in which robots were, and the poses whose visits are complete; see
+    # tables/place_index.py.
     "cr_place": (
         "frame text, robot text, size int, x int, y int, node text, t_in bigint, writer bigint, "
         "t_out bigint, PRIMARY KEY ((frame, robot, size, x, y), node, t_in, writer)"
@@ -121,7 +121,7 @@ class SchemaLock:
         except CassandraRosError as exc:
             if failure is None:
                 raise
-            # What went wrong under the lock says more.
+            # The error under the lock is the one that matters.
             _log.warning("the schema lock runs out by itself within %d s: %s", LOCK_TTL_SEC, exc)
 
     def _take(self) -> bool:
@@ -130,20 +130,20 @@ class SchemaLock:
             f"USING TTL {LOCK_TTL_SEC}",
             (_SCHEMA, self._owner),
         )
-        # A first try that timed out on its way back may have taken it.
+        # An earlier try whose answer was lost may have taken the lock.
         return applied or owner == self._owner
 
     def change(self, cql: str, *, what: str) -> None:
-        """Run one DDL statement, as schema_change does, while the lock is ours.
+        """Run one DDL statement like schema_change, after checking that we still hold the lock.
 
         Raises:
-            SchemaConflict: The lock ran out and somebody else may be changing the schema.
+            SchemaConflict: The lock ran out, and another client may be changing the schema.
         """
         self.renew()
         self._cassandra.schema_change(cql, what=what)
 
     def renew(self) -> None:
-        """Prove that the lock is still ours and start its time anew; raises as change does."""
+        """Check that we still hold the lock and restart its time; raises like ``change``."""
         applied, _ = self._lwt(
             f"UPDATE {self._table} USING TTL {LOCK_TTL_SEC} SET owner = ? WHERE name = ? "
             "IF owner = ?",
@@ -156,11 +156,11 @@ class SchemaLock:
 
     def _lwt(self, cql: str, params: tuple[object, ...]) -> tuple[bool, object]:
         # Under contention a transaction may time out with its outcome unknown. All three of ours
-        # name the owner, so asking again is safe.
+        # contain the owner, so they can be repeated.
         for left in reversed(range(_TRIES)):
             try:
                 row = self._cassandra.execute_once(cql, params, what="taking the schema lock")[0]
-                # [applied] and, where refused, the columns of the row that stands in the way.
+                # [applied], and if it is false the columns of the row that is there already.
                 return bool(row[0]), row[-1] if len(row) > 1 else None
             except StoreUnavailable as exc:
                 if not left:
@@ -173,7 +173,8 @@ class SchemaLock:
 class SideTables:
     """The side tables of one keyspace, and the keyspace itself, which need not exist.
 
-    Who writes makes them before; to who only reads a missing table is an empty one. Thread-safe.
+    Writers make missing tables before they write; readers treat a missing table as an empty one.
+    Thread-safe.
 
     Raises:
         InvalidName: The name is not 1 to 48 letters, digits and underscores.
@@ -187,13 +188,13 @@ class SideTables:
         self._cassandra = cassandra
         self.keyspace = keyspace
         self.retry_sec: Seconds = RETRY_SEC
-        """How long one request is tried."""
+        """How long one request is retried, s."""
         self._there: frozenset[str] = frozenset()
         self._keyspace_made = self._made = False
         self._mutex = threading.Lock()
 
     def has(self, name: str) -> bool:
-        """Say whether a table exists; the server is asked until it does."""
+        """Return whether a table exists; the server is asked each time until it does."""
         if name not in self._there:
             self._there = self._list()
         return name in self._there
@@ -201,7 +202,7 @@ class SideTables:
     def select(
         self, table: str, names: str, where: str = "", params: Sequence[object] = (), *, what: str
     ) -> list[CqlRow]:
-        """Read columns of the rows of a table for which a condition holds; '' = of all."""
+        """Return columns of the rows of a table that match a condition; '' = of all rows."""
         if not self.has(table):
             return []
         condition = f" WHERE {where}" if where else ""
@@ -216,7 +217,10 @@ class SideTables:
         now: Sequence[str] = (),
         ttl: int = 0,
     ) -> None:
-        """Write a row, for ttl seconds, 0 = ever; of some columns the server fills in the time."""
+        """Write a row for ttl seconds (0 = for ever).
+
+        The server puts its time into columns ``now``.
+        """
         names = ", ".join([*columns, *now])
         marks = ", ".join(["?"] * len(columns) + ["toTimestamp(now())"] * len(now))
         cql = f"INSERT INTO {self.qualified(table)} ({names}) VALUES ({marks}) USING TTL ?"
@@ -225,7 +229,7 @@ class SideTables:
     def insert_many(
         self, table: str, names: Sequence[str], rows: Sequence[CqlRow], what: str, *, ttl: int = 0
     ) -> None:
-        """Write rows with these columns, for ttl seconds, 0 = ever."""
+        """Write rows with these columns, for ttl seconds (0 = for ever)."""
         marks = ", ".join("?" for _ in names)
         cql = (
             f"INSERT INTO {self.qualified(table)} ({', '.join(names)}) VALUES ({marks}) USING TTL ?"
@@ -236,14 +240,14 @@ class SideTables:
     def select_many(
         self, table: str, names: str, where: str, params: Sequence[CqlRow], what: str
     ) -> list[list[CqlRow]]:
-        """Read columns of the rows for which a condition holds, with each of some parameters."""
+        """Return columns of the rows that match a condition, for each set of parameters."""
         if not self.has(table):
             return []
         cql = f"SELECT {names} FROM {self.qualified(table)} WHERE {where}"
         return self._cassandra.execute_many(cql, params, what=what, retry_sec=self.retry_sec)
 
     def delete(self, table: str, key: Sequence[str], values: Sequence[CqlRow], what: str) -> None:
-        """Delete the rows in which the columns of a key have one of some values."""
+        """Delete the rows with one of some values in the columns of the key."""
         where = " AND ".join(f"{name} = ?" for name in key)
         cql = f"DELETE FROM {self.qualified(table)} WHERE {where}"
         self._cassandra.execute_many(cql, values, what=what, retry_sec=self.retry_sec)
@@ -256,7 +260,7 @@ class SideTables:
         return self._cassandra.execute(cql, params, what=what, retry_sec=self.retry_sec)
 
     def absence(self) -> str:
-        """Return a sentence where the keyspace is missing, with the nearest names; else ''."""
+        """Return a sentence with similar names if the keyspace is missing; '' if it exists."""
         rows = self._cassandra.execute(
             "SELECT keyspace_name FROM system_schema.keyspaces", what="listing the keyspaces"
         )
@@ -272,13 +276,13 @@ class SideTables:
         )
 
     def require_keyspace(self) -> None:
-        """Check that the keyspace exists; else KeyspaceNotFound gives the nearest names."""
+        """Raise KeyspaceNotFound, with similar names, if the keyspace does not exist."""
         absence = self.absence()
         if absence:
             raise KeyspaceNotFound(absence)
 
     def make_keyspace(self) -> None:
-        """Make the keyspace with min(3, nodes) copies; warn where an existing one has fewer."""
+        """Make the keyspace with min(3, nodes) copies; warn if an existing one has fewer."""
         if self._keyspace_made:
             return
         wanted = min(3, self._cassandra.live_nodes())
@@ -302,14 +306,14 @@ class SideTables:
         self._keyspace_made = True
 
     def change_rights(self, statement: str) -> None:
-        """Run a statement that makes a role or gives it a right; it changes no schema."""
+        """Run a statement that makes a role or grants a right; it does not change the schema."""
         self._cassandra.execute_text(statement, what=statement)
 
     def make(self, *later: str) -> None:
-        """Make the keyspace and the tables where they are missing; before the first write.
+        """Make the keyspace and its side tables if they are missing, before the first write.
 
         Args:
-            later: Which of LATER_TABLES are about to be written, too.
+            later: Those of LATER_TABLES that are about to be written.
         """
         with self._mutex:
             if self._made and self._there.issuperset(later):
@@ -333,8 +337,9 @@ class SideTables:
             self._made = True
 
     def _make_lock_table(self) -> None:
-        # The lock cannot guard its own making. A fixed id lets racing clients make the same table,
-        # and its columns never change; it is never dropped while the keyspace stands.
+        # The lock cannot guard its own creation. With a fixed id racing clients make the same
+        # table;
+        # its columns never change, and it is never dropped while the keyspace exists.
         table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{self.keyspace}/{_LOCK}")
         self._cassandra.schema_change(
             f"CREATE TABLE IF NOT EXISTS {self.qualified(_LOCK)} ({_LOCK_COLUMNS}) "
@@ -343,7 +348,7 @@ class SideTables:
         )
 
     def _list(self) -> frozenset[str]:
-        # Whoever asks for a table is about to use the keyspace.
+        # A caller that looks for a table is about to use the keyspace.
         self._cassandra.use_keyspace(self.keyspace)
         rows = self._cassandra.system_schema("tables", "table_name", self.keyspace)
         return frozenset(name for (name,) in rows)

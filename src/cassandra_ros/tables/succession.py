@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tables that take the place of others: which are read, and where the messages of the others lie.
+"""Tables that replace others: which of them are read, and where the messages are now.
 
-A table that is filled unseen names in its comment those that it replaces. All follows from that one
-comment: by the one change of it, from filling to filled, the table becomes visible and the others
-invisible, at once. So whoever reads the comments sees the old tables or the new one,
-never both and never neither.
+While a new table is being filled, its comment names the tables that it replaces. Everything follows
+from this comment: one change of it, from filling to filled, makes the new table visible and the old
+tables invisible at once. So a client that reads the comments sees either the old tables or the new
+one.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from cassandra_ros.metadata import TopicMetadata
 
 
 class Listing:
-    """The topic tables of a keyspace, as their comments are at one moment. Never changed.
+    """The topic tables of a keyspace, by their comments at one moment. Immutable.
 
     Attributes:
-        every: Name → metadata of all of them.
-        visible: Those that are read.
-        heirs: Table that was replaced → the one that has its messages now.
-        leaving: Table that is read → the one that is being filled to replace it.
+        every: Name → metadata of all tables.
+        visible: Name → metadata of the tables that are read.
+        heirs: Table that was replaced → the table that has its messages now.
+        leaving: Table that is read → the table that is being filled to replace it.
         by_topic: Topic → names of its tables that are read, sorted.
     """
 
@@ -45,11 +45,11 @@ class Listing:
             self.by_topic.setdefault(m.topic, []).append(name)
 
     def takes_rows(self, table: str) -> bool:
-        """Say whether new messages may go into a table: not into one that others replace."""
+        """Return whether new messages may go into a table; not if it is being replaced."""
         return table not in self.leaving and table not in self.heirs
 
     def check_staying(self, table: str) -> None:
-        """Raise SchemaConflict where a table is, or was, being replaced."""
+        """Raise SchemaConflict if a table was replaced or is being replaced."""
         heir = self.leaving.get(table) or self.heirs.get(table)
         if heir is None:
             return
@@ -61,6 +61,6 @@ class Listing:
             )
         raise SchemaConflict(
             f"topic {metadata.topic} is being converted to format {metadata.format}; do it again "
-            f"when that has ended. Where nobody does it any more, 'cassandra_bag convert "
-            f"{metadata.topic} --format {metadata.format}' brings it to its end"
+            f"when that has ended. If no client is at it any more, 'cassandra_bag convert "
+            f"{metadata.topic} --format {metadata.format}' finishes it"
         )

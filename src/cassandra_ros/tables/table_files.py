@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the nodes do with the files of a table: merge them, and build its indexes from them.
+"""The files of a table on the nodes: merging them, and building its indexes from them.
 
-Where an index is made just while a merge ends, Cassandra 5.0.8 takes the new file for a broken one
-and drops it from all indexes of the table: their rows are not found any more, without an error.
-Each node builds one index after the other, of all tables. When it begins with one it fixes which
-files that covers, and they must not be merged before.
+If an index is made just while a merge ends, Cassandra 5.0.8 takes the new file for a broken one and
+drops it from all indexes of the table: rows in it are not found any more, without an error. Each
+node builds the indexes of all tables one after the other. When a build begins, its set of files is
+fixed, and they must not be merged before it ends.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from cassandra_ros.tables.side_tables import SchemaLock
 _log = logging.getLogger(__name__)
 
 QUIET_SEC = 30.0
-"""How long merging that is going on is waited for."""
+"""How long to wait for merges that are in progress, s."""
 BUILD_SEC = 30.0
-"""How long Cassandra may take to begin to build an index."""
+"""How long Cassandra may take to begin to build an index, s."""
 PAUSE_SEC = 0.05
 _ENABLED = "enabled"
 _BUILD = "secondary index build"
 
 
 class TableFiles:
-    """The files of one table on the nodes in reach; under the schema lock.
+    """The files of one table on all reachable nodes; used under the schema lock.
 
-    Who dies while merging is paused leaves it so: it goes on when somebody resumes it.
+    If a client dies while merging is paused, it stays paused until another client calls ``resume``.
     """
 
     def __init__(self, cassandra: Cassandra, keyspace: str, table: str, lock: SchemaLock) -> None:
@@ -45,10 +45,10 @@ class TableFiles:
         self._lock = lock
 
     def pause(self) -> None:
-        """Forbid merging, and wait for what is going on.
+        """Forbid merging, and wait for merges in progress.
 
         Raises:
-            StoreUnavailable: Files are still being merged after 30 s; it is allowed again.
+            StoreUnavailable: Files are still being merged after 30 s; merging is allowed again.
         """
         options = self._options()
         with self.told():
@@ -63,7 +63,7 @@ class TableFiles:
             )
 
     def resume(self) -> None:
-        """Allow merging again where somebody has paused it to make an index."""
+        """Allow merging again if a client has paused it to make an index."""
         options = self._options()
         if options.pop(_ENABLED, "true") != "true":
             self.await_builds(self.indexes(), BUILD_SEC)
@@ -71,7 +71,7 @@ class TableFiles:
 
     @contextmanager
     def told(self) -> Iterator[None]:
-        """Log that merging stays paused where the block fails."""
+        """Run a block; if it fails, log that merging stays paused."""
         try:
             yield
         except BaseException:
@@ -79,7 +79,7 @@ class TableFiles:
             raise
 
     def tell(self) -> None:
-        """Log that merging stays paused, and what ends that."""
+        """Log that merging stays paused, and how to resume it."""
         _log.warning(
             "the files of table %s are not merged until createIndex or removeIndex is called for "
             "its topic, for any field",
@@ -100,10 +100,10 @@ class TableFiles:
         )
 
     def _await_quiet(self) -> str:
-        """Wait until no node rewrites files of the table; return what is left after 30 s, or ''."""
+        """Wait until no node merges files of the table; return what is left after 30 s, or ''."""
         deadline = time.monotonic() + QUIET_SEC
         quiet = 0
-        # One that was chosen just before it was forbidden may not be listed at once.
+        # A merge that was chosen just before merging was forbidden may be listed a moment later.
         while quiet < 2:
             busy = [task for found in self.tasks().values() for task in found]
             quiet = 0 if busy else quiet + 1
@@ -115,7 +115,7 @@ class TableFiles:
         return ""
 
     def tasks(self) -> dict[str, list[tuple[str, float]]]:
-        """List what the nodes are doing: address → pairs of kind and completion (0 to 1)."""
+        """Return the tasks of each node: address → pairs of kind and completion (0 to 1)."""
         return self._cassandra.execute_on_each(
             "SELECT kind, completion_ratio FROM system_views.sstable_tasks "
             "WHERE keyspace_name = ? AND table_name = ?",
@@ -124,7 +124,7 @@ class TableFiles:
         )
 
     def indexes(self) -> set[str]:
-        """Names of the indexes of ours that the table has."""
+        """Return the names of the table's indexes that belong to this package."""
         rows = self._cassandra.system_schema("indexes", "index_name", self._keyspace, self._table)
         return {name for (name,) in rows if name.startswith(self._table + SHADOW)}
 
@@ -136,7 +136,7 @@ class TableFiles:
         )
 
     def await_builds(self, names: AbstractSet[str], seconds: float) -> None:
-        """Wait until every node has built these, all indexes of the table, or is at the last."""
+        """Wait until each node has begun the last of the table's indexes, or has built them all."""
         deadline = time.monotonic() + seconds
         while not self._begun_on_each(names):
             if time.monotonic() > deadline:
@@ -167,12 +167,13 @@ class TableFiles:
 
 
 def begun(names: AbstractSet[str], listed: Mapping[str, bool], at_work: bool) -> bool:
-    """Tell whether a node has begun to build every index that the schema has of a table.
+    """Return whether a node has begun to build every index that the schema has for a table.
 
     Args:
-        listed: Those that the node knows, name → whether it waits for being built or is at it.
-        at_work: It builds one of the table.
+        names: Names of the table's indexes in the schema.
+        listed: Indexes that the node lists, name → whether its build waits or runs.
+        at_work: Whether the node is building an index of the table.
     """
     unbuilt = sum(listed.values())
-    # With two of them the one that it builds may be the other.
+    # With two unbuilt indexes it is not known which of them the node is building.
     return names <= listed.keys() and (not unbuilt or (unbuilt == 1 and at_work))
