@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the values of a field are in a table: numbers of which kind, alone or in arrays."""
+"""Types of the values of a field in a table: the primitive type, and the arrays around it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Typed = Tuple[str, "ArrayType"]
 
 MIXED = "mixed"
 _MANTISSA = {"float32": 24, "float64": 53}
-"""Bits of the integers that a float holds exactly."""
+"""Number of bits of the integers that a float type holds exactly."""
 
 
 @dataclass(frozen=True)
@@ -36,28 +36,28 @@ class ArrayType:
     """The type of a column."""
 
     kind: str
-    """Primitive ROS type; 'mixed' where the definitions of a topic disagree, 'sum' where integers
-    are computed, of any size."""
+    """Primitive ROS type; 'mixed' if the definitions of a topic disagree, 'sum' for computed
+    integers of any size."""
     depth: int = 0
-    """How many arrays lie around a value."""
+    """Number of arrays around a value."""
     length: Optional[int] = None
-    """Elements of the one array, where it is of fixed length."""
+    """Number of elements of the array, if there is one array, of fixed length."""
 
     @property
     def dtype(self) -> AnyType:
-        """The type of one value in numpy; times and durations are integer nanoseconds."""
+        """Type in numpy of one value; times and durations are integer nanoseconds."""
         if self.kind in ("time", "duration"):
             return np.dtype(np.int64)
         return np.dtype(object if self.kind in ("string", MIXED, INTEGER) else self.kind)
 
     @property
     def cells(self) -> bool:
-        """Whether a row holds an array of its own, as an object."""
+        """Whether each row holds an array of its own, as an object."""
         return self.depth > 1 or (self.depth == 1 and self.length is None)
 
 
 def _type_of(output: Output, table: Table, unnested: Sequence[Array]) -> ArrayType:
-    """Return the type of a column, beside the arrays of messages that are unnested."""
+    """Return the type of a column, without the arrays of messages that are unnested."""
     ref, definition = output.ref, table.definition
     if ref is None or definition is None:
         return ArrayType(output.kind)
@@ -72,13 +72,13 @@ def _type_of(output: Output, table: Table, unnested: Sequence[Array]) -> ArrayTy
     ]
     if ref.is_array:
         lengths.append(fields[-1].length)
-    # nsecs beyond a second add to the seconds, which may then be too many for 32 bits.
+    # nsecs over a second are carried to the seconds, which may then exceed 32 bits.
     kind = "int64" if ref.part else ref.type
     return ArrayType(kind, len(lengths), lengths[0] if len(lengths) == 1 else None)
 
 
 def group_types(projection: Projection, table: Table) -> list[list[Typed]]:
-    """Return name and type of what each selected path gives in a table."""
+    """Return name and type of the columns of a table, for each selected path."""
     unnested = projection.unnested
     return [[(o.name, _type_of(o, table, unnested)) for o in group] for group in projection.groups]
 
@@ -104,7 +104,7 @@ def unite_columns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:
 
 
 def unite_types(types: Sequence[ArrayType]) -> ArrayType:
-    """Return a type that holds the values of all exactly."""
+    """Return a type that holds the values of all given types exactly."""
     united = types[0]
     for other in types[1:]:
         if other.depth != united.depth:

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Undecoded columns of many rows to arrays, all rows at once; and values that were decoded.
+"""Conversion of undecoded columns of many rows to arrays at once, and of decoded values.
 
-What is missing is a zero in the array, and marked in a second one. Those of batches and of tables
-are joined to one.
+A missing value is a zero in the array, and marked in a second array. The arrays of batches and of
+tables are joined.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ _BIG = {
     "float": ">f4",
     "double": ">f8",
 }
-"""numpy's types of CQL's encodings."""
+"""numpy types of CQL's encodings, by CQL type."""
 _FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in _BIG.items()}
 _NO_LIST = b"\0\0\0\1"
 
 
 class Values(NamedTuple):
-    """An array of values, one a row."""
+    """An array of values, one value or array per row."""
 
     values: AnyArray
     missing: AnyArray
-    """A bool for each row; takes no memory where nothing is missing."""
+    """A bool for each row: its value is missing. Takes no memory if no value is missing."""
 
 
 Convert = Callable[[Raws], Values]
@@ -54,8 +54,8 @@ def compile_convert(
 ) -> Optional[Convert]:
     """Return the function from the columns of many rows to a field's values.
 
-    None where they must be decoded one by one. ``inside``: The column is a list over an array that
-    is unnested, each element is a row.
+    None: the values must be decoded one by one. ``inside``: the column is a list over an array that
+    is unnested, so that each element becomes a row.
     """
     direct = all(step.index is None for step in ref.steps) and column.name == ref.column
     if not direct or column.kind == "wire" or kind.depth > 1:
@@ -76,13 +76,13 @@ def compile_convert(
 
 
 def count_elements(raws: Raws) -> AnyArray:
-    """Return how many elements the lists have; where one is missing, it stands for one."""
+    """Return the number of elements of each list; a missing list counts as one element."""
     return np.frombuffer(b"".join([raw[:4] if raw else _NO_LIST for raw in raws]), ">i4")
 
 
 @lru_cache(maxsize=64)  # most batches have the same number of rows
 def none_missing(count: int) -> AnyArray:
-    """Return the marks of values of which none is missing."""
+    """Return the marks of ``count`` values that all exist."""
     return np.broadcast_to(np.False_, (count,))
 
 
@@ -93,9 +93,9 @@ def _absent(raws: Sequence[object]) -> AnyArray:
 
 
 def _one(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
-    """For columns, or elements of lists, that hold one field each."""
+    """Return the conversion of columns, or of list elements, that hold one field each."""
     if column.kind == "array" and ref.index is not None:
-        # The type of secs is a number's, and they lie in a time.
+        # ref.type is the type of secs, but the array holds times.
         base = column.field_type.partition("[")[0] if ref.part else ref.type
         return partial(_element, ref.index, base)
     if column.kind == "array":
@@ -113,7 +113,7 @@ def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> Values:
 
 
 def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
-    """Lay the values of all rows side by side; each has its type's size."""
+    """Join the values of all rows; each must have the size of the type."""
     filler = bytes(dtype.itemsize)
     joined = b"".join([filler if raw is None else raw for raw in raws])
     if len(joined) != len(raws) * dtype.itemsize:
@@ -127,7 +127,7 @@ def _varints(raws: Raws) -> Values:
 
 
 def _texts(raws: Raws) -> Values:
-    # Frames and names repeat: of equal texts one is kept.
+    # Texts such as frame names repeat: equal texts share one object.
     known = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
     values = np.empty(len(raws), object)
     values[:] = [None if raw is None else known[raw] for raw in raws]
@@ -135,7 +135,7 @@ def _texts(raws: Raws) -> Values:
 
 
 def _numbers_of(kind: str, wire: bytes) -> AnyArray:
-    """Read the elements of a primitive array as on the wire."""
+    """Return the elements of a primitive array as on the wire."""
     if kind in ("time", "duration"):
         pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
         ns: AnyArray = pairs[:, 0].astype(np.int64) * SECOND_NS + pairs[:, 1]
@@ -145,14 +145,16 @@ def _numbers_of(kind: str, wire: bytes) -> AnyArray:
 
 
 def _size_of(kind: str) -> int:
-    """Return the bytes of a primitive on the wire."""
+    """Return the size of a primitive on the wire, bytes."""
     return 8 if kind in ("time", "duration") else np.dtype(kind).itemsize
 
 
 def _cells(kind: str, raws: Raws) -> Values:
     missing = _absent(raws)
     sizes = {0 if raw is None else len(raw) for raw in raws}
-    if len(sizes) == 1 and 0 not in sizes:  # as scans mostly have: they are read together
+    if (
+        len(sizes) == 1 and 0 not in sizes
+    ):  # arrays of equal length, as in most scans, are read together
         rows = _arrays(kind, sizes.pop() // _size_of(kind), raws).values
         return Values(objects_of(list(rows)), missing)
     cells = [None if raw is None else _numbers_of(kind, raw) for raw in raws]
@@ -172,7 +174,7 @@ def _element(index: int, kind: str, raws: Raws) -> Values:
 
 
 def _split(convert: Convert, raws: Raws) -> Values:
-    """Apply to all elements of lists, one after the other."""
+    """Convert all elements of lists, list after list."""
     cut: List[Optional[bytes]] = []
     for raw in raws:
         cut += [None] if raw is None else split_list(raw)
@@ -180,7 +182,7 @@ def _split(convert: Convert, raws: Raws) -> Values:
 
 
 def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> Values:
-    """As _split, for elements that all have the same size."""
+    """Convert like _split, for elements that all have the same size."""
     value = np.dtype(_FIXED_LISTS[column.cql_type])
     element = np.dtype([("size", ">i4"), ("value", value)])
     filler = value.itemsize.to_bytes(4, "big") + bytes(value.itemsize)
@@ -195,14 +197,14 @@ def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> Values:
 
 
 def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> Values:
-    # Lists that are missing stand for one element.
+    # A missing list counts as one element.
     every, ends = elements(raws).values, np.cumsum(count_elements(raws))
     cells = np.split(every, ends[:-1])
     return _arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
 
 
 def _listed(index: int, raws: Raws) -> Values:
-    """One element of each string[]."""
+    """Return the element with this index of each string[]."""
     lists = [[] if raw is None else split_list(raw) for raw in raws]
     return _texts([found[index] if index < len(found) else None for found in lists])
 
@@ -213,7 +215,7 @@ def _part(convert: Convert, part: str, raws: Raws) -> Values:
 
 
 def objects_of(cells: Sequence[object]) -> AnyArray:
-    """Return an array of objects, whatever they are."""
+    """Return an array of objects of any type."""
     values = np.empty(len(cells), object)
     for n, cell in enumerate(cells):
         values[n] = cell
@@ -221,7 +223,7 @@ def objects_of(cells: Sequence[object]) -> AnyArray:
 
 
 def _arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
-    """Return arrays of one dimension as rows of one array, if their length is fixed."""
+    """Return one-dimensional arrays as the rows of one array, if their length is fixed."""
     missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
     if kind.length is None:
         return Values(objects_of(cells), missing)
@@ -233,7 +235,7 @@ def _arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
 
 
 def from_decoded(values: Sequence[Any], kind: ArrayType) -> Values:
-    """Make the arrays of values that were decoded one by one."""
+    """Return the arrays of values that were decoded one by one."""
     if kind.depth == 1:
         return _arrays_of([None if value is None else _cell(value, kind) for value in values], kind)
     if kind.depth > 1 or kind.dtype.kind == "O":
@@ -251,7 +253,7 @@ def _cell(value: Any, kind: ArrayType) -> AnyArray:
 
 
 def empty_values(kind: ArrayType, count: int) -> Values:
-    """Return values of which all are missing."""
+    """Return ``count`` values that are all missing."""
     dtype = np.dtype(object) if kind.cells else kind.dtype
     shape = (count, kind.length) if kind.depth == 1 and kind.length is not None else (count,)
     values = np.full(shape, None, object) if dtype.kind == "O" else np.zeros(shape, dtype)
@@ -259,7 +261,7 @@ def empty_values(kind: ArrayType, count: int) -> Values:
 
 
 def join_values(parts: Sequence[Values], kind: ArrayType) -> Values:
-    """Lay values of one type after each other."""
+    """Concatenate values of one type."""
     if not parts:
         return empty_values(kind, 0)
     values = np.concatenate([part.values for part in parts])
@@ -269,7 +271,7 @@ def join_values(parts: Sequence[Values], kind: ArrayType) -> Values:
 
 
 def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
-    """Turn the values of one table from their own type into that which holds those of all."""
+    """Convert the values of one table from their own type to the type common to all tables."""
     values, missing = found
     if own == kind or own.depth > 1:
         return found
@@ -279,23 +281,28 @@ def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
             values[missing] = None
         return Values(values, missing)
     if own.depth == 0:
-        return Values(rows_of(values.astype(object), missing), missing)  # beside arrays
+        return Values(rows_of(values.astype(object), missing), missing)  # other tables have arrays
     cells = rows_of(values, missing)
     dtype = own.dtype if kind.depth == 0 else kind.dtype
     return Values(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
 
 
 def rows_of(values: AnyArray, missing: AnyArray) -> AnyArray:
-    """Return an array of objects, one a row: the rows of an array, None where one is missing."""
+    """Return the rows of an array as an array of objects, None for a missing row."""
     rows = objects_of(list(values))
     rows[missing] = None
     return rows
 
 
 def stack_cells(cells: AnyArray, kind: ArrayType) -> AnyArray:
-    """Return arrays of one length as the rows of one array; arrays of several lengths as given."""
+    """Return arrays of equal length as the rows of one array.
+
+    Arrays of several lengths unchanged.
+    """
     lengths = set(map(len, cells))
     if len(lengths) != 1:
         return cells
     rows = np.concatenate(cells.tolist()).reshape(len(cells), lengths.pop())
-    return rows if rows.dtype == kind.dtype else cells  # an element is missing inside of one
+    return (
+        rows if rows.dtype == kind.dtype else cells
+    )  # an array with a missing element has another type

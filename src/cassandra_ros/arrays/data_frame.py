@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The fields of many messages as a pandas.DataFrame.
 
-pandas and pyarrow are loaded when a table is asked for: nothing else needs them.
+pandas and pyarrow are imported when the first DataFrame is made, because nothing else needs them.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def read_frame(
     node: Optional[str] = None,
     writers: Writers = None,
 ) -> Any:
-    """Return fields as a DataFrame, whose index is KEY; arguments and errors as gather_fields."""
+    """Return fields as a DataFrame with index KEY; arguments and errors as gather_fields."""
     pandas = optional_module("pandas", "toDataFrame")
     asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
     found = gather_fields(topic, asked, where, read, blocks, node=node, writers=writers)
@@ -50,7 +50,7 @@ def read_frame(
 
 
 def _series(pandas: Any, array: FieldArray) -> Any:
-    """Return the values of one column, as pandas says best what is missing."""
+    """Return the values of one column, with missing values in pandas' form for the type."""
     kind, values, missing = array
     if kind.depth:
         return rows_of(values, missing)

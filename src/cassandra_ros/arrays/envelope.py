@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a plot shows of many numbers over time: the least and the greatest of each of its pixels.
+"""Envelopes for plots of many numbers over time: minimum and maximum in each pixel.
 
-Pixels are as long as a power of two of nanoseconds, and begin at its multiples. So what was found
-of a time range holds for everybody who looks at it as closely, and parts are joined by it.
+The length of a pixel is a power of two of nanoseconds, and pixels begin at its multiples. So the
+envelope of a time range can be reused for every plot with the same pixel length, and envelopes of
+adjacent time ranges can be merged.
 
-Numbers are float64: an integer beyond 2^53 is rounded to the next one, as float() does. What is
-missing, and NaN, is NaN: a pixel has it only where there is nothing else.
+Numbers are float64: an integer above 2^53 is rounded, as by float(). A missing value counts as NaN.
+A pixel is NaN only if it contains no number.
 """
 
 from __future__ import annotations
@@ -19,27 +20,27 @@ from cassandra_ros.arrays.array_types import AnyArray
 
 _NEVER, _BEFORE = 2**63 - 1, -1
 GAP_INTERVALS = 5
-"""A line is broken where no message came for more than this number of usual intervals."""
+"""Maximum pause in a connected line, as a multiple of the median interval between messages."""
 
 
 class Grid(NamedTuple):
     """The pixels of a plot."""
 
     shift: int
-    """A pixel is 2 ** shift ns long."""
+    """Length of a pixel as a power of two: 2 ** shift ns."""
     first: int
-    """Number of the first one, counted from 1970."""
+    """Number of the first pixel, counted from 1970."""
     pixels: int
 
     @classmethod
     def over(cls, low: int, high: int, shift: int) -> Grid:
-        """Return the pixels, of this length, that hold the times from low to high, both in it."""
+        """Return the pixels of this length that contain the times low to high, both included."""
         first = low >> shift
         return cls(shift, first, (high >> shift) - first + 1)
 
     @classmethod
     def between(cls, low: int, high: int, most: int) -> Grid:
-        """Return the shortest pixels of which at most so many, 1 or more, hold low to high, ns."""
+        """Return the shortest pixels of which ``most`` (>= 1) or fewer contain low to high, ns."""
         shift = max(0, ((high - low) // most).bit_length() - 1)
         while (high >> shift) - (low >> shift) >= most:
             shift += 1
@@ -52,36 +53,39 @@ class Grid(NamedTuple):
 
     @property
     def low(self) -> int:
-        """The first time that lies in it, ns."""
+        """First time in the grid, ns."""
         return self.first << self.shift
 
     @property
     def high(self) -> int:
-        """The last time that lies in it, ns."""
+        """Last time in the grid, ns."""
         return ((self.first + self.pixels) << self.shift) - 1
 
     def places(self, times: AnyArray) -> AnyArray:
-        """Return in which of the pixels times lie, ns; below 0 or from ``pixels`` on: in none."""
+        """Return the pixel index of times, ns.
+
+        Outside the grid it is below 0 or at least ``pixels``.
+        """
         found: AnyArray = (times >> self.shift) - self.first
         return found
 
 
 class Points(NamedTuple):
-    """The pixels in which something lies."""
+    """The pixels that contain messages."""
 
     times: AnyArray
-    """The middle of what lies in each, ns; of a single message exactly its time."""
+    """Middle between first and last message in each pixel, ns; exact for a single message."""
     low: AnyArray
-    """The least number: (columns, pixels)."""
+    """Minimum in each pixel: (columns, pixels)."""
     high: AnyArray
     rows: AnyArray
-    """How many messages, or rows, lie in each; 0 = some, it is not known how many."""
+    """Number of messages or rows in each pixel; 0 = unknown, but more than none."""
     breaks: AnyArray
-    """Places of the points behind which a line is broken, for nothing came for long."""
+    """Indices of the points after which the line is broken, because of a long pause."""
 
 
 class Envelope:
-    """The least and the greatest number of some columns in each pixel of a grid."""
+    """Minimum and maximum of some columns in each pixel of a grid."""
 
     def __init__(self, grid: Grid, columns: int) -> None:
         self.grid = grid
@@ -93,12 +97,12 @@ class Envelope:
 
     @property
     def nbytes(self) -> int:
-        """About what it takes of the memory."""
+        """Approximate size in memory, bytes."""
         arrays = (self._first, self._last, self._rows, self._low, self._high)
         return sum(array.nbytes + 128 for array in arrays)
 
     def add(self, times: AnyArray, values: AnyArray) -> None:
-        """Take numbers: (columns, rows); those outside of the grid are left out."""
+        """Add numbers: (columns, rows). Times outside the grid are ignored."""
         self.add_spans(times, times, values, values, None)
 
     def add_spans(
@@ -109,12 +113,12 @@ class Envelope:
         high: AnyArray,
         rows: Optional[AnyArray],
     ) -> None:
-        """Take what is known of several rows at once, which lie in one pixel.
+        """Add the minimum and maximum of groups of rows. Each group lies in one pixel.
 
         Args:
-            firsts, lasts: Their first and their last time, ns.
-            low, high: Their least and greatest numbers: (columns, spans).
-            rows: How many they are; None = one each.
+            firsts, lasts: First and last time of each group, ns.
+            low, high: Minimum and maximum of each group: (columns, groups).
+            rows: Number of rows of each group; None = one each.
         """
         places = self.grid.places(firsts)
         counts = np.ones(len(places), np.int64) if rows is None else rows
@@ -137,7 +141,7 @@ class Envelope:
         self._high[:, at] = np.fmax(self._high[:, at], np.fmax.reduceat(high, starts, axis=1))
 
     def add_wide(self, firsts: AnyArray, lasts: AnyArray, low: AnyArray, high: AnyArray) -> None:
-        """Take rows as add_spans does that may lie in several pixels: each may hold any of them."""
+        """Add groups of rows that may span several pixels: each pixel gets the group's bounds."""
         ends = (self.grid.low, self.grid.high)
         kept = np.flatnonzero((lasts >= ends[0]) & (firsts <= ends[1]))
         firsts, lasts = np.maximum(firsts[kept], ends[0]), np.minimum(lasts[kept], ends[1])
@@ -156,7 +160,7 @@ class Envelope:
         )
 
     def merge(self, other: Envelope) -> None:
-        """Take what another one holds, of pixels of the same length; of its own pixels only."""
+        """Add another envelope with the same pixel length, as far as the grids overlap."""
         begin = max(0, other.grid.first - self.grid.first)
         end = min(self.grid.pixels, other.grid.first + other.grid.pixels - self.grid.first)
         if begin >= end:
@@ -171,7 +175,7 @@ class Envelope:
         np.fmax(self._high[:, here], other._high[:, there], out=self._high[:, here])
 
     def points(self) -> Points:
-        """Return the pixels in which something lies, in the order of time."""
+        """Return the pixels that contain messages, in time order."""
         held = np.flatnonzero(self._last >= 0)
         first, last = self._first[held], self._last[held]
         middles, rows = first + (last - first) // 2, self._rows[held]
@@ -179,13 +183,13 @@ class Envelope:
         return Points(middles, self._low[:, held], self._high[:, held], rows, broken)
 
     def _breaks(self, held: AnyArray, rows: AnyArray) -> AnyArray:
-        """Return behind which pixels nothing came for long.
+        """Return the indices of the pixels after which a long pause follows.
 
-        What counts is the time from the last message of a pixel to the first one of the next, which
-        is short where messages are dense, however long the pixels are.
+        A pause is the time from the last message of a pixel to the first message of the next. It is
+        short if messages are dense, however long the pixels are.
         """
         pauses = self._first[held[1:]] - self._last[held[:-1]]
-        # Of a pixel of which only bounds are known the first and the last message may lie anywhere.
+        # If only bounds of a pixel are known, its first and last message may be anywhere in it.
         sure = (rows[1:] > 0) & (rows[:-1] > 0)
         usual = np.where(sure, np.median(pauses[sure]) if sure.any() else 0, self.grid.width)
         long = (pauses > GAP_INTERVALS * usual) & (np.diff(held) > 1)
@@ -193,10 +197,10 @@ class Envelope:
 
 
 def breaks(times: AnyArray) -> AnyArray:
-    """Return behind which of some messages nothing came for long: their places.
+    """Return the indices of the messages after which a long pause follows.
 
     Args:
-        times: Of the messages, ascending, ns.
+        times: Times of the messages, ascending, ns.
     """
     pauses = np.diff(times)
     if len(pauses) < 2:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The fields of many messages as numpy arrays: no Python object is kept for a number."""
+"""The fields of many messages as numpy arrays, without a Python object for each number."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from cassandra_ros.query.tree.parse import parse_condition, parse_select
 from cassandra_ros.query.tree.syntax import Aggregate, KeyOperand, Select, Selected, Term
 
 Where = Union[None, str, Tuple[str, Sequence[object]]]
-"""A condition, or a condition with the values of its ``?``."""
+"""A condition, or a condition and the values of its ``?``."""
 Fields = Union[None, str, Sequence[str]]
-"""Names of fields; None = all."""
+"""Names of fields; None = all fields."""
 Columns = Callable[[Table], Sequence[str]]
-"""Which columns of a table are needed."""
+"""Function from a table to the names of its columns that must be read."""
 ReadRows = Callable[[Columns], Iterator[Row]]
-"""Reads the stored rows that satisfy the condition."""
+"""Function that reads the stored rows that satisfy the condition."""
 
 ReadBlocks = Callable[[], Optional[Iterator[MessageBlock]]]
-"""Reads the same as whole blocks, where all of it lies in such, in any order; else gives None.
-TopicNotFound: a table was replaced meanwhile."""
+"""Function that reads the same messages as whole blocks, in any order. It returns None if some of
+them are not stored in whole blocks; TopicNotFound: a table was replaced during the read."""
 
 _PLAIN_TOPIC = re.compile(r"/[A-Za-z][A-Za-z0-9_/]*")
 
@@ -63,21 +63,23 @@ def gather_fields(
     """Gather fields from the rows of a topic.
 
     Args:
-        fields: As a SELECT statement names them, KEY, NODE and RUN included; None = all fields.
-        where: Which messages ``read`` gives, and which elements of the arrays that are unnested.
-        read, blocks: How they are read; by blocks no object is made of a message.
-        node, writers: The robot and the runs whose messages ``read`` gives; None = all.
+        topic: The topic.
+        fields: Fields as a SELECT statement names them, KEY, NODE and RUN included; None = all.
+        where: Condition that ``read`` applies to messages; here it selects unnested elements.
+        read: Reads the messages as rows.
+        blocks: Reads the messages as blocks, without an object for each message; None = as rows.
+        node, writers: The robot and the runs whose messages ``read`` returns; None = all.
 
     Raises:
-        InvalidName: fields is no list of names.
-        InvalidQuery: A field or the condition cannot be understood, or is not in the topic.
+        InvalidName: ``fields`` is not a list of names.
+        InvalidQuery: A field or the condition is malformed, or not in the topic.
     """
     text: Any = where
     params: Sequence[object] = ()
     if isinstance(where, (tuple, list)) and len(where) == 2:
         text, params = where
     if text is not None:
-        parse_condition(text, params)  # by itself: it must not end before its end
+        parse_condition(text, params)  # parsed alone, so that it cannot close the bracket around it
     select = _located(_statement(topic, fields, text, params), topic.tables, node, writers)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
@@ -95,7 +97,7 @@ def gather_fields(
     number, latest = 0, ""
     for row in read(columns):
         name = row.table.name
-        if name not in tables:  # made since
+        if name not in tables:  # the table was created during the read
             tables[name] = TableValues(select, row.table, Findings(select.text))
         if latest and (number or name != latest):
             number += 1
@@ -109,13 +111,13 @@ def gather_fields(
 def _from_blocks(
     select: Select, tables: Mapping[str, TableValues], blocks: ReadBlocks
 ) -> Optional[dict[str, FieldArray]]:
-    """Gather fields from blocks; None where they have to be read as rows."""
+    """Gather fields from blocks; None: they must be read as rows."""
     read = blocks()
     if read is None:
         return None
     try:
         for block in read:
-            if block.table.name not in tables:  # made since
+            if block.table.name not in tables:  # the table was created during the read
                 return None
             tables[block.table.name].add_block(block)
     except TopicNotFound:
@@ -135,19 +137,19 @@ def read_arrays(
     node: Optional[str] = None,
     writers: Writers = None,
 ) -> dict[str, AnyArray]:
-    """Return fields as arrays, those of which values are missing as masked ones.
+    """Return fields as arrays; a field with missing values as a masked array.
 
     Arguments and errors are those of gather_fields.
     """
     found = gather_fields(topic, fields, where, read, blocks, node=node, writers=writers)
-    # The cells of a column are freed when its rows are made: one column at a time lies twice.
+    # pop() frees each column after its conversion, so that only one column exists twice.
     return {name: _presented(*found.pop(name)) for name in list(found)}
 
 
 def _presented(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
     many = values.ndim > 1
     if kind.depth == 1 and not many and not missing.any():
-        # Only here all messages are known: a batch must not tell what the others look like.
+        # Stacked only here, where all messages are known: the shape must not depend on one batch.
         return stack_cells(values, kind)
     if not missing.any() or (values.dtype.kind == "O" and not many):
         return values
@@ -159,7 +161,7 @@ def _presented(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray
 def _located(
     select: Select, tables: Sequence[Table], node: Optional[str], writers: Writers
 ) -> Select:
-    """Return a statement whose NEARs know when it was so, of the robot and runs it asks for."""
+    """Return a statement whose NEAR conditions know their times for its robot and runs."""
     named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
     bounds = bounds_of(select, node, named, writers, runs)
     return located(select, tables, bounds.node, bounds.writers)
@@ -168,14 +170,14 @@ def _located(
 def _statement(
     topic: Source[Row], fields: Fields, where: Optional[str], params: Sequence[object]
 ) -> Select:
-    """Parse what was asked for as the statement that it is."""
+    """Return the statement that selects these fields."""
     names = ["*"] if fields is None else check_list("fields", fields, "['linear.x']")
     for field in names:
         if not isinstance(field, str):
             raise InvalidQuery(str(field), 0, f"a field is text, not {type(field).__name__}")
     name = topic.name
     shown = name if _PLAIN_TOPIC.fullmatch(name) else '"' + name.replace('"', '""') + '"'
-    # In lines of their own no comment hides what follows, and an error shows the one alone.
+    # On lines of their own: so no comment hides what follows, and errors show only the user's line.
     text = f"SELECT {', '.join(names)}\nFROM {shown}"  # noqa: S608 (read by our own grammar)
     select = parse_select(text if where is None else f"{text} WHERE (\n{where}\n)", params)
     if select.distinct:
@@ -197,7 +199,7 @@ def _statement(
 
 
 def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
-    if not tables:  # the topic has no type yet
+    if not tables:  # the topic has no message type yet
         columns = select.columns or (Selected(KeyOperand(0)),)
         kinds = {c.text: "time" if isinstance(c.what, KeyOperand) else MIXED for c in columns}
         return {
@@ -220,7 +222,7 @@ def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArr
 
 
 def _as_int64(values: AnyArray, missing: AnyArray) -> Tuple[ArrayType, AnyArray]:
-    """Return computed integers as int64; as Python's, where one does not fit."""
+    """Return computed integers as int64, or as Python integers if one does not fit."""
     try:
         return ArrayType("int64"), np.where(missing, 0, values).astype(np.int64)
     except OverflowError:
@@ -228,7 +230,7 @@ def _as_int64(values: AnyArray, missing: AnyArray) -> Tuple[ArrayType, AnyArray]
 
 
 def _order_of(places: Sequence[MessageBlock]) -> Optional[AnyArray]:
-    """Return the order of all reads, by time, node, _seq and table; None where they have it."""
+    """Return the order by time, node, _seq and table; None if they are already in order."""
     times = np.concatenate([place.times for place in places])
     if (times[1:] > times[:-1]).all():
         return None

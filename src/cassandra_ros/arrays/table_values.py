@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The values of some fields of one table, gathered in arrays while its rows are read.
 
-Rows are taken in batches: their columns stay undecoded until a batch is turned into arrays at
-once. Only what has no column to itself (an array inside an array of messages, say) is decoded
-value by value.
+Rows are gathered in batches. Their columns stay undecoded until the whole batch is converted to
+arrays. Only a field without a column of its own (an array inside an array of messages, say) is
+decoded value by value.
 """
 
 from __future__ import annotations
@@ -51,29 +51,29 @@ BATCH_ROWS = 4096
 BATCH_BYTES = 8 * 1024 * 1024
 BLOCKS_BYTES = 2 * 1024 * 1024
 BATCH_MESSAGES = 16384
-"""Of blocks: then also those of many sizes share theirs with others."""
+"""Maximum number of messages in a batch of blocks; large, so that messages of rare sizes meet."""
 
 
 Cut = Callable[[bytes], Sequence[Optional[bytes]]]
-"""Cuts columns out of a serialised message."""
+"""Function that cuts columns out of a serialised message."""
 
 
 class Origin(NamedTuple):
-    """Where the values of a field come from."""
+    """The source of a field's values."""
 
     place: int
-    """Of the column among those that are cut out."""
+    """Index of the column among those that are cut out."""
     convert: Convert
     inside: bool
-    """The column is a list whose elements are rows."""
+    """Whether the column is a list whose elements become rows."""
 
 
 class TableValues:
     """Gathers the values of a statement's columns (fields, KEY, …) from the rows of one table.
 
-    It takes undecoded columns from rows, or else cuts them out of the serialised message; where
-    one of the fields lies in no column, all are decoded. ``groups`` are name and type of the
-    columns that each selected path gives.
+    Undecoded columns are taken from the row, or cut out of the serialised message. If a field has
+    no column of its own, all fields are decoded. ``groups`` holds name and type of the columns of
+    each selected path.
     """
 
     def __init__(self, select: Select, table: Table, findings: Findings) -> None:
@@ -87,7 +87,7 @@ class TableValues:
         self._places: dict[int, Optional[list[int]]] = {}
         plan = None if table.definition is None else wire_plan(table.definition)
         known = {} if plan is None else {column.name: column for column in plan.all_columns}
-        # Where the value of each output comes from; None: not from a column of its own.
+        # Source of each output; None: the output has no column of its own.
         self._origins = [
             None if output.ref is None else self._origin(output.ref, kind, known)
             for output, kind in zip(self._outputs, self._kinds)
@@ -98,18 +98,18 @@ class TableValues:
         )
         self._cut = plan.cutter(self._names) if plan is not None and self._names else None
         condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
-        # Tells of each element whether it satisfies the condition; None: all of them do.
+        # Checks the condition for each unnested element; None: all elements satisfy it.
         self._tester = condition if condition.unnested else None
         self._stacked = self._stacked_fields(known)
-        """All fields, where they are read out of many messages at once; else none."""
+        """All fields, if they can be read from many messages at once; else empty."""
         self.renew()
 
     def renew(self) -> None:
-        """Forget what was gathered."""
+        """Discard the gathered values."""
         self._chunks: list[list[Values]] = [[] for _ in self._outputs]
         self._orders: list[AnyArray] = []
         self.places: list[MessageBlock] = []
-        """Times, nodes and _seq of what came in blocks."""
+        """Times, nodes and _seq of the gathered blocks."""
         self._clear()
 
     def _stacked_fields(self, known: Mapping[str, FieldColumn]) -> list[StackedField]:
@@ -141,16 +141,16 @@ class TableValues:
 
     @property
     def needed(self) -> Sequence[str]:
-        """The columns of the table that must be read, in its order."""
+        """Columns of the table that must be read, in the table's order."""
         every = self._table.columns
         if not self._by_column or not set(self._names) <= set(every):
             return every
         return [name for name in every if name in self._names]
 
     def _read(self, row: Row) -> Optional[Sequence[Optional[bytes]]]:
-        """Return the columns of a row, None for each where the message cannot be read.
+        """Return the columns of a row, each None if the message is unreadable.
 
-        None instead of all where the message was removed since its columns were read.
+        Return None if the message was deleted after the row was read.
         """
         if self._cut is None:
             return ()
@@ -161,7 +161,7 @@ class TableValues:
             places = self._where(len(columns))
             if places is not None:
                 raws = [columns[n] for n in places]
-                # A column of a row that is marked as odd is exact, if it is there at all.
+                # In a row marked odd, a column that is set is exact.
                 if None not in raws:
                     return raws
             return self._cut(row.wire)
@@ -172,7 +172,7 @@ class TableValues:
             return [None] * (1 if self._stacked else len(self._names))
 
     def _where(self, width: int) -> Optional[list[int]]:
-        """Places of the columns in a row of so many: all of the table's, or those asked for."""
+        """Return the index of each needed column in a row with ``width`` columns, or None."""
         if not self._table.by_field:
             return None
         if width not in self._places:
@@ -193,7 +193,7 @@ class TableValues:
         self._bytes = 0
 
     def add(self, row: Row, number: int) -> None:
-        """Take a row that satisfies the condition; ``number`` orders those of all tables."""
+        """Add a row that satisfies the condition; ``number`` orders the rows of all tables."""
         projection = self._projection
         if self._by_column:
             raws = self._read(row)
@@ -216,7 +216,7 @@ class TableValues:
             self.flush()
 
     def add_block(self, block: MessageBlock) -> None:
-        """Take messages, of which all are wanted; ``places`` order them."""
+        """Add a block of messages that all satisfy the condition; ``places`` orders them."""
         self._blocks.append(block)
         self.places.append(block._replace(groups=()))
         self._numbers += [0] * len(block.times)
@@ -225,7 +225,7 @@ class TableValues:
             self.flush()
 
     def flush(self) -> None:
-        """Turn the rows of the batch into arrays."""
+        """Convert the rows of the batch to arrays."""
         if not self._numbers:
             return
         try:
@@ -325,16 +325,19 @@ class TableValues:
 
     @property
     def count(self) -> int:
-        """How many values there are of each output."""
+        """Number of values of each output."""
         return sum(len(order) for order in self._orders)
 
     @property
     def order(self) -> AnyArray:
-        """The numbers of the rows from which the values come."""
+        """Numbers of the rows that the values come from."""
         return np.concatenate(self._orders)
 
     def take(self, name: str, kind: ArrayType) -> Values:
-        """Give away the values of a column as another type; where the table lacks it, nothing."""
+        """Return the values of a column as type ``kind`` and forget them.
+
+        Missing if not in the table.
+        """
         for n, (output, own) in enumerate(zip(self._outputs, self._kinds)):
             if output.name == name:
                 chunks, self._chunks[n] = self._chunks[n], []
@@ -343,12 +346,12 @@ class TableValues:
 
 
 def _order(numbers: Sequence[int]) -> AnyArray:
-    # While only one table has rows all are 0, and take no memory.
+    # As long as only one table has rows, all numbers are 0 and take no memory.
     return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
 
 
 def _chosen(values: AnyArray, counts: Optional[AnyArray], kept: Optional[AnyArray]) -> AnyArray:
-    """Repeat the values of a message for each of its elements, and leave those that match."""
+    """Repeat the values of a message for each of its elements, and keep those that match."""
     if counts is not None:
         values = np.repeat(values, counts, axis=0)
     return values if kept is None else values[kept]
