@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fields straight out of serialised messages, of all messages of a layout at once.
+"""Field values read directly from serialised messages, for all messages of a layout at once.
 
-For fields of one value, and arrays of numbers, that lie in no array of messages. What has no layout
-in common with others is left to whoever cuts one message after the other.
+This works for single values and arrays of numbers that are not inside an array of messages. The
+caller cuts the fields out of messages that share no layout with others, one by one.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from cassandra_ros.query.tree.field_names import FieldRef
 _NUMBERS = ("int", "float", "bool", "time", "duration")
 
 Grouped = Iterable[Tuple[Int64Array, ByteArray]]
-"""Messages by their size: which they are, ascending, and their planes."""
+"""Pairs of message indices, ascending, and message planes; one pair for each message size."""
 Left = Sequence[Tuple[int, bytes]]
-"""Messages that share no layout with others: which they are, and their bytes."""
+"""Index and bytes of the messages that share no layout with others."""
 
 
 class MessageBlock(NamedTuple):
-    """Messages of one writer that lie in one table, in order."""
+    """Messages of one writer in one table, in time order."""
 
     table: Table
     node: str
     run: Callable[[], str]
-    """What RUN says of them."""
+    """Returns the value of RUN for these messages."""
     times: Int64Array
-    """Their keys, ns."""
+    """Row keys of the messages, ns."""
     seqs: Int64Array
     groups: Grouped
-    """What is in none cannot be read."""
+    """The messages by size; a message in no group is unreadable."""
 
 
 def together(blocks: Sequence[MessageBlock]) -> Grouped:
-    """Return the messages of blocks by their size: of many sizes each block has few of one."""
+    """Join the groups of blocks: if sizes vary, each block has only few messages of a size."""
     found: Dict[int, List[Tuple[Int64Array, ByteArray]]] = {}
     first = 0
     for block in blocks:
@@ -66,7 +66,7 @@ def together(blocks: Sequence[MessageBlock]) -> Grouped:
 
 
 class StackedField(NamedTuple):
-    """A field that can be read out of many messages at once."""
+    """A field that can be read from many messages at once."""
 
     ref: FieldRef
     column: FieldColumn
@@ -74,7 +74,7 @@ class StackedField(NamedTuple):
 
     @property
     def is_able(self) -> bool:
-        """Whether it is one value, or an array of numbers, outside of all arrays of messages."""
+        """Whether it is a single value or an array of numbers, outside all arrays of messages."""
         ref, column, kind = self
         if column.name != ref.column or column.is_list or kind.depth > 1:
             return False
@@ -83,13 +83,13 @@ class StackedField(NamedTuple):
         return column.kind in (*_NUMBERS, "text", "array")
 
     def put(self, stack: Stack, found: Values) -> None:
-        """Put what the messages of a layout have where they stand among all."""
+        """Set the values of the messages of a layout at their indices."""
         if self.column.kind == "text":
             found.values[stack.members] = _texts(stack, self.column.name)
         else:
             numbers = self._numbers(stack)
             if numbers is None:
-                return  # an array that is too short
+                return  # the array is shorter than the index
             if found.values.dtype.kind == "O":
                 for member, row in zip(stack.members.tolist(), numbers):
                     found.values[member] = row
@@ -98,7 +98,7 @@ class StackedField(NamedTuple):
         found.missing[stack.members] = False
 
     def _numbers(self, stack: Stack) -> Optional[AnyArray]:
-        """Return the numbers, one of each message, or a row of each."""
+        """Return one number per message, or one row of numbers per message."""
         ref, path = self.ref, self.column.name
         base = self.column.field_type.partition("[")[0]
         if self.kind.depth:
@@ -121,7 +121,7 @@ def _texts(stack: Stack, path: str) -> AnyArray:
     every = stack.planes[at : at + size].T.tobytes()
     count = stack.planes.shape[1]
     cut = [every[n * size : (n + 1) * size] for n in range(count)]
-    # Frames and names repeat: of equal texts one is kept.
+    # Texts such as frame names repeat: equal texts share one object.
     known = {raw: raw.decode("utf-8", "replace") for raw in set(cut)}
     values: Any = np.empty(count, object)
     values[:] = [known[raw] for raw in cut]
@@ -129,7 +129,7 @@ def _texts(stack: Stack, path: str) -> AnyArray:
 
 
 def grouped(wires: Sequence[Optional[bytes]]) -> Grouped:
-    """Divide messages by their size; None for one is missing."""
+    """Group messages by size; None stands for a missing message."""
     places = np.array([n for n, wire in enumerate(wires) if wire is not None], np.int64)
     for members, planes in by_size([wire for wire in wires if wire is not None]):
         yield places[members], planes
@@ -138,11 +138,11 @@ def grouped(wires: Sequence[Optional[bytes]]) -> Grouped:
 def read_stacked(
     definition: Definition, fields: Sequence[StackedField], count: int, groups: Grouped
 ) -> Tuple[List[Values], Left]:
-    """Read fields out of so many messages.
+    """Read fields of ``count`` messages.
 
     Returns:
-        The values of each field, all of them missing in the messages that were not read; and
-        these, without those that are in no group.
+        The values of each field, missing for every message that was not read; and the messages of
+        the groups that were not read.
     """
     found = [empty_values(field.kind, count) for field in fields]
     rest: List[Tuple[int, bytes]] = []
