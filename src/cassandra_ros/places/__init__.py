@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a robot was when: its poses, and the coarse cells by which they are found.
+"""Poses of robots over time, and the coarse cells of the ground by which they are found.
 
-Below topics/, whose statements and ``near`` use it: it knows a topic by ``query.source.Source``, as
-transforms/ does, and finds one by a function that raises TopicNotFound.
+This room lies below topics/, whose statements and ``near`` use it. Like transforms/, it knows a
+topic as a ``query.source.Source``, and gets topics from a function that raises TopicNotFound.
 """

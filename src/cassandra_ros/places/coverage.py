@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""When a robot may have been in a region: by the index as far as it goes, else any time.
+"""Times at which a robot may have been in a region: from the index, and where it is incomplete.
 
-The index goes as far as somebody noted (``Placed``), by run and table, and only while it knows the
-frames as they are known now: where a frame was fixed to another one since, places are others. What
-no longer is stored may stay in it; what it lacks is never left out.
+The index covers the time ranges in its ``Placed`` records, by run and table. A record is used only
+while the frames are fixed to each other as they were when it was written, because otherwise the
+places differ. The index may still hold visits whose messages were deleted, but it never lacks one.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from cassandra_ros.places.track_windows import overlaps
 from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square
 
 _FIRST = LONGEST_NS + JOIN_NS
-"""So long before a time a visit that reaches it may have begun."""
+"""How long before a time a visit that lasts until then may have begun, ns."""
 
 
 class Coverage:
-    """Tells when robots of a keyspace may have been somewhere."""
+    """Finds the times at which robots of a keyspace may have been in a region."""
 
     def __init__(self, stored: Stored, index: PlaceIndex) -> None:
         self._stored = stored
         self._index = index
 
     def candidates(self, robot: Robot, region: Region, low: int, high: int) -> List[Span]:
-        """Return the stretches of [low, high], ns, in which it may be, in order and apart."""
+        """Return the time ranges in [low, high], ns, with possible stays, sorted and disjoint."""
         extents = self._stored.extents(
             robot.topic, robot.node, low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
         )
@@ -45,7 +45,7 @@ class Coverage:
         return list(clipped(merged(sorted(found)), low, high))
 
     def _noted(self, robot: Robot) -> List[Placed]:
-        """Return what the index says of a robot's poses, as far as it still holds."""
+        """Return the index records of a robot that are still valid."""
         tables = [table.name for table in robot.topic.tables]
         every = [
             each
@@ -61,16 +61,16 @@ class Coverage:
 
 
 def holds(noted: Placed, robot: Robot, fixed: Mapping[str, str]) -> bool:
-    """Say whether a robot's places are those that were noted.
+    """Return whether an index record is still valid for a robot.
 
     Args:
-        fixed: How frames are fixed to others now.
+        fixed: Parent and pose of each fixed frame, as it is now.
     """
     if not robot.name:
         return robot.frame in noted.above
     if any(fixed.get(frame, "") != how for frame, how in noted.above.items()):
         return False
-    # Nothing was noted in a frame that was nowhere; unless it is fixed to another one by now.
+    # A frame that did not exist has no visits, unless it was fixed to another frame since.
     absent = robot.frame not in noted.frames and robot.frame not in fixed
     absent = absent and len(noted.frames) < MOST_FRAMES
     return robot.frame in noted.above or (absent and not _carries(robot.frame, fixed))
@@ -81,10 +81,10 @@ def _carries(frame: str, fixed: Mapping[str, str]) -> bool:
 
 
 def uncovered(extents: Sequence[Extent], noted: Sequence[Placed]) -> Iterator[Span]:
-    """Yield the times of which the index does not say everything, in no order.
+    """Yield the time ranges that the index does not fully cover, in no order.
 
-    These are the times of poses of which it says nothing, those around where its word ends and the
-    next begins, and those at which several runs recorded: then each message goes by its own run.
+    These are the times of poses without an index record, those around the ends of records, and
+    those at which several runs recorded: then each message is judged by the poses of its own run.
     """
     known: Dict[Tuple[str, int], List[Span]] = {}
     for each in noted:
@@ -95,7 +95,7 @@ def uncovered(extents: Sequence[Extent], noted: Sequence[Placed]) -> Iterator[Sp
             yield low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
     for one, other in overlaps(extents):
         yield other.low - LONGEST_GAP_NS, min(one.high, other.high) + LONGEST_GAP_NS
-    # From the last pose of one run a way may lead to the first of the next.
+    # The robot may have moved between the last pose of one run and the first pose of the next.
     there = {extent[:2] for extent in extents}
     last: Optional[int] = None
     for low, high in sorted((n.low, n.high) for n in noted if (n.table, n.writer) in there):

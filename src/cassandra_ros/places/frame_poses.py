@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses of a frame in another one, out of recorded transforms: all times of a stretch at once.
+"""Poses of a frame in another frame, from recorded transforms, for all times of a range at once.
 
-``transforms/`` answers one time with tf2's own maths; here a topic of any length is gone through
-once, with numpy, and the rules are the same: slashes in front of names do not count, what is among
-the fixed transforms is fixed, of equal stamps the first counts, tf2 would take it or not.
+``transforms/`` looks up one time with tf2 itself. Here a topic of any length is read once with
+numpy, by the same rules: leading slashes of names are ignored, a frame with a fixed transform is
+fixed, of transforms with equal stamps the first is used, and transforms that tf2 would reject are
+left out.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from cassandra_ros.transforms.transform_samples import FixedTransforms, Transfor
 
 TF, TF_STATIC = "/tf", "/tf_static"
 AROUND_NS = 10 * SECOND_NS
-"""How far around a time it is looked which frames there are."""
+"""Distance from a time, on both sides, of the transforms in which frames are searched, ns."""
 _NUMBERS = [f"translation.{c}" for c in "xyz"] + [f"rotation.{c}" for c in "xyzw"]
 _NAMES = ("transforms.header.frame_id", "transforms.child_frame_id")
 _STAMP = "transforms.header.stamp"
@@ -41,28 +42,28 @@ _FIELDS = ["KEY", _STAMP, *_NAMES, *(f"transforms.transform.{number}" for number
 
 
 class Way(NamedTuple):
-    """The way up from a frame, for those times at which it leads through the same frames."""
+    """The path from a frame up to the root, for all times at which it has the same frames."""
 
     rows: Codes
-    """Which of the times."""
+    """Indices of these times."""
     frames: Tuple[int, ...]
-    """From the frame itself upwards."""
+    """Frames of the path, from the frame itself upwards."""
     poses: Tuple[Rigid, ...]
-    """Of the frame itself in each of them."""
+    """Poses of the frame itself in each frame of the path."""
 
 
 class Frames:
-    """The transforms that one robot, or everybody, recorded.
+    """Recorded transforms, of one robot or of all.
 
     Args:
         find: Returns a topic by its name.
-        node: nodeID of the robot; None = of all.
-        writers: Of the runs that are meant; None = all.
-        tf, tf_static: The topics of the moving and of the fixed transforms; one may be missing.
+        node: nodeID of the robot; None = all robots.
+        writers: Writer ids of the runs; None = all runs.
+        tf, tf_static: Topics of the moving and of the fixed transforms; one may be missing.
 
     Raises:
-        TopicNotFound: Neither is stored.
-        TypeMismatch: One holds other messages.
+        TopicNotFound: Neither topic is stored.
+        TypeMismatch: A topic holds other messages.
     """
 
     def __init__(
@@ -78,15 +79,15 @@ class Frames:
         self._topics = (tf, tf_static)
         self._codes: Dict[str, int] = {}
         self.names: List[str] = []
-        """Of the frames, by their numbers."""
+        """Names of the frames, by frame number."""
         self.moving = find_stored(find, tf)
         fixed = find_stored(find, tf_static)
         if self.moving is None and fixed is None:
-            find(tf)  # raises with the nearest names
+            find(tf)  # raises TopicNotFound with similar names
         if self.moving is not None:
-            TransformTopic(self.moving, node, writers)  # raises where it holds no transforms
+            TransformTopic(self.moving, node, writers)  # raises TypeMismatch for other messages
         self.fixed = self._read_fixed(fixed)
-        """Parent and pose of each frame that does not move."""
+        """Parent and pose of each fixed frame, by frame number."""
 
     def _read_fixed(self, topic: Optional[ArraySource]) -> Dict[int, Tuple[int, Rigid]]:
         if topic is None:
@@ -102,7 +103,7 @@ class Frames:
         }
 
     def code(self, name: Optional[str]) -> int:
-        """Return the number of a frame, with or without a slash in front; NO_FRAME for no name."""
+        """Return the number of a frame, slash in front ignored; NO_FRAME for an empty name."""
         name = (name or "").lstrip("/")
         if not name:
             return NO_FRAME
@@ -112,7 +113,7 @@ class Frames:
         return self._codes[name]
 
     def read(self, low: int, high: int) -> Samples:
-        """Read the moving transforms with a row key in [low, high], ns."""
+        """Return the moving transforms with a row key in [low, high], ns."""
         if self.moving is None or low > high:
             return Samples.none()
         found = arrays_between(self.moving, _FIELDS, low, high, self._node, self._writers)
@@ -131,13 +132,13 @@ class Frames:
         return np.array(codes, np.int64)
 
     def next_key(self, time: int) -> Optional[int]:
-        """Return the first row key behind a time, ns; None where there is none."""
+        """Return the first row key after a time, ns; None if there are no later rows."""
         if self.moving is None:
             return None
         return key_behind(self.moving, time, self._node, self._writers)
 
     def above(self, name: str, times: Sequence[int]) -> List[str]:
-        """List the frames above one, the nearest first, as recorded around some row keys, ns."""
+        """Return the ancestors of a frame, nearest first, as recorded around some row keys, ns."""
         parents: Dict[int, Set[int]] = {child: {p} for child, (p, _) in self.fixed.items()}
         for time in dict.fromkeys(times):
             samples = self.read(max(0, time - AROUND_NS), time + AROUND_NS)
@@ -151,7 +152,7 @@ class Frames:
         return [self.names[code] for code in found[1:]]
 
     def explain(self, frame: str, of: str, time: int) -> str:
-        """Say why there is no pose at a time; '' where tf2 would have one."""
+        """Return why there is no pose at a time, as a text; '' if tf2 would return a pose."""
         when = Stamp.from_ns(max(1, time))
         try:
             lookup_transform(self._find, self._node, self._writers, frame, of, when, *self._topics)
@@ -161,18 +162,18 @@ class Frames:
 
 
 def filled(values: AnyArray, missing: float) -> AnyArray:
-    """Return values with something in the place of those that are missing."""
+    """Return values with ``missing`` in place of the missing ones."""
     made: AnyArray = np.ma.filled(values, missing)  # type: ignore[no-untyped-call]
     return made
 
 
 class Chain:
-    """Where one frame was in another one.
+    """Poses of one frame in another.
 
     Args:
-        frames: What was recorded.
-        of: The frame whose poses are asked for, as 'base_link'.
-        frame: The one in which they are, as 'map'.
+        frames: Recorded transforms.
+        of: Frame whose poses are computed, as 'base_link'.
+        frame: Frame in which the poses are given, as 'map'.
     """
 
     def __init__(self, frames: Frames, of: str, frame: str) -> None:
@@ -181,19 +182,19 @@ class Chain:
         self._of, self._frame = frames.code(of), frames.code(frame)
 
     def read(self, low: int, high: int) -> Samples:
-        """Read what was recorded in [low, high], row keys, ns."""
+        """Return the transforms with a row key in [low, high], ns."""
         return self._frames.read(low, high)
 
     def explain(self, time: int) -> str:
-        """Say why there is no pose at a time; '' where tf2 would have one."""
+        """Return why there is no pose at a time, as a text; '' if tf2 would return a pose."""
         return self._frames.explain(self.frame, self.of, time)
 
     def next_key(self, time: int) -> Optional[int]:
-        """Return the first row key behind a time, ns; None where there is none."""
+        """Return the first row key after a time, ns; None if there are no later rows."""
         return self._frames.next_key(time)
 
     def on_way(self, samples: Samples) -> Flags:
-        """Say which samples are of frames above the two, or of themselves."""
+        """Return which samples are of the two frames or of their ancestors."""
         above = {self._of, self._frame}
         while True:
             on_way: Flags = np.isin(samples.children, list(above))
@@ -205,7 +206,7 @@ class Chain:
             above = wider
 
     def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
-        """Return the poses at some times, ns, out of samples around them."""
+        """Return the poses at some times, ns, computed from the samples around them."""
         climb = _Climb(self._frames, samples, times, stamped, longest_gap_ns)
         poses, known = Rigid.none(len(times)), np.zeros(len(times), bool)
         downs = climb.ways(self._frame)
@@ -224,7 +225,7 @@ class Chain:
 
 
 class _Climb:
-    """Goes up from frames at some times."""
+    """Follows frames to their ancestors at some times."""
 
     def __init__(
         self, frames: Frames, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
@@ -233,7 +234,7 @@ class _Climb:
         self._stamped, self._gap = stamped, longest_gap_ns
 
     def ways(self, frame: int) -> Sequence[Way]:
-        """Return the ways up from a frame; each time is on one of them."""
+        """Return the paths upwards from a frame; each time belongs to one path."""
         count = len(self._times)
         done: List[Way] = []
         going = [Way(np.arange(count), (frame,), (Rigid.none(count),))]
@@ -250,7 +251,7 @@ class _Climb:
         return done
 
     def _step(self, frame: int, rows: Codes) -> Tuple[Rigid, Codes]:
-        """Return poses of a frame in its parents, and these."""
+        """Return the poses of a frame in its parents, and the parents."""
         fixed = self._frames.fixed.get(frame)
         if fixed is not None:
             parent, pose = fixed

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Coarse cells: squares of the ground, and when a way lies in them.
+"""Coarse cells, squares of the ground, and the times at which a path visits them.
 
-There are squares of three sizes, so that some hundred of them cover a room as well as a town. What
-is said of a cell is a superset: that a robot may have been in it. Whoever asks looks again.
+Cells have three sizes, so that some hundred of them cover a room as well as a town. The visits are
+a superset: in a visit the robot may have been in the cell. Queries check the exact poses
+afterwards.
 """
 
 from __future__ import annotations
@@ -20,21 +21,22 @@ from cassandra_ros.places.regions import Box
 from cassandra_ros.places.rigid import Floats
 
 SIZES_M = (4, 64, 1024)
-"""Sides of the cells, the smallest first."""
+"""Side lengths of the cells, metres, ascending."""
 MOST_CELLS = 150
-"""So many of a size are looked at; for more the next size is taken."""
+"""Maximum number of cells of one size for a region. Beyond it the next larger size is used."""
 JOIN_NS = 5 * SECOND_NS
-"""Two visits of a cell that lie closer together are noted as one."""
+"""Maximum pause between two visits of a cell that are recorded as one, ns."""
 LONGEST_NS = 3600 * SECOND_NS
-"""A visit that lasts longer is noted as several, so that a time is found by what began lately."""
+"""Maximum length of a visit, ns. A longer visit is split, so that a query need not search the index
+farther back."""
 _FAR = 2**31 - 1
-"""Cells are counted in 32 bits; what lies beyond is taken to lie in the last one."""
+"""Maximum cell number, because numbers have 32 bits. Places beyond belong to the last cell."""
 _ROUNDED_M = 1e-6
-"""What lies so close to a side lies in both cells: sums of floats are rounded."""
+"""Distance from a side, metres, within which a point belongs to both cells, because of rounding."""
 
 
 class Cell(NamedTuple):
-    """A square whose sides are ``size`` metres long; (0, 0) begins at the origin."""
+    """A square with sides of ``size`` metres; cell (0, 0) begins at the origin."""
 
     size: int
     x: int
@@ -50,7 +52,10 @@ class Visit(NamedTuple):
 
 
 def cells_of(box: Box) -> Optional[List[Cell]]:
-    """Return the cells that cover a rectangle; None where these would be too many of any size."""
+    """Return the cells that cover a rectangle.
+
+    None if there are too many even of the largest size.
+    """
     for size in SIZES_M:
         left, bottom, right, top = (_number(side, size) for side in box)
         if (right - left + 1) * (top - bottom + 1) <= MOST_CELLS:
@@ -64,23 +69,23 @@ def _number(metres: float, size: int) -> int:
 
 
 def visits_of(path: Path) -> Iterator[Visit]:
-    """Yield the visits of a way, by size and cell, those of each cell in order.
+    """Yield the visits of a path, by size and cell, for each cell in time order.
 
-    Each point of the way lies, at its time, in a cell of each size that is visited then.
+    At each time of the path, a visit exists for the cell of each size that contains its point.
     """
     for size in SIZES_M:
         yield from _joined(np.concatenate([_of_poses(path, size), _of_lines(path, size)]), size)
 
 
 def _of_poses(path: Path, size: int) -> Times:
-    """Return the cells of poses from which no way leads to another."""
+    """Return the cells of isolated poses, from which the path does not continue."""
     n = path.alone
     x, y, times = _numbers(path.x[n], size), _numbers(path.y[n], size), path.times[n]
     return np.stack([x, y, times, times], 1)
 
 
 def _of_lines(path: Path, size: int) -> Times:
-    """Return the cells of the ways between poses, cut in pieces half as long as a cell."""
+    """Return the cells of the lines between poses, cut into pieces of at most half a cell."""
     starts, ends, lines = path.lines
     longest = np.maximum(np.abs(lines.dx), np.abs(lines.dy))
     pieces = np.maximum(np.ceil(2 * longest / size), 1).astype(np.int64)
@@ -90,15 +95,15 @@ def _of_lines(path: Path, size: int) -> Times:
     x0, x1 = (lines.x[line] + share * lines.dx[line] for share in shares)
     y0, y1 = (lines.y[line] + share * lines.dy[line] for share in shares)
     length = (ends - starts)[line]
-    # Rounded outwards, so that no time between two pieces is in neither.
+    # Rounded outwards, so that adjacent pieces leave no time between them.
     low = starts[line] + np.floor(shares[0] * length).astype(np.int64) - 1
     high = starts[line] + np.ceil(shares[1] * length).astype(np.int64) + 1
-    # A piece touches at most two columns and two rows. What the sums above round is little.
+    # A piece touches at most two columns and two rows. The margin covers rounding errors.
     left, right = np.minimum(x0, x1) - _ROUNDED_M, np.maximum(x0, x1) + _ROUNDED_M
     bottom, top = np.minimum(y0, y1) - _ROUNDED_M, np.maximum(y0, y1) + _ROUNDED_M
     columns = (_numbers(left, size), _numbers(right, size))
     rows = (_numbers(bottom, size), _numbers(top, size))
-    # Most lie in one cell, which is named once.
+    # Most pieces lie in one cell, which is listed once.
     wide, tall = columns[0] != columns[1], rows[0] != rows[1]
     every = np.ones(len(low), bool)
     corners = [(0, 0, every), (1, 0, wide), (0, 1, tall), (1, 1, wide & tall)]
@@ -112,7 +117,7 @@ def _numbers(metres: Floats, size: int) -> Times:
 
 
 def _joined(found: Times, size: int) -> Iterator[Visit]:
-    """Join visits of a cell that lie close together; (n, 4) numbers: x, y, low, high."""
+    """Join visits of a cell with short pauses between them; (n, 4) numbers: x, y, low, high."""
     if not len(found):
         return
     x, y, low, high = found[np.lexsort((found[:, 2], found[:, 1], found[:, 0]))].T
@@ -126,18 +131,21 @@ def _joined(found: Times, size: int) -> Iterator[Visit]:
 
 
 def joins(visit: Visit, low: int, high: int) -> bool:
-    """Say whether a later stretch in the same cell makes a visit longer, or is another one."""
+    """Return whether a later time range in the same cell extends a visit.
+
+    Else it is a new visit.
+    """
     return low <= visit.high + JOIN_NS and high - visit.low <= LONGEST_NS
 
 
 class OpenVisits:
-    """Makes visits longer while a way goes on."""
+    """Extends visits while the path continues."""
 
     def __init__(self) -> None:
         self._open: Dict[Cell, Visit] = {}
 
     def go_on(self, path: Path) -> List[Visit]:
-        """Return the visits of the next part of a way; one that is longer than it was, whole."""
+        """Return the visits of the next part of a path; an extended visit from its beginning."""
         found = []
         for visit in visits_of(path):
             known = self._open.get(visit.cell)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The index of places: which coarse cells robots were in, noted run by run.
+"""The index of places: the coarse cells that robots visited, written run by run.
 
-A recorder notes it while it records, from the poses that it hands to the store; of other runs it is
-made afterwards, from what is stored. Both go the same way: along each robot's path, in each frame
-above it, every cell that it touches is noted with the time. Poses of several runs at the same time
-are left to whoever asks.
+A recorder writes it while it records, from the poses that it stores; for other runs it is made
+later, from the stored poses. Both use the same code: along each robot's path, in each frame above
+the robot, every touched cell is recorded with its time. Poses of several runs at the same time are
+not combined here; the query does that.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square, Visited
 
 MOST_ABOVE = 16
-"""In so many frames above a robot its places are noted."""
+"""Maximum number of frames above a robot in which its places are indexed."""
 _WINDOW_SEC = MAX_SPAN_NS // SECOND_NS
 _KEPT = 4
-"""Stretches of transforms that are kept, for all frames above all robots."""
+"""Maximum number of cached time ranges of transforms, shared by all robots and frames."""
 
 
 class Whose(NamedTuple):
-    """The run whose poses are noted."""
+    """The run whose poses are indexed."""
 
     node: str
     writer: int
 
 
 class _Remembering(Frames):
-    """Transforms of which several chains read the same stretches."""
+    """Transforms with a cache, because several chains read the same time ranges."""
 
     def __init__(self, find: Find, node: str) -> None:
         super().__init__(find, node)
         self._read: OrderedDict[Tuple[int, int], Samples] = OrderedDict()
 
     def read(self, low: int, high: int) -> Samples:
-        """Read the moving transforms with a row key in [low, high], ns."""
+        """Return the moving transforms with a row key in [low, high], ns."""
         if (low, high) not in self._read:
             self._read[low, high] = super().read(low, high)
             if len(self._read) > _KEPT:
@@ -57,7 +57,7 @@ class _Remembering(Frames):
 
 
 class _Way:
-    """One robot in one frame, whose cells are noted part by part."""
+    """The visits of one robot in one frame, computed part by part."""
 
     def __init__(self, poses: Poses, frame: str, robot: str) -> None:
         self._poses = poses
@@ -65,7 +65,7 @@ class _Way:
         self._open = OpenVisits()
 
     def go_on(self, whose: Whose, low: int, high: int) -> Iterator[Visited]:
-        """Yield the visits of what was recorded in [low, high], ns, and of the way to it."""
+        """Yield the visits of the time range [low, high], ns, and of the path into it."""
         path = Path.of(self._poses.tracks(low - LONGEST_GAP_NS, high))
         for visit in self._open.go_on(path):
             square = Square(*self._at, *visit.cell)
@@ -73,10 +73,11 @@ class _Way:
 
 
 class TfNotes:
-    """Notes the robots that tf tells of, for one run.
+    """Index of the robots in tf, for one run.
 
     Args:
-        find: Returns a topic by its name; TopicNotFound where neither tf topic is there.
+        find: Returns a topic by its name; TopicNotFound if neither tf topic is stored.
+        whose: The run.
     """
 
     def __init__(self, find: Find, whose: Whose) -> None:
@@ -84,12 +85,12 @@ class TfNotes:
         self._frames = _Remembering(find, whose.node)
         self._ways: Dict[Tuple[str, str], _Way] = {}
         self._since: Dict[str, int] = {}
-        """From when on a robot is noted, ns."""
+        """Row key from which a robot is indexed, ns, by frame."""
         self._seen: Set[str] = set()
         self._begun = False
 
     def go_on(self, low: int, high: int) -> Iterator[Visited]:
-        """Yield the visits of what was received in [low, high], ns; it follows the last stretch."""
+        """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         samples = self._frames.read(low, high)
         seen = seen_in(self._frames, [samples])
         self._seen.update(sorted(seen.frames)[: max(0, MOST_FRAMES - len(self._seen))])
@@ -105,7 +106,7 @@ class TfNotes:
                     yield from self._ways[robot, frame].go_on(self._whose, low, high)
 
     def placed(self, table: str, low: int, high: int) -> List[Placed]:
-        """Return what is noted of the poses that lie in a table, keys in [low, high], ns."""
+        """Return the index records of the row keys [low, high], ns, in a table."""
         fixed = fixed_frames(self._frames)
         return [
             Placed(
@@ -125,7 +126,7 @@ class TfNotes:
 
 
 class TopicNotes:
-    """Notes the robot that a topic of poses tells of, for one run; arguments as of TfNotes."""
+    """Index of the robot of a topic of poses, for one run; arguments as for TfNotes."""
 
     def __init__(self, find: Find, topic: str, whose: Whose) -> None:
         self._whose = whose
@@ -135,44 +136,45 @@ class TopicNotes:
         self._ways: Dict[str, _Way] = {}
 
     def go_on(self, table: str, low: int, high: int) -> Iterator[Visited]:
-        """Yield the visits of what was received in [low, high], ns; it follows the last stretch."""
+        """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         if table not in self._ways:
             self._ways[table] = _Way(self._poses, self._frame, table)
         yield from self._ways[table].go_on(self._whose, low, high)
 
     def placed(self, table: str, low: int, high: int) -> List[Placed]:
-        """Return what is noted of the poses that lie in a table, keys in [low, high], ns."""
+        """Return the index records of the row keys [low, high], ns, in a table."""
         frames = frozenset([self._frame])
         return [Placed(table, *self._whose, table, low, high, frames, {self._frame: ""})]
 
 
 class Indexed(NamedTuple):
-    """What was noted of a run."""
+    """The result of indexing a run."""
 
     poses_from: int
     poses_to: int
-    """First and last key of its poses, ns."""
+    """First and last row key of its poses, ns."""
     visits: int
-    """Of cells."""
+    """Number of visits of cells."""
 
 
 class RunIndex:
-    """Makes the index of one run that has ended, from what is stored.
+    """Makes the index of one ended run from the stored poses.
 
     Args:
         stored: The keyspace.
-        index: Where it is noted.
-        ttl: How long it is kept, seconds; 0 = for ever.
+        index: The index table.
+        whose: The run.
+        ttl: Time to live of the index rows, s; 0 = without limit.
     """
 
     def __init__(self, stored: Stored, index: PlaceIndex, whose: Whose, ttl: int = 0) -> None:
         self._stored, self._index, self._whose, self._ttl = stored, index, whose, ttl
 
     def make(self, progress: Optional[Callable[[int, int], None]] = None) -> Optional[Indexed]:
-        """Note all its poses; None where it has none. Again is harmless.
+        """Index all poses of the run; return None if it has no poses. Can be repeated.
 
         Args:
-            progress: Called with how many seconds of how many were gone through.
+            progress: Called with the seconds that are done, and the seconds in all.
         """
         parts = [part for part in self._parts() if part.extents]
         if not parts:
@@ -181,7 +183,7 @@ class RunIndex:
         total = sum(len(list(_windows(part.extents))) for part in parts)
         done = visits = 0
         for table in {extent.table for extent in every}:
-            self._index.withdraw(table, run=self._whose)  # visits are written anew
+            self._index.withdraw(table, run=self._whose)  # the visits are written again
         for part in parts:
             for low, high in _windows(part.extents):
                 found = list(part.go_on(low, high))
@@ -214,21 +216,21 @@ class RunIndex:
 
 
 class _Part(NamedTuple):
-    """A topic whose poses are noted."""
+    """The poses of one topic."""
 
     extents: Sequence[Extent]
     go_on: Callable[[int, int], Iterator[Visited]]
     note: Callable[[str, int, int], List[Placed]]
 
     def placed(self) -> Iterator[Placed]:
-        """Yield how far it is noted, by table."""
+        """Yield the index records of the poses, by table."""
         for table in sorted({extent.table for extent in self.extents}):
             own = [extent for extent in self.extents if extent.table == table]
             yield from self.note(table, min(e.low for e in own), max(e.high for e in own))
 
 
 def _windows(extents: Sequence[Extent]) -> Iterator[Tuple[int, int]]:
-    """Cut the time that extents cover into stretches of some minutes."""
+    """Yield the windows of MAX_SPAN_NS that the ranges touch, each once."""
     last = -1
     for low, high in merged(sorted((extent.low, extent.high) for extent in extents)):
         for number in range(low // MAX_SPAN_NS, high // MAX_SPAN_NS + 1):

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The way that a robot went: straight from each recorded pose to the next one.
+"""The path of a robot: a straight line from each recorded pose to the next.
 
-Times are those at which poses were received, as the keys of the messages that are asked for: the
-two agree also where a bag was played again, whose stamps are of another day.
+Times are receive times of poses, like the keys of the messages that a query selects. So the two
+match even if a bag was replayed, whose stamps are from another day.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from cassandra_ros.places.rigid import Floats
 
 LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
 LONGEST_WAY_M = 40_000.0
-"""Between two poses that are further apart, east to west or south to north, no robot went."""
+"""Maximum distance between two connected poses, metres in x or y. A robot cannot move farther."""
 AROUND_NS = 1_000_000
-"""So much longer than computed a stay is taken to be: its ends are rounded."""
+"""Margin added to both ends of a computed stay, ns, because times are rounded."""
 Span = Tuple[int, int]
-"""A time range, ns, both ends included."""
+"""A time range, ns since 1970, both ends included."""
 
 
 @dataclass(frozen=True)
 class Path:
-    """Where a robot was, and when."""
+    """The positions of a robot over time."""
 
     times: Times
-    """ns, ascending, each once."""
+    """Times, ns since 1970, ascending and unique."""
     x: Floats
     y: Floats
-    """Metres."""
+    """Coordinates, metres."""
     gap: int = LONGEST_GAP_NS
-    """Between two poses that are further apart nobody knows where it was, ns."""
+    """Maximum time between two connected poses, ns. The position between others is unknown."""
 
     @classmethod
     def of(cls, tracks: Iterable[Track]) -> Path:
-        """Join tracks that follow one another."""
+        """Return the path of consecutive tracks."""
         found = list(tracks)
         none = np.zeros(0)
         times = [np.zeros(0, np.int64), *(track.times for track in found)]
@@ -54,7 +54,7 @@ class Path:
 
     @classmethod
     def still(cls, x: float, y: float) -> Path:
-        """Return that of what never moves."""
+        """Return the path of an object that never moves."""
         ends = np.array([0, MAX_NS], np.int64)
         return cls(ends, np.array([x, x]), np.array([y, y]), MAX_NS)
 
@@ -63,11 +63,11 @@ class Path:
 
     @cached_property
     def _listed(self) -> Tuple[List[int], List[float], List[float]]:
-        # One time is looked up in lists more quickly than in arrays.
+        # A single time is found faster in lists than in arrays.
         return self.times.tolist(), self.x.tolist(), self.y.tolist()
 
     def at(self, t: int) -> Optional[Tuple[float, float]]:
-        """Return where it was at a time, ns; None where nobody knows."""
+        """Return the position at a time, ns; None if it is unknown."""
         times, x, y = self._listed
         n = bisect_right(times, t) - 1
         if n < 0:
@@ -85,21 +85,21 @@ class Path:
 
     @cached_property
     def _joined(self) -> Times:
-        """The numbers of the poses from which a way leads to the next one."""
+        """Indices of the poses that are connected to the next one."""
         far = np.maximum(np.abs(np.diff(self.x)), np.abs(np.diff(self.y)))
         joined: Times = np.flatnonzero((np.diff(self.times) <= self.gap) & (far <= LONGEST_WAY_M))
         return joined
 
     @property
     def lines(self) -> Tuple[Times, Times, Lines]:
-        """The ways between two poses: when each begins and ends, and where it lies."""
+        """The lines between connected poses: start times, end times, coordinates."""
         n = self._joined
         x, y = self.x[n], self.y[n]
         lines = Lines(x, y, self.x[n + 1] - x, self.y[n + 1] - y)
         return self.times[n], self.times[n + 1], lines
 
     def stays(self, region: Region) -> Iterator[Span]:
-        """Yield the time ranges in which it was in a region, or a little longer, in order."""
+        """Yield the time ranges of stays in a region, up to AROUND_NS too long, in time order."""
         starts, ends, lines = self.lines
         begun, ended = starts.tolist(), ends.tolist()
         found: List[Span] = []
@@ -114,7 +114,7 @@ class Path:
 
     @property
     def alone(self) -> Times:
-        """The numbers of the poses from which no way leads to another one, nor to them."""
+        """Indices of the poses that are connected to neither neighbour."""
         alone = np.ones(len(self.times), bool)
         alone[self._joined] = alone[self._joined + 1] = False
         numbers: Times = np.flatnonzero(alone)
@@ -122,7 +122,7 @@ class Path:
 
 
 def merged(spans: Iterable[Span]) -> Iterator[Span]:
-    """Join stretches that overlap or touch; they come by their beginnings."""
+    """Join overlapping and adjacent time ranges; they must be sorted by their start."""
     current: Optional[Span] = None
     for low, high in spans:
         if current is not None and low <= current[1] + 1:
@@ -136,14 +136,14 @@ def merged(spans: Iterable[Span]) -> Iterator[Span]:
 
 
 def clipped(spans: Iterable[Span], low: int, high: int) -> Iterator[Span]:
-    """Cut stretches off where they leave [low, high]."""
+    """Yield the parts of time ranges within [low, high]."""
     for start, end in spans:
         if start <= high and end >= low:
             yield max(start, low), min(end, high)
 
 
 def without(spans: Sequence[Span], taken: Sequence[Span]) -> Iterator[Span]:
-    """Yield what is left of stretches; both apart from one another and in order."""
+    """Yield the parts of time ranges that are not in ``taken``; both sorted and disjoint."""
     behind = 0
     for low, high in spans:
         while behind < len(taken) and taken[behind][1] < low:

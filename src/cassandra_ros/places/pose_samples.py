@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Recorded transforms and poses of a time range as arrays, and what lies between them."""
+"""Recorded transforms and poses of a time range as arrays, and the interpolation between them."""
 
 from __future__ import annotations
 
@@ -13,39 +13,39 @@ from numpy.typing import NDArray
 from cassandra_ros.places.rigid import Floats, Rigid, between
 
 Times = NDArray[np.int64]
-"""ns since 1970."""
+"""Times, ns since 1970."""
 Codes = NDArray[np.int64]
-"""Numbers that stand for frames."""
+"""Frame numbers."""
 Flags = NDArray[np.bool_]
 
 NO_FRAME = -1
 _UNIT = 10e-3
-"""How far tf2 lets the square of a rotation's length be from 1."""
+"""Maximum deviation of the squared norm of a rotation from 1 that tf2 accepts."""
 
 
 class Placed(NamedTuple):
     """Poses at many times."""
 
     poses: Rigid
-    """One for each time; where it is not known one that changes nothing."""
+    """One pose for each time; the identity if it is unknown."""
     known: Flags
-    """Whether a pose was recorded at the time, or one before and one behind it."""
+    """For each time, whether a pose was recorded at it, or one before and one after it."""
 
 
 @dataclass(frozen=True)
 class Track:
-    """Poses of one frame by time, each time once and in ascending order."""
+    """Poses of one frame over time; times are unique and ascending."""
 
     times: Times
     parents: Codes
-    """The frame in which each pose is."""
+    """Parent frame of each pose."""
     poses: Rigid
 
     def at(self, times: Times, longest_gap_ns: int) -> tuple[Placed, Codes]:
-        """Interpolate as tf2 does; return the frames in which the poses are, too.
+        """Interpolate as tf2 does; return the poses and their parent frames.
 
-        Between poses in two different frames the one before counts; where there is no pose the
-        frame is NO_FRAME. Between two that are further apart than the gap nothing is known.
+        Between poses in two different frames the earlier one is used. Without a pose the parent is
+        NO_FRAME. Between poses further apart than the gap nothing is known.
         """
         count = len(self.times)
         if not count:
@@ -67,20 +67,20 @@ class Track:
 
 @dataclass(frozen=True)
 class Samples:
-    """Recorded transforms in the order of their arrival."""
+    """Recorded transforms in the order of arrival."""
 
     keys: Times
-    """Row keys: when they were received."""
+    """Row keys (receive times), ns since 1970."""
     stamps: Times
-    """Of their headers."""
+    """Header stamps, ns since 1970."""
     parents: Codes
     children: Codes
     poses: Rigid
-    """Of the child in its parent."""
+    """Poses of the child frames in their parent frames."""
 
     @classmethod
     def none(cls) -> Samples:
-        """Return none."""
+        """Return an empty object."""
         empty = np.zeros(0, np.int64)
         return cls(empty, empty, empty, empty, Rigid.none(0))
 
@@ -88,7 +88,7 @@ class Samples:
     def checked(
         cls, keys: Times, stamps: Times, parents: Codes, children: Codes, numbers: Floats
     ) -> Samples:
-        """Take those that tf2 would take: (n, 7) finite numbers, of them a unit quaternion."""
+        """Return the samples that tf2 accepts: (n, 7) finite numbers, with unit quaternions."""
         finite = np.isfinite(numbers).all(1)
         lengths = (numbers[:, 3:] ** 2).sum(1)
         good = finite & (np.abs(lengths - 1) < _UNIT)
@@ -100,11 +100,11 @@ class Samples:
         return len(self.keys)
 
     def within(self, low: int, high: int) -> Samples:
-        """Return those with a row key in [low, high], ns."""
+        """Return the samples with a row key in [low, high], ns."""
         return self.take((self.keys >= low) & (self.keys <= high))
 
     def take(self, rows: Flags) -> Samples:
-        """Return some of them."""
+        """Return some of the samples."""
         return Samples(
             self.keys[rows],
             self.stamps[rows],
@@ -114,7 +114,7 @@ class Samples:
         )
 
     def followed(self, others: Samples) -> Samples:
-        """Return these and those that arrived behind them."""
+        """Return these samples and those that arrived after them."""
         return Samples(
             np.concatenate([self.keys, others.keys]),
             np.concatenate([self.stamps, others.stamps]),
@@ -127,13 +127,13 @@ class Samples:
         )
 
     def times(self, stamped: bool) -> Times:
-        """Return their stamps, or when they were received."""
+        """Return the stamps if ``stamped``, else the receive times."""
         return self.stamps if stamped else self.keys
 
     def track(self, child: int, stamped: bool) -> Track:
-        """Return what was recorded of one frame; of equal times the first that arrived counts."""
+        """Return the track of one frame; of samples with equal times the first is used."""
         mine = np.flatnonzero(self.children == child)
-        # np.unique gives the first of equal ones.
+        # np.unique returns the index of the first of equal values.
         times, first = np.unique(self.times(stamped)[mine], return_index=True)
         rows = mine[first]
         return Track(times, self.parents[rows], self.poses.take(rows))

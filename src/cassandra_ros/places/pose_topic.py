@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Poses out of a topic that tells them: Odometry, PoseStamped and their like."""
+"""Poses from a topic of poses: Odometry, PoseStamped and similar types."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _SOLID = (
 _PLANAR = ("x", "y", "theta")  # Pose2D, turtlesim/Pose
 _STAMP, _FRAME = "header.stamp", "header.frame_id"
 _WISHES = ("goal", "initialpose", "initial_pose", "clicked")
-"""A topic that is called so tells where a robot is to be."""
+"""Words in topic names whose poses are goals or guesses, not where a robot was."""
 
 
 def pose_fields(definition: Optional[Definition]) -> Sequence[str]:
-    """Return the fields of a type that tell a pose: seven, three in the plane, or none."""
+    """Return the fields of a type that make a pose: seven, three in the plane, or an empty list."""
     names = set() if definition is None else {ref.name for ref in all_fields(definition)}
     for moved, turned in _SOLID:
         fields = [f"{moved}.{c}" for c in _MOVED] + [f"{turned}.{c}" for c in _TURNED]
@@ -43,28 +43,30 @@ def pose_fields(definition: Optional[Definition]) -> Sequence[str]:
 
 
 def tells_poses(topic: ArraySource) -> bool:
-    """Say whether a topic is one of those whose messages are poses."""
+    """Return whether the messages of a topic are poses."""
     return any(pose_fields(table.definition) for table in topic.tables)
 
 
 def tells_robot(topic: ArraySource) -> bool:
-    """Say whether a topic's messages are poses, and by its name not those that somebody wished."""
+    """Return whether a topic's messages are poses, and not goals according to its name."""
     name = topic.name.rpartition("/")[2]
     return not any(word in name for word in _WISHES) and tells_poses(topic)
 
 
 class PoseTopic:
-    """The poses that one robot, or everybody, recorded on a topic.
+    """Recorded poses of a topic, of one robot or of all.
 
     Args:
         find: Returns a topic by its name.
-        topic: Its name.
-        node: nodeID of the robot; None = of all.
-        writers: Of the runs that are meant; None = all.
-        offset: Where what is asked for is on the robot (one transform), as a sensor; None = there.
+        topic: Name of the topic.
+        node: nodeID of the robot; None = all robots.
+        writers: Writer ids of the runs; None = all runs.
+        offset: Pose on the robot (one transform) whose poses are computed, as a sensor's; None =
+            the robot's own.
 
     Raises:
-        TopicNotFound, TypeMismatch: It is not stored; it tells no poses.
+        TopicNotFound: The topic is not stored.
+        TypeMismatch: Its messages are not poses.
     """
 
     def __init__(
@@ -89,7 +91,7 @@ class PoseTopic:
         names = {ref.name for ref in all_fields(told[0].definition)} if told[0].definition else ()
         self._stamped = _STAMP in names
         self.frame = self._first_frame() if _FRAME in names else ""
-        """The frame of the first pose, without a slash in front; '' where messages do not tell."""
+        """Frame of the first pose, without a slash in front; '' if the type has no frame."""
 
     def _first_frame(self) -> str:
         first = key_behind(self._topic, -1, self._node, self._writers)
@@ -100,7 +102,7 @@ class PoseTopic:
         return str(next(iter(found[_FRAME]), None) or "").lstrip("/")
 
     def read(self, low: int, high: int) -> Samples:
-        """Read what was recorded in [low, high], row keys, ns."""
+        """Return the poses with a row key in [low, high], ns."""
         if low > high:
             return Samples.none()
         fields = ["KEY", *([_STAMP] if self._stamped else []), *self._fields]
@@ -112,7 +114,7 @@ class PoseTopic:
         return Samples.checked(keys, stamps, parents, robot, _numbers(columns))
 
     def explain(self, time: int) -> str:
-        """Say why there is no pose at a time."""
+        """Return why there is no pose at a time, as a text."""
         whose = f" of node {self._node}" if self._node else ""
         first = key_behind(self._topic, -1, self._node, self._writers)
         last = last_key(self._topic, self._node, self._writers)
@@ -124,21 +126,21 @@ class PoseTopic:
         )
 
     def next_key(self, time: int) -> Optional[int]:
-        """Return the first row key behind a time, ns; None where there is none."""
+        """Return the first row key after a time, ns; None if there are no later rows."""
         return key_behind(self._topic, time, self._node, self._writers)
 
     def on_way(self, samples: Samples) -> Flags:
-        """Say which samples have a say in the poses: all of them."""
+        """Return which samples affect the poses: all of them."""
         return np.ones(len(samples), bool)
 
     def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
-        """Return the poses at some times, ns, out of samples around them."""
+        """Return the poses at some times, ns, computed from the samples around them."""
         (poses, known), _ = samples.track(1, stamped).at(times, longest_gap_ns)
         return Placed(poses @ self._offset, known)
 
 
 def _numbers(columns: Sequence[Floats]) -> Floats:
-    """Return (n, 7) numbers of what the fields of a pose hold."""
+    """Return the (n, 7) numbers of poses from the columns of their fields."""
     if len(columns) == len(_PLANAR):
         flat = Rigid.planar(*columns[:3])
         return np.concatenate([flat.moved, flat.turned], 1)

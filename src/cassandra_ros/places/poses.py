@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a robot, or a sensor on it, was at many times: poses as numpy arrays.
+"""Poses of a robot, or of a sensor on it, at many times, as numpy arrays.
 
-``poses_in_frame`` takes them from recorded tf, ``poses_of_topic`` from a topic that tells poses.
-Each gives a ``Poses``, of one robot:
+``poses_in_frame`` computes them from recorded tf, ``poses_of_topic`` from a topic of poses. Each
+returns a ``Poses`` object for one robot:
 
     poses = poses_in_frame(store.getTopic, "base_link", "map", node="husky")
     found, known = poses.at(times)          # ns; x, y, yaw: found.x[known], found.y[known], …
     for track in poses.tracks(start, end):  # every recorded pose: track.times, track.poses.x, …
         …
 
-Memory is bounded: what was recorded is read by stretches of MAX_SPAN_NS, and what two calls have in
-common is read once when the times of the calls ascend.
+Memory is bounded: recorded poses are read in time ranges of MAX_SPAN_NS. If the times of two calls
+ascend, the data that both need is read once.
 """
 
 from __future__ import annotations
@@ -30,48 +30,48 @@ from cassandra_ros.places.sources import Find
 from cassandra_ros.query.source import Writers
 
 LONGEST_GAP_SEC = 10.0
-"""Between two recorded poses that are further apart nobody knows where the robot was."""
+"""Maximum time between two recorded poses with known poses in between, s."""
 REACH_NS = 10 * SECOND_NS
-"""At least so far around a row key poses are read, on both sides."""
+"""Minimum distance from a row key, on both sides, in which poses are read, ns."""
 MAX_SPAN_NS = 120 * SECOND_NS
-"""Of row keys whose poses are read together."""
+"""Maximum length of the range of row keys whose poses are read together, ns."""
 
 
 class Recording(Protocol):
-    """What tells poses: a chain of frames, or a topic."""
+    """A source of poses: a chain of frames, or a topic."""
 
     frame: str
-    """The frame in which they are; '' where it is not told."""
+    """Frame in which the poses are; '' if unknown."""
 
     def read(self, low: int, high: int) -> Samples:
-        """Read what was recorded in [low, high], row keys, ns."""
+        """Return the samples with a row key in [low, high], ns."""
 
     def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
-        """Return the poses at some times, ns, out of samples around them."""
+        """Return the poses at some times, ns, computed from the samples around them."""
 
     def on_way(self, samples: Samples) -> Flags:
-        """Say which samples have a say in the poses."""
+        """Return which samples affect the poses."""
 
     def next_key(self, time: int) -> Optional[int]:
-        """Return the first row key behind a time, ns; None where there is none."""
+        """Return the first row key after a time, ns; None if there are no later rows."""
 
     def explain(self, time: int) -> str:
-        """Say why there is no pose at a time; '' where that cannot be told."""
+        """Return why there is no pose at a time, as a text; '' if the reason is unknown."""
 
 
 class Poses:
-    """Where something was at any time. For one thread.
+    """Poses of one frame at any time. For use by one thread.
 
     Args:
-        recording: Tells poses.
-        longest_gap_sec: Between two recorded poses that are further apart nothing is known.
+        recording: Source of the poses.
+        longest_gap_sec: Maximum time between two recorded poses with known poses in between, s.
 
     Attributes:
-        frame: The frame in which the poses are, without a slash in front; '' where a topic does
-            not tell it.
+        frame: Frame in which the poses are, without a slash in front; '' if a topic does not give
+            it.
 
     Raises:
-        InvalidOption: The gap is no positive number of seconds.
+        InvalidOption: The gap is not a positive number of seconds.
     """
 
     def __init__(self, recording: Recording, longest_gap_sec: float = LONGEST_GAP_SEC) -> None:
@@ -83,20 +83,22 @@ class Poses:
         self._gap = round(longest_gap_sec * SECOND_NS)
         self._reach = max(REACH_NS, self._gap)
         self._held: Tuple[int, int, Samples] = (0, -1, Samples.none())
-        """Ends of the row keys that were read last, both included, and what lay there."""
+        """First and last row key of the range that was read last, both included, and its
+        samples."""
         self.frame = recording.frame
 
     def at(self, keys: Times, stamps: Optional[Times] = None) -> Placed:
-        """Return the poses at the times at which messages were received, or at their stamps.
+        """Return the poses at the receive times of messages, or at their stamps.
 
         Args:
             keys: Row keys of messages, or any times, ns; in any order.
-            stamps: Of their headers, ns: the poses are then those at the stamps, by the stamps of
-                what was recorded around the keys. None = at the keys, by when it was received.
+            stamps: Header stamps, ns. If given, the poses at the stamps are returned, by the stamps
+                of the samples recorded around the keys. None = at the keys, by the samples' receive
+                times.
 
         Returns:
-            A pose for each, and whether it is known: it is interpolated between the pose before
-            and that behind, both included, and never extrapolated.
+            A pose for each time, and whether it is known: it is interpolated between the recorded
+            poses before and after it, both included, and never extrapolated.
         """
         keys = np.asarray(keys, np.int64)
         times = keys if stamps is None else np.asarray(stamps, np.int64)
@@ -111,13 +113,13 @@ class Poses:
         return Placed(poses, known)
 
     def tracks(self, low: int, high: int, stamped: bool = False) -> Iterator[Track]:
-        """Walk through all recorded poses that were received in [low, high], ns, by time.
+        """Yield all recorded poses that were received in [low, high], ns, in time order.
 
-        A pose comes for each time at which one of the frames on the way was recorded, or the
-        topic told one, where the others are known. Each track is a stretch of at most MAX_SPAN_NS.
+        There is one pose for each time at which a frame on the path (or the topic) was recorded and
+        the other frames are known. Each track covers at most MAX_SPAN_NS.
 
         Args:
-            stamped: The times are the stamps of headers instead of those of reception.
+            stamped: Whether the times are header stamps instead of receive times.
         """
         start, high = max(0, low), min(high, MAX_NS)
         while start <= high:
@@ -137,18 +139,18 @@ class Poses:
                 start = self._next_key(end + self._reach)
 
     def _next_key(self, time: int) -> int:
-        """Return a row key behind a time before which nothing was recorded."""
+        """Return a row key after a time such that nothing was recorded in between."""
         found = self._recording.next_key(time)
         return MAX_NS + 1 if found is None else found
 
     def explain(self, time: int) -> str:
-        """Say why the pose at a time is not known."""
+        """Return why the pose at a time is unknown, as a text."""
         return self._recording.explain(time) or (
             f"the recorded poses around that time are more than {self._gap / SECOND_NS:g} s apart"
         )
 
     def _together(self, keys: Times, order: Codes) -> Iterator[Codes]:
-        """Cut sorted keys where too long a stretch would be read for them."""
+        """Cut sorted keys into groups, so that none needs too long a range of samples."""
         ordered = keys[order]
         gaps = np.flatnonzero(np.diff(ordered) > 2 * self._reach) + 1
         start = 0
@@ -160,7 +162,7 @@ class Poses:
             start = end
 
     def _samples(self, low: int, high: int) -> Samples:
-        """Return what was recorded in a stretch of row keys; what is held is not read again."""
+        """Return the samples of a range of row keys; those that are held are not read again."""
         low, high = max(0, low), min(high, MAX_NS)
         first, last, held = self._held
         if first <= low <= last + 1 and low <= high:
@@ -183,21 +185,21 @@ def poses_in_frame(
     tf_static: str = TF_STATIC,
     longest_gap_sec: float = LONGEST_GAP_SEC,
 ) -> Poses:
-    """Return where a frame was in another, from recorded tf.
+    """Return the poses of a frame in another, from recorded tf.
 
     Args:
         find: Returns a topic by its name, as RosCassandra.getTopic does.
-        of: The frame that moves, as 'base_link' or 'laser'; a slash in front does not count.
-        frame: The frame in which its poses are, as 'map' or 'odom'.
-        node: nodeID of the robot; None = of all.
-        writers: Only what these recorded, as Runs.writers finds them; None = all.
-        tf, tf_static: Names of the topics; one of them may be missing.
-        longest_gap_sec: Between two transforms that are further apart nothing is known.
+        of: Moving frame, as 'base_link' or 'laser'; a slash in front is ignored.
+        frame: Frame in which the poses are given, as 'map' or 'odom'.
+        node: nodeID of the robot; None = all robots.
+        writers: Writer ids of the runs, as Runs.writers returns them; None = all runs.
+        tf, tf_static: Names of the topics; one may be missing.
+        longest_gap_sec: Maximum time between two transforms with known poses in between, s.
 
     Raises:
         TopicNotFound: Neither topic is stored.
-        TypeMismatch: One of them holds no transforms.
-        InvalidName, InvalidOption.
+        TypeMismatch: A topic holds other messages.
+        InvalidName, InvalidOption: An argument is invalid.
     """
     return Poses(Chain(Frames(find, node, writers, tf, tf_static), of, frame), longest_gap_sec)
 
@@ -211,17 +213,18 @@ def poses_of_topic(
     writers: Writers = None,
     longest_gap_sec: float = LONGEST_GAP_SEC,
 ) -> Poses:
-    """Return where a robot was, from a topic of Odometry, PoseStamped or the like.
+    """Return the poses of a robot, from a topic of Odometry, PoseStamped or a similar type.
 
     Args:
         find: Returns a topic by its name, as RosCassandra.getTopic does.
-        topic: Its name. Types are known by their fields: pose.pose, pose, position and
-            orientation, transform; x, y and theta.
-        offset: A pose on the robot whose own poses are asked for, as that of a sensor.
-        node, writers, longest_gap_sec: As poses_in_frame takes them.
+        topic: Name of the topic. Types are recognised by their fields: pose.pose, pose, position
+            and orientation, transform; x, y and theta.
+        offset: Pose on the robot whose poses are returned, as that of a sensor.
+        node, writers, longest_gap_sec: As in poses_in_frame.
 
     Raises:
-        TopicNotFound, TypeMismatch: It is not stored; it tells no poses.
-        InvalidName, InvalidOption.
+        TopicNotFound: The topic is not stored.
+        TypeMismatch: Its messages are not poses.
+        InvalidName, InvalidOption: An argument is invalid.
     """
     return Poses(PoseTopic(find, topic, node, writers, offset), longest_gap_sec)

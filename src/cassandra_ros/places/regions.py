@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Places on the ground that are asked for: a disk, or what a polygon encloses."""
+"""Regions of the ground: disks and polygons."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from cassandra_ros.places.rigid import Floats
 
 MOST_CORNERS = 1000
 SLACK = 1e-9
-"""How much wider than it is a region is taken where only what surely lies outside is left out: a
-share of its size, and metres."""
+"""Margin by which a region is enlarged where only what is certainly outside may be left out:
+a share of its size, and metres."""
 
 
 class Box(NamedTuple):
-    """What a region lies in, metres, all four sides included."""
+    """Bounding rectangle of a region, metres, all four sides included."""
 
     left: float
     bottom: float
@@ -29,32 +29,32 @@ class Box(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Straight ways in a plane, many of them."""
+    """Many straight lines in a plane, metres."""
 
     x: Floats
     y: Floats
-    """Where each begins."""
+    """Coordinates of the start of each line."""
     dx: Floats
     dy: Floats
-    """How far it goes from there."""
+    """Difference from start to end of each line."""
 
 
 Shares = Tuple[int, float, float]
-"""The number of a line, and from where to where on it: 0 is its beginning, 1 its end."""
+"""Index of a line and a part of it, from share to share: 0 is its start, 1 its end."""
 
 
 class Region(Protocol):
-    """Some of the ground."""
+    """A region of the ground."""
 
     @property
     def box(self) -> Box:
-        """What it lies in."""
+        """Bounding rectangle."""
 
     def holds(self, x: float, y: float) -> bool:
-        """Say whether a point lies in it; this has the last word."""
+        """Return whether a point lies in the region, exactly."""
 
     def shares(self, lines: Lines) -> Iterator[Shares]:
-        """Yield the parts of lines that lie in it, or a little more; in no order."""
+        """Yield the parts of lines that lie in the region, or slightly more; in no order."""
 
 
 @dataclass(frozen=True)
@@ -67,19 +67,19 @@ class Round:
 
     @property
     def box(self) -> Box:
-        """The square around it."""
+        """Bounding square."""
         wide = self.radius * (1 + SLACK) + SLACK
         return Box(self.x - wide, self.y - wide, self.x + wide, self.y + wide)
 
     def holds(self, x: float, y: float) -> bool:
-        """Say whether a point is at most the radius away from the middle."""
+        """Return whether a point is within the radius of the centre."""
         return math.hypot(x - self.x, y - self.y) <= self.radius
 
     def shares(self, lines: Lines) -> Iterator[Shares]:
-        """Yield the one part of each line that lies in it, where there is one."""
+        """Yield the part of each line that lies in the disk, if any."""
         wide = self.radius * (1 + SLACK) + SLACK
         away_x, away_y = lines.x - self.x, lines.y - self.y
-        # Where a line meets the rim its share s solves a s² + 2 b s + c = 0.
+        # A line meets the rim at the shares s with a s² + 2 b s + c = 0.
         a = lines.dx**2 + lines.dy**2
         b = away_x * lines.dx + away_y * lines.dy
         c = away_x**2 + away_y**2 - wide**2
@@ -95,13 +95,13 @@ class Round:
 
 
 class Polygon:
-    """What a closed line encloses; where it crosses itself, as even and odd have it.
+    """The area inside a closed line; if the line crosses itself, by the even-odd rule.
 
     Args:
-        corners: x and y of each, metres; the last is joined to the first.
+        corners: x and y of each corner, metres; the last is joined to the first.
 
     Raises:
-        InvalidOption: There are fewer than 3 corners, over 1000, or one that is no place.
+        InvalidOption: There are fewer than 3 or more than 1000 corners, or a corner is invalid.
     """
 
     def __init__(self, corners: Sequence[Tuple[float, float]]) -> None:
@@ -116,12 +116,12 @@ class Polygon:
 
     @property
     def box(self) -> Box:
-        """The rectangle around it."""
+        """Bounding rectangle."""
         xs, ys = zip(*self._corners)
         return Box(min(xs) - SLACK, min(ys) - SLACK, max(xs) + SLACK, max(ys) + SLACK)
 
     def holds(self, x: float, y: float) -> bool:
-        """Say whether a point lies inside: a ray to the right crosses an odd number of sides."""
+        """Return whether a point is inside: a ray to the right crosses an odd number of sides."""
         odd = False
         for (x0, y0), (x1, y1) in self._sides:
             if (y0 > y) != (y1 > y) and x < x0 + (y - y0) / (y1 - y0) * (x1 - x0):
@@ -129,7 +129,7 @@ class Polygon:
         return odd
 
     def shares(self, lines: Lines) -> Iterator[Shares]:
-        """Yield the parts of lines that lie in it, cut where they cross its sides."""
+        """Yield the parts of lines that lie in the polygon, cut where they cross its sides."""
         box = self.box
         left, right = (
             np.minimum(lines.x, lines.x + lines.dx),
@@ -145,7 +145,7 @@ class Polygon:
                 middle = (first + last) / 2
                 if self.holds(x + middle * dx, y + middle * dy):
                     yield number, first, last
-            # It may also touch it in one point.
+            # The line may also touch the polygon in a single point.
             ends = (end for end in (0.0, 1.0) if self.holds(x + end * dx, y + end * dy))
             for share in (*inner, *ends):
                 yield number, share, share

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Many rigid transforms at once, as numpy arrays: composed, turned round, interpolated."""
+"""Many rigid transforms as numpy arrays: composition, inverse, interpolation."""
 
 from __future__ import annotations
 
@@ -13,34 +13,36 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Numbers = Union[Floats, Sequence[float]]
 Rows = Union[NDArray[Any], slice]
-"""Which of many: their numbers, or a bool for each."""
+"""Selection of rows: their indices, or a bool for each row."""
 
 _SMALL_SINE = 1e-6
-"""Of the half angle between two rotations; below it the arc is a straight line in a double."""
+"""Sine of half the angle between two rotations below which the arc is a straight line in a
+double."""
 
 
 @dataclass(frozen=True)
 class Rigid:
-    """Many rigid transforms, one a row; of many poses: where they are in their parent frame.
+    """Many rigid transforms, one per row. For poses: from the object to its parent frame.
 
-    ``a @ b`` does first b and then a, row by row; one row meets all of the other.
+    ``a @ b`` applies first b and then a, row by row; a single row is used for all rows of the
+    other.
     """
 
     moved: Floats
-    """(n, 3): x, y, z, metres."""
+    """Translations, (n, 3): x, y, z, metres."""
     turned: Floats
-    """(n, 4): unit quaternions x, y, z, w."""
+    """Rotations, (n, 4): unit quaternions x, y, z, w."""
 
     @classmethod
     def none(cls, count: int) -> Rigid:
-        """Return transforms that change nothing."""
+        """Return ``count`` identity transforms."""
         turned = np.zeros((count, 4))
         turned[:, 3] = 1
         return cls(np.zeros((count, 3)), turned)
 
     @classmethod
     def planar(cls, x: Numbers, y: Numbers, yaw: Numbers) -> Rigid:
-        """Return poses in the plane: metres, and radians counterclockwise."""
+        """Return poses in the plane: x and y in metres, yaw in radians counterclockwise."""
         half = np.asarray(yaw, np.float64) / 2
         none = np.zeros_like(half)
         moved = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64), none], 1)
@@ -48,7 +50,7 @@ class Rigid:
 
     @classmethod
     def of_numbers(cls, numbers: Floats) -> Rigid:
-        """Return those of (n, 7) numbers, x y z and x y z w; rotations are made unit ones."""
+        """Return the transforms of (n, 7) numbers, x y z and x y z w; rotations are normalised."""
         turned = numbers[:, 3:]
         return cls(numbers[:, :3], turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
@@ -56,11 +58,11 @@ class Rigid:
         return len(self.moved)
 
     def take(self, rows: Rows) -> Rigid:
-        """Return some of them."""
+        """Return some rows."""
         return Rigid(self.moved[rows], self.turned[rows])
 
     def put(self, rows: Rows, others: Rigid) -> None:
-        """Set some of them."""
+        """Set some rows."""
         self.moved[rows], self.turned[rows] = others.moved, others.turned
 
     def __matmul__(self, inner: Rigid) -> Rigid:
@@ -68,34 +70,34 @@ class Rigid:
         return Rigid(moved, _product(self.turned, inner.turned))
 
     def inverse(self) -> Rigid:
-        """Return those that undo them."""
+        """Return the inverse transforms."""
         back = self.turned * (-1.0, -1.0, -1.0, 1.0)
         return Rigid(-rotated(back, self.moved), back)
 
     def apply(self, points: Floats) -> Floats:
-        """Transform points: (n, 3), one for each transform, or (m, 3) by the only one there is."""
+        """Transform points: (n, 3), one per transform, or (m, 3) by a single transform."""
         return rotated(self.turned, points) + self.moved
 
     @property
     def x(self) -> Floats:
-        """Metres."""
+        """x, metres."""
         return self.moved[:, 0]
 
     @property
     def y(self) -> Floats:
-        """Metres."""
+        """y, metres."""
         return self.moved[:, 1]
 
     @property
     def yaw(self) -> Floats:
-        """Turn about z, radians in [-pi, pi]."""
+        """Rotation about z, radians in [-pi, pi]."""
         x, y, z, w = self.turned.T
         found: Floats = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
         return found
 
 
 def rotated(turned: Floats, points: Floats) -> Floats:
-    """Turn points by quaternions, row by row; one row meets all of the other."""
+    """Rotate points by quaternions, row by row; a single row is used for all rows of the other."""
     found: Floats
     if len(turned) == 1:
         found = points @ _matrices(turned)[0].T
@@ -124,7 +126,7 @@ def _product(a: Floats, b: Floats) -> Floats:
 
 
 def between(a: Rigid, b: Rigid, share: Floats) -> Rigid:
-    """Interpolate as tf2 does: straight, and along the shorter arc; share is 0 at a, 1 at b."""
+    """Interpolate as tf2 does: linearly, and along the shorter arc; share is 0 at a, 1 at b."""
     part = share[:, None]
     moved = a.moved + part * (b.moved - a.moved)
     cosine = (a.turned * b.turned).sum(1, keepdims=True)

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which frame, or which topic, tells where the robot of a node was.
+"""The choice of the frame, or of the topic, that gives the poses of a node's robot.
 
-tf tells it where it knows the frame that is asked for; else a topic of poses in that frame does.
-What may be meant in two ways is refused with the names of both: a place that is silently another
-robot's would be worse.
+tf is used if it has the requested frame; else a topic of poses in that frame. If several frames or
+topics could be meant, an error names them: silently using another robot's poses would be worse.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ from cassandra_ros.places.stored import Stored
 from cassandra_ros.query.source import Writers
 
 BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
-"""What robots call the frame of their body, behind a prefix or not; the first of them counts."""
+"""Usual names of the frame of a robot's body, with or without a prefix, in order of preference."""
 USUAL_FRAMES = ("map", "odom", "world")
 MOST_FRAMES = 1000
-"""So many names of frames are remembered of a robot."""
+"""Maximum number of frame names remembered for one robot."""
 MOST_ROBOTS = 8
-"""Where no frame is called as those of robots: so many that move may be some."""
+"""Maximum number of moving frames treated as robots when no frame has a robot's usual name."""
 _LOOKS = 5
-"""So often, spread over all of its time, it is looked which frames tf has."""
+"""Number of samples, evenly spaced over the recording, that are searched for frame names."""
 _LOOK_NS = 1 * SECOND_NS
 _TYPES = (
     "nav_msgs/Odometry",
@@ -52,58 +51,58 @@ _TYPES = (
     "geometry_msgs/PoseStamped",
     "geometry_msgs/TransformStamped",
 )
-"""Of topics that tell poses without being named; of those of several types the first counts."""
+"""Types of topics that are used without being named, in order of preference."""
 _UNTOLD = "no frame"
 
 
 class Seen(NamedTuple):
-    """Which frames tf has of a node."""
+    """The frames that tf has for a node."""
 
     frames: FrozenSet[str]
     robots: Tuple[str, ...]
-    """Those that may be the bodies of robots."""
+    """Frames that may be the bodies of robots."""
     tops: Tuple[str, ...] = ()
-    """Those that are in no other one."""
+    """Frames without a parent."""
 
 
 @dataclass(frozen=True)
 class Robot:
-    """What tells where a robot was, in one frame."""
+    """The source of a robot's poses in one frame."""
 
     node: str
     topic: ArraySource
-    """What moves: /tf, or the topic of its poses."""
+    """Topic that moves the robot: /tf, or its topic of poses."""
     frame: str
-    """In which its places are, without a slash in front."""
+    """Frame in which its places are given, without a slash in front."""
     name: str
-    """Its frame; '' = the topic tells it."""
+    """Frame of the robot; '' if a topic gives its poses."""
     find: Find
     writers: Writers = None
-    """The runs whose poses are meant; None = all runs."""
+    """Writer ids of the runs whose poses are used; None = all runs."""
 
     @property
     def keys(self) -> Tuple[str, ...]:
-        """What squares are noted under for it."""
+        """Names under which the index holds its places."""
         return (self.name,) if self.name else tuple(table.name for table in self.topic.tables)
 
     def recording(self, writers: Writers = None) -> Recording:
-        """Return what these runs recorded of it; None = those whose poses are meant."""
+        """Return the poses of some runs as recorded; None = the runs of ``self.writers``."""
         writers = self.writers if writers is None else writers
         if self.name:
             return Chain(Frames(self.find, self.node, writers), self.name, self.frame)
         return PoseTopic(self.find, self.topic.name, self.node, writers)
 
     def poses(self, writers: Writers = None) -> Poses:
-        """Return where it was, as these runs recorded it; None = those whose poses are meant."""
+        """Return the poses of some runs; None = the runs of ``self.writers``."""
         return Poses(self.recording(writers))
 
     def fixed(self) -> Mapping[str, str]:
-        """Return for each frame that does not move how it is fixed to another one."""
+        """Return parent and pose of each fixed frame, as a text, by frame."""
         return fixed_frames(Frames(self.find, self.node, self.writers)) if self.name else {}
 
 
 def fixed_frames(frames: Frames) -> Dict[str, str]:
-    """Return for each fixed frame its parent and its pose in that, as a text."""
+    """Return parent and pose of each fixed frame, as a text, by frame."""
     return {
         frames.names[child]: f"{frames.names[parent]} {pose.moved.tolist()} {pose.turned.tolist()}"
         for child, (parent, pose) in frames.fixed.items()
@@ -112,7 +111,7 @@ def fixed_frames(frames: Frames) -> Dict[str, str]:
 
 
 def frames_above(frames: Frames, samples: Samples, name: str) -> List[str]:
-    """List a frame and those above it, as far as samples and fixed transforms lead."""
+    """Return a frame and its ancestors, as far as samples and fixed transforms are known."""
     above: Set[int] = {frames.code(name)}
     while True:
         on_way = np.isin(samples.children, list(above))
@@ -124,7 +123,7 @@ def frames_above(frames: Frames, samples: Samples, name: str) -> List[str]:
 
 
 def seen_in(frames: Frames, parts: Iterable[Samples]) -> Seen:
-    """Say which frames there are in samples and among the fixed ones."""
+    """Return the frames in samples and among the fixed transforms."""
     moving: Set[int] = set()
     carrying: Set[int] = set()
     for samples in parts:
@@ -141,7 +140,7 @@ def seen_in(frames: Frames, parts: Iterable[Samples]) -> Seen:
 
 
 def _bodies(frames: Iterable[str]) -> List[str]:
-    """Return of each prefix the frame that is called as that of a robot's body."""
+    """Return for each prefix the frame that has a usual name of a robot's body."""
     found: Dict[str, List[str]] = {}
     for frame in frames:
         prefix, _, last = frame.rpartition("/")
@@ -151,7 +150,7 @@ def _bodies(frames: Iterable[str]) -> List[str]:
 
 
 def look(find: Find, node: str, writers: Writers = None) -> Optional[Seen]:
-    """Look which frames tf has of a node and some runs, at some times; None where it has none."""
+    """Return the frames that tf has for a node and some runs, at some times; None without tf."""
     try:
         frames = Frames(find, node, writers)
     except TopicNotFound:
@@ -170,17 +169,17 @@ def look(find: Find, node: str, writers: Writers = None) -> Optional[Seen]:
 
 
 class Choice:
-    """Finds what tells where the robots of a keyspace were.
+    """Finds the sources of the poses of the robots of a keyspace.
 
     Args:
         stored: The keyspace.
-        frame: In which places are asked for; a slash in front does not count.
-        robot: Its frame, or a topic of its poses; '' = to be found out.
-        writers: The runs about whose messages it is asked: where they recorded poses of a node
-            only these count, else the poses of all runs. None = all runs.
+        frame: Frame in which places are requested; a slash in front is ignored.
+        robot: Frame of the robot, or topic of its poses; '' = find it.
+        writers: Writer ids of the runs whose messages are queried. If they recorded poses of a
+            node, only these are used, else the poses of all runs. None = all runs.
 
     Raises:
-        InvalidOption: Nothing tells it, or what is meant is not clear.
+        InvalidOption: There are no poses in the frame, or several robots may be meant.
     """
 
     def __init__(
@@ -189,11 +188,11 @@ class Choice:
         self._stored = stored
         self._frame, self._robot, self._writers = frame.lstrip("/"), robot, writers
         self._told: Dict[str, List[str]] = {}
-        """Topic -> the frames in which it tells poses, for the text of an error."""
+        """Frames in which topics give poses, by topic, for the text of an error."""
         self._look = lru_cache(None)(partial(look, stored.find))
 
     def robots(self, nodes: Optional[Sequence[str]] = None) -> List[Robot]:
-        """Return one for each node of which there is one; of these nodes, None = of all."""
+        """Return the robots of some nodes, one for each node that has poses; None = all nodes."""
         named = self._named_topic()
         topics = [named] if named is not None else [*self._tf(), *self._candidates]
         every = {each for topic in topics for each in self._stored.nodes(topic)}
@@ -215,7 +214,7 @@ class Choice:
         return robots
 
     def usual_frame(self) -> str:
-        """Return the frame in which places are mostly wanted: map or odom, else what there is."""
+        """Return the most usual frame for places: map or odom, else one that exists."""
         topics = [*self._tf(), *self._candidates]
         nodes = sorted({each for topic in topics for each in self._stored.nodes(topic)})
         seen = [found for found in map(self._look, nodes) if found is not None]
@@ -230,7 +229,7 @@ class Choice:
         return [topic for topic in found if topic is not None]
 
     def _named_topic(self) -> Optional[ArraySource]:
-        """Return the topic that was named as the robot; None where that is a frame."""
+        """Return the topic that was given as the robot; None if it is a frame."""
         if not self._robot:
             return None
         topic = find_stored(self._stored.find, self._robot)
@@ -238,7 +237,7 @@ class Choice:
 
     @cached_property
     def _candidates(self) -> List[ArraySource]:
-        """Return the topics that may tell where a robot is without being named."""
+        """Return the topics that may give a robot's poses without being named."""
         if self._robot:
             return []
         return [
@@ -248,7 +247,7 @@ class Choice:
         ]
 
     def _of_runs(self, node: str, named: Optional[ArraySource]) -> Optional[Robot]:
-        """Return the robot of a node by the poses of the runs, else by those of all runs."""
+        """Return the robot of a node by the poses of the runs, else by the poses of all runs."""
         own = None if self._writers is None else self._of_node(node, named, self._writers)
         return own or self._of_node(node, named, None)
 

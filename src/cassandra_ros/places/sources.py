@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What poses are read from: topics whose fields come as arrays."""
+"""The interface to the topics that poses are read from: their fields as arrays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cassandra_ros.query.source import Source, Writers
 
 
 class ArraySource(Source[Row], Protocol):
-    """The stored messages of one topic, and their fields as arrays, as CassandraTopic has them."""
+    """Stored messages of one topic, with the method of CassandraTopic that returns arrays."""
 
     def getArrays(
         self,
@@ -29,11 +29,11 @@ class ArraySource(Source[Row], Protocol):
 
 
 Find = Callable[[str], ArraySource]
-"""Returns a topic by its name, as RosCassandra.getTopic does; raises TopicNotFound."""
+"""Function that returns a topic by its name, like RosCassandra.getTopic; raises TopicNotFound."""
 
 
 def find_stored(find: Find, name: str) -> Optional[ArraySource]:
-    """Return a topic by its name; None where it is not stored, as one of tf's two may be."""
+    """Return a topic by its name, or None if it is not stored."""
     try:
         return find(name)
     except TopicNotFound:
@@ -49,7 +49,7 @@ def arrays_between(
     writers: Writers,
 ) -> Dict[str, Any]:
     """Return fields of the messages with a row key in [low, high], ns."""
-    # As stamps they are times for certain: a small int might be refused as seconds.
+    # Stamps, because a small int could be refused as a mistaken number of seconds.
     ends = (Stamp.from_ns(max(0, low)), Stamp.from_ns(min(high, MAX_NS)))
     return topic.getArrays(fields, *ends, nodeID=node, run=writers)
 
@@ -57,7 +57,7 @@ def arrays_between(
 def key_behind(
     topic: ArraySource, time: int, node: Optional[str], writers: Writers
 ) -> Optional[int]:
-    """Return the first row key of a topic behind a time, ns; None where there is none."""
+    """Return the first row key of a topic after a time, ns; None if there are no later rows."""
     if time >= MAX_NS:
         return None
     rows = topic.rows(max(0, time + 1), nodeID=node, limit=1, run=writers)
@@ -65,7 +65,7 @@ def key_behind(
 
 
 def last_key(topic: ArraySource, node: Optional[str], writers: Writers) -> Optional[int]:
-    """Return the last row key of a topic; None where it has no message."""
+    """Return the last row key of a topic, ns; None if it has no messages."""
     return next(
         (row.t for row in topic.rows(nodeID=node, limit=1, reverse=True, run=writers)), None
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is needed of a keyspace to say where its robots were: whoever has it provides it."""
+"""The interface to a keyspace that this room needs; the caller provides it."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Extent(NamedTuple):
 
     table: str
     writer: int
-    """Of the run."""
+    """Writer id of the run."""
     low: int
     high: int
-    """Keys, ns, both included."""
+    """First and last row key, ns, both included."""
 
 
 class Stored(Protocol):
@@ -27,16 +27,16 @@ class Stored(Protocol):
         """Return a topic by its name; raises TopicNotFound."""
 
     def topics(self) -> Sequence[ArraySource]:
-        """List all topics, sorted by name."""
+        """Return all topics, sorted by name."""
 
     def nodes(self, topic: ArraySource) -> Sequence[str]:
-        """List the nodeIDs that have messages of a topic, sorted."""
+        """Return the nodeIDs that have messages of a topic, sorted."""
 
     def extents(self, topic: ArraySource, node: str, low: int, high: int) -> Sequence[Extent]:
-        """List when runs of a node have messages of a topic, as far as that touches [low, high]."""
+        """Return the time ranges of a node's messages of a topic, by run, touching [low, high]."""
 
     def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
-        """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
+        """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
 
     def run_text(self, writer: int) -> str:
-        """Return what RUN says of the messages of a writer."""
+        """Return the value of RUN for the messages of a writer."""

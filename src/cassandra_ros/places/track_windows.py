@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The ways of one robot, window by window: read when they are asked for, a few of them kept.
+"""The paths of one robot in time windows, read when they are needed; a few windows are cached.
 
-Where several runs of a node recorded poses at the same time (two robots to which nobody gave a
-nodeID, or two recorders on one), messages of a run go by the poses of that run; those of a run that
-has none then go by all of them.
+If several runs of a node recorded poses at the same time (two robots without a nodeID, or two
+recorders for one robot), the messages of a run are judged by the poses of that run. The messages of
+a run without poses are judged by the poses of all runs.
 """
 
 from __future__ import annotations
@@ -27,36 +27,36 @@ from cassandra_ros.query.source import Writers
 
 WINDOW_NS = 30 * SECOND_NS
 KEPT = 8
-"""Windows that are kept."""
+"""Maximum number of cached windows."""
 FRESH_SEC = 2.0
-"""So long a window is kept whose poses may be still to come."""
+"""How long a window that may still get poses is cached, s."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Where a robot was in some time range, as each run recorded it."""
+    """The path of a robot in one time window, by all runs and by each run."""
 
     every: Path
-    """By the poses of all runs."""
+    """Path by the poses of all runs."""
     own: Mapping[str, Path] = field(default_factory=dict)
-    """By those of one, under what RUN says of it, where several overlap."""
+    """Paths by the poses of one run, by the value of RUN, if several runs overlap."""
     complete: bool = False
-    """No pose of its time is still to come, as far as those that are there tell."""
+    """Whether no more poses are expected: there is one after the end of the window."""
 
     def at(self, run: str, t: int) -> Optional[Tuple[float, float]]:
-        """Return where the robot of a run's message was at a time, ns; None: nobody knows."""
+        """Return the position of the robot of a run's message at a time, ns; None if unknown."""
         mine = self.own.get(run)
         place = None if mine is None else mine.at(t)
         return self.every.at(t) if place is None else place
 
     @property
     def paths(self) -> List[Path]:
-        """All ways."""
+        """All paths."""
         return [self.every, *self.own.values()]
 
 
 class Windows:
-    """The ways of one robot. For one thread at a time."""
+    """The time windows of one robot. For use by one thread at a time."""
 
     def __init__(self, robot: Robot, stored: Stored) -> None:
         self.robot = robot
@@ -64,10 +64,10 @@ class Windows:
         self._poses: Dict[Writers, Poses] = {}
         self._kept: OrderedDict[int, Tuple[float, Window]] = OrderedDict()
         self.still = self._still()
-        """Its way where it never moves; None where it does."""
+        """Path of a robot that never moves; None if it moves."""
 
     def _still(self) -> Optional[Path]:
-        # What is known without anything that moves is fixed.
+        # A pose that is known without any moving transform is fixed.
         nothing, once = Samples.none(), np.zeros(1, np.int64)
         poses, known = self.robot.recording().placed(nothing, once, False, 0)
         return Path.still(float(poses.x[0]), float(poses.y[0])) if known[0] else None
@@ -78,7 +78,7 @@ class Windows:
         return self._poses[writers]
 
     def of(self, t: int) -> Window:
-        """Return the window in which a time lies, ns."""
+        """Return the window that contains a time, ns."""
         if self.still is not None:
             return Window(self.still, complete=True)
         number = t // WINDOW_NS
@@ -102,7 +102,7 @@ class Windows:
             return Window(every)
         robot = self.robot
         extents = self._stored.extents(robot.topic, robot.node, low, high)
-        # Runs may be called the same: their messages go by the poses of all of these.
+        # Several runs may have the same value of RUN: then their poses are used together.
         called: Dict[str, Set[int]] = {}
         for writer in {each.writer for pair in overlaps(extents) for each in pair}:
             called.setdefault(self._stored.run_text(writer), set()).add(writer)
@@ -114,7 +114,7 @@ class Windows:
 
 
 def overlaps(extents: Sequence[Extent]) -> Iterator[Tuple[Extent, Extent]]:
-    """Yield pairs of neighbours, by their beginnings, of two runs at the same time."""
+    """Yield pairs of time ranges of two runs that overlap, sorted by their start."""
     longest: Optional[Extent] = None
     for extent in sorted(extents, key=lambda each: (each.low, each.high)):
         if longest is not None and extent.low <= longest.high and extent.writer != longest.writer:

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where robots were, for pictures: of each a line of so many points.
+"""Tracks of robots for pictures: for each robot a line with a limited number of points.
 
-Of a short time all poses are read, and points left out that lie close to the line. Of a long time
-poses are read around moments that are spread over it; between two of them nobody looked.
+For a short time range all poses are read, and points close to the line are left out. For a long
+time range poses are read around moments that are evenly spaced over it.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.query.source import Writers
 
 WHOLE_NS = 7200 * SECOND_NS
-"""Up to so much time with poses is read whole."""
+"""Maximum length of a time range with poses that is read completely, ns."""
 _LOOKS = 400
-"""So many moments are looked at of more."""
+"""Number of moments in a longer time range around which poses are read."""
 _LOOK_NS = SECOND_NS
 
 Points = Union[List[str], List[float], List[bool], str]
@@ -32,16 +32,16 @@ Points = Union[List[str], List[float], List[bool], str]
 
 @dataclass(frozen=True)
 class RobotTrack:
-    """Where one robot was."""
+    """The track of one robot."""
 
     node: str
     frame: str
     path: Path
     joined: Sequence[bool]
-    """For each point whether the way from the one before is known."""
+    """For each point, whether the line from the previous point is known."""
 
     def told(self) -> Dict[str, Points]:
-        """Return it as JSON has it: times are ns, as texts."""
+        """Return the track for JSON: times are ns, as texts."""
         path = self.path
         return {
             "node": self.node,
@@ -61,14 +61,15 @@ def find_tracks(
     window: Tuple[int, int, int],
     watch: Callable[[], None],
 ) -> List[RobotTrack]:
-    """Return the tracks of the robots that have one.
+    """Return the tracks of all robots that have poses.
 
     Args:
-        asked: Frame and robot, as a Disk has them.
-        nodes: Of which nodes; None = all.
-        writers: Of a node of which these runs recorded poses only these count; None = all.
-        window: First and last time, ns, and most points of a track.
-        watch: Called now and then; may raise.
+        asked: Frame and robot, as in a Disk.
+        nodes: nodeIDs; None = all nodes.
+        writers: Writer ids of the runs. If they recorded poses of a node, only these are used;
+            None = all runs.
+        window: First and last time, ns, and maximum number of points of a track.
+        watch: Called repeatedly while poses are read; may raise.
     """
     low, high, most = window
     found = []
@@ -93,13 +94,13 @@ def _path(robot: Robot, spans: Sequence[Tuple[int, int]], watch: Callable[[], No
     path = Path.of(tracks)
     if total <= WHOLE_NS or not len(path):
         return path
-    # Between two looks the robot went somehow: the line is drawn, where no run ended between.
+    # The lines between two moments are drawn as known, unless a run ended in between.
     step = total // _LOOKS
     return Path(path.times, path.x, path.y, max(2 * step, LONGEST_GAP_NS))
 
 
 def _looks(spans: Sequence[Tuple[int, int]], total: int) -> Iterator[Tuple[int, int]]:
-    """Yield stretches of a second, evenly spread over others."""
+    """Yield time ranges of one second, evenly spaced over the given ones."""
     step = max(1, total // _LOOKS)
     for start, end in spans:
         for at in itertools.chain(range(start, end, step), [max(start, end - _LOOK_NS)]):
@@ -107,12 +108,12 @@ def _looks(spans: Sequence[Tuple[int, int]], total: int) -> Iterator[Tuple[int, 
 
 
 def thinned(path: Path, most: int) -> Tuple[Path, List[bool]]:
-    """Leave out points of a path until it has at most so many: those that change it least.
+    """Reduce the points of a path to at most ``most``, leaving out those that change it least.
 
-    Ends of known ways stay, where there are not too many of them.
+    The ends of known parts stay, unless there are too many of them.
 
     Returns:
-        The path, and for each point whether the way from the one before is known.
+        The path, and for each point whether the line from the previous point is known.
     """
     count = len(path)
     far = np.maximum(np.abs(np.diff(path.x)), np.abs(np.diff(path.y))) > LONGEST_WAY_M
@@ -124,13 +125,13 @@ def thinned(path: Path, most: int) -> Tuple[Path, List[bool]]:
 
 
 def _chosen(path: Path, most: int, broken: Times) -> Times:
-    """Return the numbers of the points that stay."""
+    """Return the indices of the points that stay."""
     count = len(path)
     ends = np.unique(np.concatenate([[0, count - 1], broken, broken + 1]))
     if len(ends) > most:
         few: Times = ends[np.linspace(0, len(ends) - 1, most).astype(np.int64)]
         return few
-    # By the way that was gone: while a robot stands there is nothing to be seen.
+    # Points are spaced by distance, because a standing robot adds nothing to the picture.
     gone = np.concatenate([[0], np.cumsum(np.hypot(np.diff(path.x), np.diff(path.y)))])
     gone = gone + np.linspace(0, 1e-6, count)
     wanted = np.linspace(0, gone[-1], max(0, most - len(ends)))

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""When robots were in a region: what NEAR asks, and a lasso on the map.
+"""Times at which robots were in a region, for NEAR and for the lasso on the map.
 
-The index of cells (see indexing.py) says when that may have been, as far as it goes; what it does
-not cover may have been any time. Then the recorded poses are read, and have the last word.
+The index of cells (see indexing.py) gives candidate times as far as it covers the recording; all
+other times are candidates too. For the candidates the recorded poses are read and decide.
 """
 
 from __future__ import annotations
@@ -26,10 +26,14 @@ from cassandra_ros.tables.place_index import PlaceIndex
 
 
 class RegionStays:
-    """When the robots of some nodes were in a region; see query.protocols.Stays. Thread-safe.
+    """Times at which the robots of some nodes were in a region; see query.protocols.Stays.
+
+    Thread-safe.
 
     Args:
-        windows: Their ways, by node.
+        region: The region.
+        windows: Paths of the robots, by nodeID.
+        coverage: Finds the candidate times.
     """
 
     def __init__(self, region: Region, windows: Mapping[str, Windows], coverage: Coverage) -> None:
@@ -39,11 +43,11 @@ class RegionStays:
 
     @property
     def nodes(self) -> List[str]:
-        """The nodes whose robots are known, sorted."""
+        """Robots with poses: their nodeIDs, sorted."""
         return sorted(self._windows)
 
     def holds(self, node: str, run: str, t: int) -> Optional[bool]:
-        """Say whether the robot of a message was there; None where nobody knows."""
+        """Return whether the robot of a message was in the region; None if unknown."""
         number = t // WINDOW_NS
         latest = self._latest.get(node)
         if latest is None or latest[0] != number or not latest[1].complete:
@@ -66,11 +70,11 @@ class RegionStays:
         node: Optional[str] = None,
         watch: Callable[[], None] = lambda: None,
     ) -> Iterator[Span]:
-        """Yield stretches of [low, high], ns, that hold all times at which it is true; see Stays.
+        """Yield time ranges in [low, high], ns, that contain all stays; see query.protocols.Stays.
 
         Args:
-            node: Only of the robot of this node; None = of all together.
-            watch: Called now and then while poses are read, also where none is found; may raise.
+            node: nodeID of the only robot to check; None = all robots together.
+            watch: Called repeatedly while poses are read, even if there are no stays; may raise.
         """
         asked = [w for name, w in self._windows.items() if node in (None, name)]
         low, high = max(0, low), min(high, MAX_NS)
@@ -102,7 +106,7 @@ class RegionStays:
 
 
 def _numbers(spans: Sequence[Span], reverse: bool) -> Iterator[int]:
-    """Yield the numbers of the windows that some stretches touch, each once."""
+    """Yield the numbers of the windows that some time ranges touch, each once."""
     last: Optional[int] = None
     for low, high in reversed(spans) if reverse else spans:
         numbers = range(low // WINDOW_NS, high // WINDOW_NS + 1)
@@ -113,13 +117,13 @@ def _numbers(spans: Sequence[Span], reverse: bool) -> Iterator[int]:
 
 
 def _meets(spans: Sequence[Span], start: int, end: int) -> bool:
-    """Say whether one of some stretches, in order and apart, touches [start, end]."""
+    """Return whether one of some time ranges, sorted and disjoint, touches [start, end]."""
     n = bisect_right(spans, (end, MAX_NS)) - 1
     return n >= 0 and spans[n][1] >= start
 
 
 def _touching(spans: Iterable[Span]) -> Iterator[Span]:
-    """Join stretches that touch one another, whichever comes first."""
+    """Join adjacent and overlapping time ranges, in ascending or descending order."""
     last: Optional[Span] = None
     for low, high in spans:
         if last is not None and low <= last[1] + 1 and last[0] <= high + 1:
@@ -133,7 +137,7 @@ def _touching(spans: Iterable[Span]) -> Iterator[Span]:
 
 
 class Whereabouts:
-    """Where the robots of one keyspace were; see query.protocols.Places. Thread-safe."""
+    """The poses of the robots of one keyspace; see query.protocols.Places. Thread-safe."""
 
     def __init__(self, stored: Stored, index: PlaceIndex) -> None:
         self._stored = stored
@@ -142,7 +146,7 @@ class Whereabouts:
 
     @contextmanager
     def shared(self) -> Iterator[None]:
-        """Give the same answer to all that this thread asks meanwhile: poses are read once."""
+        """Cache the answers of ``stays`` for this thread, so that poses are read once."""
         self._local.answers = {}
         try:
             yield
@@ -150,10 +154,10 @@ class Whereabouts:
             del self._local.answers
 
     def stays(self, disk: Disk, node: Optional[str] = None, writers: Writers = None) -> RegionStays:
-        """Say when robots were on a disk; of one node, by the poses of some runs, None = of all.
+        """Return when robots were on a disk; of one node, by the poses of some runs; None = all.
 
         Raises:
-            InvalidOption: Nothing tells it, or several robots may be meant.
+            InvalidOption: There are no poses in the frame, or several robots may be meant.
         """
         answers: Dict[Tuple[Disk, Optional[str], Writers], RegionStays]
         answers = getattr(self._local, "answers", {})
@@ -172,10 +176,14 @@ class Whereabouts:
         nodes: Optional[Sequence[str]] = None,
         writers: Writers = None,
     ) -> RegionStays:
-        """Say when robots were in a region; arguments as a Disk has them, and errors of stays.
+        """Return when robots were in a region; frame, robot and errors as in ``stays``.
 
         Args:
-            writers: Of a node of which these runs recorded poses only these count; None = all.
+            region: The region.
+            frame, robot: As in a Disk.
+            nodes: nodeIDs; None = all nodes.
+            writers: Writer ids of the runs. If they recorded poses of a node, only these are used;
+                None = all runs.
         """
         every = self.robots(frame, robot, nodes, writers)
         windows = {each.node: Windows(each, self._stored) for each in every}
@@ -188,14 +196,14 @@ class Whereabouts:
         nodes: Optional[Sequence[str]] = None,
         writers: Writers = None,
     ) -> List[Robot]:
-        """Return what tells where robots were; arguments as of within, and errors, too."""
+        """Return the sources of robots' poses; arguments and errors as in ``within``."""
         return Choice(self._stored, frame, robot, writers).robots(nodes)
 
     def usual_frame(self) -> str:
-        """Return the frame in which places are mostly wanted: map or odom, else what there is."""
+        """Return the most usual frame for places: map or odom, else one that exists."""
         return Choice(self._stored, "").usual_frame()
 
     def extents(self, robot: Robot, low: int, high: int) -> Sequence[Extent]:
-        """List when poses of a robot may have been recorded, as far as it touches [low, high]."""
+        """Return the time ranges of a robot's recorded poses, by run, that touch [low, high]."""
         found = self._stored.extents(robot.topic, robot.node, low, high)
         return [e for e in found if robot.writers is None or e.writer in robot.writers]
