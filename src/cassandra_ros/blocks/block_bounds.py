@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The bounds of the values in blocks, which their rows hold beside the bytes: none is unpacked."""
+"""Zones of blocks, which stand in their rows beside the bytes: no block is unpacked for them."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from cassandra_ros.connection.paging import Asked, RawRow
 
 PAGE_BLOCKS = 5000
 AT_ONCE = 16
-"""Blocks that are fetched with one statement, by their keys."""
+"""Maximum number of blocks that one statement fetches by their keys."""
 _WIDTH = HEADER.count(",") + 1
 
 
 class Bounded(NamedTuple):
-    """A block of which only the bounds are known."""
+    """A block of which only the header and zone columns were read."""
 
     header: BlockRow
     values: RawRow
-    """Of the columns that were asked for, encoded; None = the block has no such value."""
+    """Encoded values of the requested zone columns; None = the block has no such value."""
 
     @property
     def exact(self) -> bool:
-        """Whether the bounds are those of what is left in it."""
+        """Whether the zones hold for the messages that are left in the block."""
         header = self.header
         return header.left == header.messages and not header.odd
 
 
 def ask_bounds(part: BucketRead, columns: Sequence[str]) -> Asked:
-    """Ask for the headers of the blocks of a bucket, and for these of their zone columns."""
+    """Request the headers of the blocks of a bucket, with some of their zone columns."""
     return part.ask(", ".join([HEADER, *map(quote_name, columns)]), PAGE_BLOCKS)
 
 
 def read_bounds(part: BucketRead, asked: Asked) -> Iterator[Bounded]:
-    """Read what was asked for, of the blocks that hold messages which are wanted."""
+    """Yield the requested blocks that hold messages to be read."""
     for values in asked.rows():
         header = read_block(part.table, values[:_WIDTH])
         if header is not None and part.wants(header):
@@ -47,7 +47,7 @@ def read_bounds(part: BucketRead, asked: Asked) -> Iterator[Bounded]:
 def open_blocks(
     part: BucketRead, headers: Sequence[BlockRow]
 ) -> Iterator[Tuple[BucketRead, Opened]]:
-    """Fetch and unpack blocks of which the headers are known, those that are still there."""
+    """Fetch and unpack blocks with known headers; blocks deleted meanwhile are left out."""
     for n in range(0, len(headers), AT_ONCE):
         for row in part.blocks(part.fetch(headers[n : n + AT_ONCE]).page()):
             opened = part.open(row)

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages of one connection, gathered until they make a block.
+"""Gathers messages of one connection until they make a block.
 
-Where a block ends follows from the messages alone, in the order in which they come, unless they
-are sealed by their age: so an import that is repeated ends in the same rows. The key of a block is
-that of its first message, also while it grows: what a killed import left is written over.
+The messages alone, in the order of their arrival, decide where a block ends, unless a block is
+closed because of its age. So a repeated import writes the same rows. The key of a block is that of
+its first message, which does not change while the block grows. So a repeated import also replaces
+what a killed import has left.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ from cassandra_ros.tables.checksum import crc32
 from cassandra_ros.tables.row_table import CHUNK_BYTES, RowTable
 
 Again = Callable[[int, int, bytes], object]
-"""Writes a message anew, from its time of reception, ns, its ``_seq`` and its bytes."""
+"""Writes a message again, given its receive time (ns), its ``_seq`` and its bytes."""
 KeyTime = Callable[[int, bytes], int]
-"""From the time of reception, ns, and the serialised message to the key time."""
+"""Returns the key time (ns) for a receive time (ns) and a serialised message."""
 
 
 class Block(NamedTuple):
@@ -36,20 +37,19 @@ class Block(NamedTuple):
     """Key times, ns."""
     seqs: Sequence[int]
     received: Optional[Sequence[int]]
-    """Times of reception, ns, where those are not the key times."""
+    """Receive times, ns; None = they equal the key times."""
     wires: Sequence[bytes]
     conn: int
     data: bytes
-    """Packed; of a message that goes to chunks no more than its times, b'' where the row has
-    those."""
+    """Packed messages. For a message in chunks only its times, or b'' if the row has these."""
     crc: int
-    """Of the data, or of the one message that goes to chunks."""
+    """Checksum of ``data``, or of the message in chunks."""
     zones: Sequence[Optional[bytes]]
-    """Encoded bounds, in the order of the table's zone columns."""
+    """Encoded minimum and maximum values, in the order of the table's zone columns."""
     nan: Tuple[str, ...]
-    """Fields of which a value is NaN."""
+    """Names of the fields with a NaN value."""
     odd: bool
-    """The bounds do not hold for some field."""
+    """Whether the zones of some field do not hold."""
     again: Optional[Again] = None
 
     @property
@@ -64,16 +64,19 @@ class Block(NamedTuple):
 
     @property
     def wire(self) -> bytes:
-        """The only message of one that goes to chunks."""
+        """The message of a block that goes to chunks."""
         return self.wires[0]
 
     @property
     def in_chunks(self) -> bool:
-        """Whether it is one message that is too large for a row."""
+        """Whether the block is one message that is too large for a row."""
         return len(self.wires[0]) > CHUNK_BYTES
 
     def rewriters(self) -> List[Optional[Callable[[], object]]]:
-        """Return for each message what writes it anew, None where nobody can."""
+        """Return for each message a function that writes it again.
+
+        None if there is no such function.
+        """
         if self.again is None:
             return [None] * len(self.wires)
         arrivals = self.times if self.received is None else self.received
@@ -90,7 +93,7 @@ def make_block(
     received: Optional[Sequence[int]] = None,
     again: Optional[Again] = None,
 ) -> Block:
-    """Make the row of at least one message, in any order."""
+    """Return the block of one or more messages, given in any order."""
     order = None if len(times) == 1 else _order(times, seqs)
     if order is not None:
         times, seqs = [times[n] for n in order], [seqs[n] for n in order]
@@ -107,7 +110,7 @@ def make_block(
 
 
 def _order(times: Sequence[int], seqs: Sequence[int]) -> Optional[List[int]]:
-    """Return in which order messages lie; None: in theirs."""
+    """Return the order of messages by time and ``_seq``; None if they are in this order."""
     t, s = np.array(times, np.int64), np.array(seqs, np.int64)
     if ((t[1:] > t[:-1]) | ((t[1:] == t[:-1]) & (s[1:] > s[:-1]))).all():
         return None
@@ -116,19 +119,19 @@ def _order(times: Sequence[int], seqs: Sequence[int]) -> Optional[List[int]]:
 
 
 class BlockBuilder:
-    """The block that one connection of one writer fills. Thread-safe.
+    """Fills the blocks of one connection of one writer. Thread-safe.
 
     Args:
-        table: It has blocks.
-        node: The robot or entity that produced the messages.
+        table: A table of format ``packed``.
+        node: The robot or other source of the messages.
         conn: Number of the connection.
-        builders: Knows what all of one writer share.
+        builders: All builders of the writer.
 
     Attributes:
-        nbytes: Serialised bytes that wait here.
-        since: When the oldest of what waits came; monotonic.
-        key_time: Finds the key time where that is not the time of reception.
-        again: Writes a message anew where the table is gone.
+        nbytes: Number of serialised bytes in the present block.
+        since: Monotonic time at which the oldest message of the present block came, s.
+        key_time: Returns the key time of a message; None = it is the receive time.
+        again: Writes a message again after its table was dropped; None = not possible.
     """
 
     def __init__(
@@ -144,14 +147,14 @@ class BlockBuilder:
         self._most, self._most_bytes = builders.limits
         self.key_time: Optional[KeyTime] = None
         self.again: Optional[Again] = None
-        # Held while a block is packed and handed on: so blocks leave in their order.
+        # Held while a block is packed and passed on, so that blocks leave in their order.
         self._lock = threading.RLock()
         self._clear()
 
     def _clear(self) -> None:
         self.nbytes = 0
         self.since = 0.0
-        # Nothing lies between them: whatever comes begins a block.
+        # An empty range: the next message begins a block, whatever its time.
         self._first, self._latest = 0, -1
         self._times: List[int] = []
         self._seqs: List[int] = []
@@ -159,17 +162,17 @@ class BlockBuilder:
         self._received: List[int] = []
 
     def take(self, received: int, seq: int, wire: bytes) -> bool:
-        """Take a message; says whether it was taken, for the table may be gone.
+        """Add a message to a block; return False if its table was dropped.
 
         Args:
-            received: When it was received, ns.
+            received: Receive time, ns.
             seq: Writer id << 32 | counter.
         """
         key_time, size = self.key_time, len(wire)
         t = received if key_time is None else key_time(received, wire)
         with self._lock:
             nbytes = self.nbytes + size
-            # This is passed for every message of a recording: nothing here is for beauty.
+            # Runs for every message of a recording, so it is written for speed.
             if (
                 not self._first <= t <= self._latest
                 or nbytes > self._most_bytes
@@ -190,7 +193,10 @@ class BlockBuilder:
         return True
 
     def take_run(self, received: Longs, seqs: Longs, wires: Sequence[bytes]) -> int:
-        """Take messages as if one by one; return how many: fewer where the table is gone."""
+        """Add messages like ``take``.
+
+        Return how many were added, fewer if the table was dropped.
+        """
         nbytes = np.cumsum(np.fromiter(map(len, wires), np.int64, len(wires)))
         alone = np.diff(nbytes, prepend=0).max(initial=0) > ALONE_BYTES
         times, numbers = received.tolist(), seqs.tolist()
@@ -215,10 +221,10 @@ class BlockBuilder:
         return at
 
     def _room(self, times: Longs, nbytes: Longs, at: int) -> int:
-        """Return before which message, of those from one on, the block that is filled must end.
+        """Return the index, from ``at`` on, of the first message that no longer fits the block.
 
         Args:
-            nbytes: Serialised bytes of all messages up to and with each.
+            nbytes: Running total of the serialised bytes, including each message.
         """
         most = self._most_bytes - self.nbytes + (int(nbytes[at - 1]) if at else 0)
         room = int(np.searchsorted(nbytes, most, "right"))
@@ -227,7 +233,10 @@ class BlockBuilder:
         return at + int(beyond.argmax()) if beyond.any() else stop
 
     def _begin(self, t: int) -> bool:
-        """Seal what is here, and begin a block with a message of this time; False: it may not."""
+        """Close the present block and begin one at time ``t``.
+
+        Return False if the table is dropped.
+        """
         self._all.check()
         self.seal()
         if self.table.name in self._all.gone:
@@ -239,7 +248,7 @@ class BlockBuilder:
         return True
 
     def seal(self) -> None:
-        """Hand on what waits here as a block, if anything does."""
+        """Close the present block and pass it on, if it has messages."""
         with self._lock:
             if not self._times:
                 return
@@ -249,12 +258,12 @@ class BlockBuilder:
             )
             try:
                 self._all.put(self, block)
-            finally:  # whatever happens there, its messages are stored or counted as lost
+            finally:  # even after an error its messages are either stored or counted as lost
                 self._clear()
                 self._all.filling.pop(id(self), None)
 
     def seal_older(self, than: float) -> None:
-        """Seal what began before a time, monotonic."""
+        """Close the block if it began before a monotonic time, s."""
         if self.since < than:
             with self._lock:
                 if self.since < than:
@@ -262,14 +271,14 @@ class BlockBuilder:
 
 
 class Builders:
-    """The builders of one writer. Thread-safe.
+    """The block builders of one writer. Thread-safe.
 
     Args:
-        limits: Most of what a block holds.
-        put: Takes a block that is complete; it may wait, and tells others what fails.
-        check: Called before a block is begun; raises what became of earlier ones where nobody
-            else is told.
-        gone: Names of tables that were dropped: nothing is taken for them any more.
+        limits: Maximum size of a block.
+        put: Takes a closed block; it may wait, and reports errors itself.
+        check: Called before a block is begun; raises the error of an earlier block that has not
+            been reported otherwise.
+        gone: Names of dropped tables, for which no more messages are taken.
     """
 
     def __init__(
@@ -281,13 +290,13 @@ class Builders:
     ) -> None:
         self.limits, self.put, self.check, self.gone = limits, put, check, gone
         self.filling: dict[int, BlockBuilder] = {}
-        """Those that hold messages, by their id; each adds and removes itself."""
-        # The others live as long as those who write through them.
+        """Builders with messages, by their id; each adds and removes itself."""
+        # A builder without messages lives as long as the writer of its connection refers to it.
         self._known: WeakValueDictionary[tuple[str, str, int], BlockBuilder] = WeakValueDictionary()
         self._mutex = threading.Lock()
 
     def get(self, table: RowTable, node: str, conn: int) -> BlockBuilder:
-        """Return the one that takes the messages of a connection."""
+        """Return the builder for the messages of a connection."""
         key = (table.name, node, conn)
         with self._mutex:
             found = self._known.get(key)
@@ -296,11 +305,11 @@ class Builders:
             return found
 
     def seal(self, older_than: float = math.inf) -> None:
-        """Hand on all blocks that began before a time, monotonic."""
+        """Close and pass on all blocks that began before a monotonic time, s."""
         for builder in list(self.filling.values()):
             builder.seal_older(older_than)
 
     @property
     def nbytes(self) -> int:
-        """Serialised bytes that wait in blocks."""
+        """Number of serialised bytes in open blocks."""
         return sum(builder.nbytes for builder in list(self.filling.values()))

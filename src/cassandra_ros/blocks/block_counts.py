@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How many messages lie in a bucket of blocks: from their headers, where those tell."""
+"""Number of messages in a bucket of blocks, by the headers of the blocks where possible."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ def headers(
     high: Optional[int] = None,
     writers: Writers = None,
 ) -> Iterator[BlockRow]:
-    """Read the headers of the blocks that reach into [low, high], None = open; without bytes."""
+    """Read, without their bytes, the blocks with a time range that meets [low, high].
+
+    None = open.
+    """
     begin = bucket * table.metadata.bucket_ns
     ends, terms = list(ALL), []
     if low is not None and low > begin:
@@ -65,7 +68,7 @@ def headers(
 
 
 def opened(table: RowTable, node: str, bucket: int, rows: Iterator[BlockRow]) -> Iterator[Block]:
-    """Read and unpack blocks of which the headers are known, those that are still there."""
+    """Read and unpack blocks with known headers; blocks deleted meanwhile are left out."""
     place, keys = table.place(node, bucket), [row.key for row in rows]
     for n in range(0, len(keys), _AT_ONCE):
         for row in read_blocks(table, ask_blocks(table, place, keys[n : n + _AT_ONCE]).page()):
@@ -75,7 +78,7 @@ def opened(table: RowTable, node: str, bucket: int, rows: Iterator[BlockRow]) ->
 def count_part(
     table: RowTable, node: str, bucket: int, low: int, high: int, writers: Writers = None
 ) -> int:
-    """Count the messages with a time in [low, high]; only blocks at the ends are unpacked."""
+    """Count the messages with a time in [low, high]; only blocks at both ends are unpacked."""
     count, edges = 0, []
     for row in headers(table, node, bucket, low, high, writers):
         if low <= row.t and row.last <= high:
@@ -88,7 +91,7 @@ def count_part(
 
 
 class Measured:
-    """What is left of a block: how many messages and bytes, and when they begin and end."""
+    """Number, bytes and time range of the messages that are left in a block."""
 
     def __init__(self, row: BlockRow, block: Optional[Block] = None) -> None:
         self.count, self.bytes = row.left, row.size
@@ -104,7 +107,7 @@ class Measured:
 
 
 def measure(table: RowTable, node: str, bucket: int) -> Iterator[Tuple[BlockRow, Measured]]:
-    """Tell what is left of each block; those are unpacked of which messages were deleted."""
+    """Yield the counts of each block; only blocks with deleted messages are unpacked."""
     cut = []
     for row in headers(table, node, bucket):
         if not len(row.gone):
@@ -118,7 +121,7 @@ def measure(table: RowTable, node: str, bucket: int) -> Iterator[Tuple[BlockRow,
             if block.row.left:
                 yield block.row, Measured(block.row, block)
     except CorruptMessage:
-        # How many there are is known all the same.
+        # The headers still tell the number of messages.
         for row in by_key.values():
             yield row, Measured(row)
 

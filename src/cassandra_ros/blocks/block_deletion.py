@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages are deleted out of blocks: marked there by their positions, which are never used anew.
+"""Deletion of single messages in blocks, by marks at their positions.
 
-Two clients may mark at once, and neither undoes what the other did. A block of which all is marked
-is deleted as a row. Where it was not there any more the mark stands alone, and is taken away.
+A mark is only added, so two clients can mark at the same time. A block with a mark on every message
+is deleted as a row. If the block was deleted meanwhile the mark remains as a row of its own, which
+is
+deleted too.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ class Cutter:
     """Deletes messages of one bucket.
 
     Attributes:
-        large: Keys of deleted blocks whose message lies in the chunk table.
+        large: Keys of deleted blocks whose message is in the chunk table.
     """
 
     def __init__(self, cassandra: Cassandra, table: RowTable, node: str, bucket: int) -> None:
@@ -31,7 +33,7 @@ class Cutter:
         self.large: List[Order] = []
 
     def time_range(self, rows: Sequence[BlockRow], low: int, high: int) -> int:
-        """Delete what lies in [low, high] of some blocks; return how many messages."""
+        """Delete the messages with a time in [low, high] from some blocks; return their number."""
         whole = [row for row in rows if low <= row.t and row.last <= high]
         self._delete([row.key for row in whole])
         self.large += [row.key for row in whole if row.nchunks]
@@ -48,7 +50,7 @@ class Cutter:
         return count
 
     def cut(self, cuts: Mapping[BlockKey, Collection[int]]) -> None:
-        """Delete messages by their blocks and their positions in those."""
+        """Delete messages by their blocks and their positions in these."""
         whole = [key for key, places in cuts.items() if len(places) == key.messages]
         self._delete([(key.t, key.seq) for key in whole])
         parts = {key: set(cuts[key]) for key in cuts if len(cuts[key]) < key.messages}
@@ -59,7 +61,7 @@ class Cutter:
         self._clear([(key.t, key.seq) for key in parts])
 
     def _clear(self, keys: Sequence[Order]) -> None:
-        """Delete those of which nothing is left, and marks that stand alone."""
+        """Delete blocks that have no messages left, and marks without a block."""
         place, empty, alone = self._table.place(*self._where), [], []
         for values in ask_blocks(self._table, place, keys, HEADER).page():
             row = read_block(self._table, values)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Single messages out of blocks, by their keys: one SELECT each."""
+"""Single messages from blocks by their keys, with one SELECT each."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from cassandra_ros.tables.row_table import (
 )
 
 KEPT_BLOCKS = 16
-"""So many are kept while messages are found one after the other."""
+"""Maximum number of unpacked blocks kept while messages are found one after the other."""
 _PAGE_BLOCKS = 16
 
 
 def ask_over(table: RowTable, node: str, t: int, writer: Optional[int] = None) -> Asked:
-    """Ask for the blocks that may hold a message of a time, of one writer or (None) of all.
+    """Request the blocks that may hold a message of a time; writer None = of all writers.
 
-    No block lasts longer than the table says, so none that begins before that is looked at.
+    The table's metadata limit the time range of a block, so earlier blocks are left out.
     """
     bucket = table.bucket_of(t)
     first = max(t - table.metadata.span_ns, bucket * table.metadata.bucket_ns)
@@ -40,7 +40,7 @@ def ask_over(table: RowTable, node: str, t: int, writer: Optional[int] = None) -
 
 
 def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> Asked:
-    """Ask for the blocks of a message, or of the first one of its time."""
+    """Request the blocks that may hold a message, or the first message of its time."""
     t, node, seq = position[:3]
     return ask_over(table, node, t, None if any_seq else writer_of(seq))
 
@@ -48,10 +48,10 @@ def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> Asked:
 def answer_one(
     table: RowTable, position: Position, asked: Asked, *, any_seq: bool = False
 ) -> Optional[TableRow]:
-    """Find a message in the blocks that were asked for; None where there is none.
+    """Return the row of a message in the requested blocks; None if they do not hold it.
 
     Raises:
-        CorruptMessage: It is in no block that can be read, but one cannot be read.
+        CorruptMessage: No readable block holds the message, and a block cannot be read.
     """
     t, node, seq = position[:3]
     ends = ((t, MIN_SEQ), (t, MAX_SEQ)) if any_seq else ((t, seq), (t, seq))
@@ -71,14 +71,14 @@ def answer_one(
 
 
 class Finder:
-    """Finds messages of one table one after the other: a block that holds several is read once."""
+    """Finds messages of one table one after the other; keeps blocks that may hold further ones."""
 
     def __init__(self, table: RowTable) -> None:
         self._table = table
         self._kept: List[tuple[str, Block]] = []
 
     def find(self, position: Position) -> Optional[TableRow]:
-        """Return the row of a message, None where there is none; raises as answer_one does."""
+        """Return the row of a message, None if there is no such row; raises like answer_one."""
         found = self._known(position)
         if found is None:
             self._read(position)
@@ -105,7 +105,7 @@ class Finder:
                 found.append(Block(self._table, node, row))
             except CorruptMessage as exc:
                 problem = exc
-        # First the one that has it: of many connections more come than are kept.
+        # The block with the message first: a time may have more blocks than are kept.
         found.sort(key=lambda block: not len(block.between((t, seq), (t, seq))))
         self._kept = ([(node, block) for block in found] + self._kept)[:KEPT_BLOCKS]
         held = bool(found) and len(found[0].between((t, seq), (t, seq))) > 0

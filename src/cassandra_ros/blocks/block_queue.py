@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Blocks in the order in which they are needed, which their headers tell."""
+"""The blocks of a bucket in the order in which a read needs them, by their headers."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ, Order, TableRow, Te
 _log = logging.getLogger(__name__)
 
 MAX_AT_ONCE = 100
-"""Blocks that are fetched with one statement, by their keys."""
+"""Maximum number of blocks that one statement fetches by their keys."""
 FIRST_HEADERS = 16
-"""Of the first page of headers, where few messages are wanted; the next ones are larger."""
+"""Number of headers in the first page of a read of few messages; later pages are larger."""
 MAX_HEADERS = 5000
 FEW_ROWS = 8
-"""So many are made of a block at least, where few are wanted."""
+"""Minimum number of rows that are made of a block in a read of few messages."""
 
 _Item = Union[BlockRow, Opened]
-"""A block that is to be read, or what is left of one that was."""
+"""A block that has to be fetched, or the rest of a block of which some messages were taken."""
 
 
 class Headers:
-    """Headers of the blocks of a bucket, in the order of reading, as far as they are needed."""
+    """Reads the headers of the blocks of a bucket, in the order of reading, as far as needed."""
 
     def __init__(self, part: BucketRead) -> None:
         self._part = part
@@ -47,13 +47,13 @@ class Headers:
             self._asked = self._filtered(part.filters)
         else:
             self._asked = [part.ask(HEADER, self._count)]
-        # In the same moment: one round trip less.
+        # Sent together with the headers, which saves a round trip.
         early = part.wanted and part.filters is None
         self.early = part.ask(WHOLE, part.early) if early else None
-        """The first blocks themselves."""
+        """The read of the first whole blocks; None = no blocks are read before their headers."""
         self.more = bool(self._asked)
         self.last: Optional[Order] = None
-        """Where the last one lies that was read."""
+        """Key of the last block whose header was read."""
         self._behind: Optional[RawRow] = None
 
     def _filtered(self, filters: Sequence[Terms]) -> List[Asked]:
@@ -63,14 +63,14 @@ class Headers:
             return self._unfiltered(exc)
 
     def _unfiltered(self, exc: object) -> List[Asked]:
-        """Go on with all blocks: a server may forbid to filter, or be too slow at it."""
+        """Read the headers of all blocks, if a server forbids filtering or is too slow at it."""
         topic = self._part.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
         self._filters = None
         return [self._part.ask(HEADER, MAX_HEADERS)]
 
     def read(self) -> List[BlockRow]:
-        """Read more of them."""
+        """Read the next page of headers."""
         if self._filters is not None:
             return self._every()
         if not self._asked:
@@ -84,7 +84,7 @@ class Headers:
         return self._part.blocks(page)
 
     def _every(self) -> List[BlockRow]:
-        """Read all that the server finds, in one way or several: some 100 bytes a block."""
+        """Read all headers that pass one of the filters, some 100 bytes a block."""
         self.more = False
         try:
             rows = [row for asked in self._asked for row in asked.rows()]
@@ -95,11 +95,11 @@ class Headers:
 
 
 class _Batch:
-    """Blocks on their way, in the order in which they are needed.
+    """Blocks that are being fetched, in the order in which they are needed.
 
     Args:
-        wanted: So few messages are taken of them; 0 = all.
-        early: Asked for already, and may hold some of them.
+        wanted: Number of messages that the read takes from them; 0 = all.
+        early: A read that was sent before, which may return some of the blocks.
     """
 
     def __init__(
@@ -128,10 +128,10 @@ class _Batch:
 
 
 class Needed:
-    """The blocks of which messages are still to come, in the order in which they are needed.
+    """The blocks of a bucket that still have messages to yield, in the order of need.
 
-    Upwards that is the order of their first messages, as they lie; downwards that of their last
-    ones: one that lies before another may end behind it.
+    In ascending order this is the order of their first messages, in which they are stored. In
+    descending order it is that of their last messages, because an earlier block may end later.
     """
 
     def __init__(self, part: BucketRead, headers: Headers) -> None:
@@ -144,7 +144,7 @@ class Needed:
             self._bytes = min(part.page_bytes, BLOCK_BYTES)
 
     def batch(self) -> Optional[_Batch]:
-        """Ask for the blocks that are needed next; None where all were."""
+        """Request the blocks that are needed next; None if all blocks were read."""
         while self._headers.more and not self._is_known():
             self.read()
         taken, wanted = self._take(), self._wanted
@@ -165,11 +165,11 @@ class Needed:
         heapq.heappush(self._known, (turn, self._count, item))
 
     def _end(self, item: _Item) -> int:
-        """Return the time of the last message of a block that may be wanted."""
+        """Return the time of the last message of a block that is in the range to be read."""
         return min(item.last, self._part.ends[1][0])
 
     def rows(self, batch: _Batch) -> Iterator[List[TableRow]]:
-        """Yield rows of each block: of large ones no more than are wanted, the rest later."""
+        """Yield rows of each block; of a large block only as many as are wanted, the rest later."""
         for block in batch.blocks():
             taken = block
             if batch.wanted and block.block is not None:
@@ -179,26 +179,26 @@ class Needed:
             yield self._part.rows(taken)
 
     def _is_known(self) -> bool:
-        """Say whether none that is not read is needed before the first one that is."""
+        """Return whether no block with an unread header is needed before the first known one."""
         if self._part.reverse:
             return bool(self._known) and -self._known[0][0][0] > self._unread_end
-        # The next one tells how far the first one is all. What is left of a block may lie behind
-        # others that are not read.
+        # Only the next header tells up to which key the first block can be yielded. The rest of a
+        # block of which messages were taken may begin after blocks whose headers are not read yet.
         last = self._headers.last
         return len(self._known) > 1 and (last is None or self._known[0][0] <= last)
 
     @property
     def _unread_end(self) -> int:
-        """Time of the last message that a block may hold whose header is not read yet."""
+        """Latest time that a message of a block with an unread header may have."""
         last = self._headers.last
         return MAX_SEQ if last is None else last[0] + self._part.table.metadata.span_ns
 
     def _take(self) -> List[_Item]:
-        """Take blocks: those that may hold the first message, and as many as are wanted."""
+        """Take the blocks that may hold the first message, and as many as are wanted."""
         found: List[_Item] = []
         count, size = self._wanted or MAX_SEQ, self._bytes
         first = self._known[0][0][0] if self._known else 0
-        if not self._part.reverse:  # all that begin before what is read may hold its first message
+        if not self._part.reverse:  # earlier blocks may hold the first message too
             first = max(first, self._part.ends[0][0])
         while self._known and len(found) < MAX_AT_ONCE:
             turn, _, item = self._known[0]
@@ -209,7 +209,7 @@ class Needed:
         return found
 
     def bound_up(self, coming: Optional[_Batch]) -> Optional[Order]:
-        """Return the key that no message lies before which is still to come; None = none comes."""
+        """Return a key before which no further message comes; None = no message comes."""
         if coming is not None:
             return coming.taken[0].key
         ends = [self._known[0][0]] if self._known else []
@@ -218,12 +218,12 @@ class Needed:
         return min(ends, default=None)
 
     def bound_down(self, coming: Optional[_Batch]) -> int:
-        """Return the time that no message lies behind which is still to come."""
+        """Return a time after which no further message comes in descending order."""
         known = self._known_end(coming)
         return max(known, self._unread_end) if self._headers.more else known
 
     def look(self, coming: Optional[_Batch]) -> bool:
-        """Read more headers where that may lower the bound downwards; say whether it was done."""
+        """Read more headers if that may lower the bound; return whether headers were read."""
         short = self._headers.more and self._unread_end > self._known_end(coming)
         if short:
             self.read()
@@ -242,7 +242,7 @@ def upwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
     while coming is not None:
         for rows in needed.rows(coming):
             held.add(rows)
-        # Who wants few is given those before more is asked for.
+        # A read of few messages gets the rows at hand before more blocks are requested.
         coming = None if part.wanted else needed.batch()
         bound = needed.bound_up(coming)
         yield from held.rest() if bound is None else held.until(bound, part.node)
@@ -251,7 +251,7 @@ def upwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
 
 
 def downwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
-    """Yield the rows of a bucket, the newest first."""
+    """Yield the rows of a bucket, newest first."""
     held, coming = Held(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A block as its table has it, and its messages as rows of their own."""
+"""A block as stored in its table, and its messages as rows."""
 
 from __future__ import annotations
 
@@ -35,34 +35,34 @@ _new_row = partial(tuple.__new__, TableRow)
 
 
 class BlockRow(NamedTuple):
-    """A block, not unpacked."""
+    """A block as stored, not unpacked."""
 
     t: int
     """Key time of its first message in the order (t, seq), ns."""
     seq: int
     conn: int
     size: int
-    """Serialised bytes of all its messages."""
+    """Number of serialised bytes of all its messages."""
     last: int
-    """Key time of the last one, ns."""
+    """Key time of its last message, ns."""
     messages: int
     crc: int
     nchunks: int
-    """0 = the bytes are in the row."""
+    """Number of chunks; 0 = the bytes are in the row."""
     odd: bool
     gone: Longs
-    """Positions of messages that were deleted."""
+    """Positions of deleted messages."""
     data: Optional[bytes]
-    """None also where only the header was read."""
+    """Packed bytes; None if only the header was read, or if all bytes are in chunks."""
 
     @property
     def key(self) -> Order:
-        """Where it lies in its partition."""
+        """``_t`` and ``_seq`` of the block's row."""
         return self.t, self.seq
 
     @property
     def block_key(self) -> BlockKey:
-        """Where its messages say that they lie."""
+        """Key of the block as its messages refer to it."""
         return BlockKey(self.t, self.seq, self.messages)
 
     @property
@@ -72,18 +72,17 @@ class BlockRow(NamedTuple):
 
     @property
     def left(self) -> int:
-        """How many of its messages were not deleted."""
+        """Number of its messages that were not deleted."""
         return self.messages - len(self.gone)
 
 
 def read_block(table: RowTable, values: RawRow) -> Optional[BlockRow]:
-    """Read the values of HEADER or WHOLE; None where the row is no block.
+    """Return a block from the values of HEADER or WHOLE; None if the row is not a block.
 
-    It is none where a message was deleted out of a block that was not there any more, or where
-    that has expired.
+    Such a row remains when a message is deleted from a block that was deleted or has expired.
 
     Raises:
-        CorruptMessage: It has a connection but not all that a block has.
+        CorruptMessage: The row has a connection but lacks another column of a block.
     """
     if values[2] is None:
         return None
@@ -103,7 +102,7 @@ def read_block(table: RowTable, values: RawRow) -> Optional[BlockRow]:
 def read_blocks(
     table: RowTable, page: Iterable[RawRow], writers: Optional[FrozenSet[int]] = None
 ) -> List[BlockRow]:
-    """Read the blocks of a page, those of these writers (None = all)."""
+    """Return the blocks of a page that have one of these writers (None = all)."""
     found = (read_block(table, values) for values in page)
     blocks = [block for block in found if block is not None]
     return blocks if writers is None else [b for b in blocks if b.writer in writers]
@@ -112,7 +111,7 @@ def read_blocks(
 def _positions(gone: Optional[bytes], count: int) -> Longs:
     if gone is None:
         return _NONE
-    # An int for how many there are, then each with its length.
+    # The number of positions as an int, then each position after its length.
     found = np.frombuffer(gone, ">i4", offset=4).reshape(-1, 2)[:, 1].astype(np.int64)
     return found[(found >= 0) & (found < count)]
 
@@ -123,7 +122,7 @@ _NONE: Longs = np.empty(0, np.int64)
 def ask_blocks(
     table: RowTable, place: Tuple[bytes, bytes], keys: Sequence[Order], names: str = WHOLE
 ) -> Asked:
-    """Ask for blocks by their keys, in one page; one that is gone meanwhile is left out."""
+    """Request blocks by their keys, in one page; blocks deleted meanwhile are left out."""
     size = encode_int(_PAIR_BYTES)
     pairs = b"".join(
         encode_int(3 * _PAIR_BYTES) + size + _LONG.pack(t) + size + _LONG.pack(seq)
@@ -137,16 +136,16 @@ _LONG = struct.Struct(">q")
 
 
 class Block:
-    """The messages of a block, unpacked.
+    """A block, unpacked.
 
     Attributes:
-        row: The block in its table.
-        times, seqs, sizes: Of its messages, in the order (t, seq).
-        unpacked: None where the one message lies in the chunk table.
+        row: The row of the block.
+        times, seqs, sizes: Key times (ns), ``_seq`` and serialised bytes of its messages, in the
+            order (t, seq).
+        unpacked: The messages; None if the only message is in the chunk table.
 
     Raises:
-        CorruptMessage: The bytes are not those that were written; says which they are, and what
-            to do.
+        CorruptMessage: The bytes are damaged; the text names the messages and the remedy.
     """
 
     def __init__(self, table: RowTable, node: str, row: BlockRow) -> None:
@@ -170,14 +169,14 @@ class Block:
         self.times, self.seqs, self.sizes = (
             np.array([value], np.int64) for value in (row.t, row.seq, row.size)
         )
-        if row.data is not None:  # says when it was received
+        if row.data is not None:  # holds the receive time
             self._received = unpack_block(row.data, 1, 0).received
 
     def __len__(self) -> int:
         return len(self.times)
 
     def between(self, low: Order, high: Order) -> Longs:
-        """Return the positions of messages from low to high, both included, not deleted."""
+        """Return the positions from low to high, both included, without deleted messages."""
         first, last = self._first_from(low), self._first_from((high[0], high[1] + 1))
         if not len(self.row.gone):
             return np.arange(first, last)
@@ -190,12 +189,12 @@ class Block:
         first = int(self.times.searchsorted(t))
         if first == len(self) or self.times[first] > t:
             return first
-        # Of equal times the order is that of seq.
+        # Messages with equal times are in the order of seq.
         last = int(self.times.searchsorted(t, "right"))
         return first + sum(1 for each in self.seqs[first:last].tolist() if each < seq)
 
     def first(self, low: Order, high: Order) -> Optional[TableRow]:
-        """Make the row of the first message from low to high, both included, not deleted."""
+        """Return the row of the first message from low to high, both included, not deleted."""
         place = self._first_from(low)
         if len(self.row.gone):
             place = int(next(iter(self.between(low, high)), len(self)))
@@ -205,7 +204,7 @@ class Block:
         return self._row(place, *own) if own <= high else None
 
     def _row(self, place: int, t: int, seq: int) -> TableRow:
-        # As rows does, without what would take longer than all of it.
+        # Like rows, without the parts that would take longer than all of this.
         row, wire = self.row, None if self.unpacked is None else self.unpacked.wire(place)
         sent = row.nchunks, row.crc if row.nchunks else 0, False, None, (wire,), ""
         received = -1 if self._received is None else int(self._received[place])
@@ -213,7 +212,7 @@ class Block:
         return TableRow(*own, *sent, received, row.block_key, place)
 
     def rows(self, places: Longs, *, bare: bool = False) -> List[TableRow]:
-        """Make the rows of some of its messages; bare: without their bytes."""
+        """Return the rows of some of its messages; bare: without their bytes."""
         row, table = self.row, self._table
         whole = len(places) == len(self)
         times, seqs, sizes = (
@@ -244,7 +243,7 @@ class Block:
             repeat(row.block_key),
             places.tolist(),
         )
-        return list(map(_new_row, values))  # made one by one they cost more than their bytes
+        return list(map(_new_row, values))  # one call per row would cost more than their bytes
 
 
 def _unpacked(row: BlockRow) -> Unpacked:
@@ -269,6 +268,6 @@ def _damaged(table: RowTable, node: str, row: BlockRow, why: str) -> str:
 
 
 def stand_in(table: RowTable, node: str, row: BlockRow) -> TableRow:
-    """Return a row in place of a block that cannot be read: to read its message raises why."""
+    """Return a row in place of a damaged block; reading its message raises the reason."""
     own = row.t, node, row.seq, table.name, row.conn, row.size
     return TableRow(*own, 0, 0, False, None, (), block=row.block_key)

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The messages of one bucket of blocks, in order from either end.
 
-Blocks overlap: those of several writers, and those of several connections. So messages go out as
-soon as no block that is still to be read can hold one before them. Whole buckets are read by pages
-of blocks. Else, where few messages are wanted, or those of few blocks, or the newest first, their
-headers are read, and then the blocks in the order in which they are needed.
+Blocks of several writers and connections overlap. So a message is yielded as soon as no block that
+is still to be read can hold an earlier one. Whole buckets are read by pages of blocks. A read of
+few
+messages or of few blocks, or one in descending order, first reads the headers and then the blocks
+in
+the order in which it needs them.
 """
 
 from __future__ import annotations
@@ -31,7 +33,10 @@ ROWS_AT_ONCE = 200
 
 
 def stream(part: BucketRead) -> Iterator[TableRow]:
-    """Yield the rows of a bucket in the order (t, seq), or newest first. It is asked at once."""
+    """Yield the rows of a bucket in the order (t, seq), or newest first.
+
+    Sends the request at once.
+    """
     if part.filters is None and not part.reverse and not part.wanted:
         return _whole(part, _Pages(part))
     needed = Needed(part, Headers(part))
@@ -39,7 +44,7 @@ def stream(part: BucketRead) -> Iterator[TableRow]:
 
 
 def opened(part: BucketRead) -> Iterator[Opened]:
-    """Yield the blocks of a bucket as they lie, whatever their messages' order. Asked at once."""
+    """Yield the blocks of a bucket in the order of their keys; sends the request at once."""
     return _opened(part, _Pages(part))
 
 
@@ -52,7 +57,7 @@ def _opened(part: BucketRead, pages: _Pages) -> Iterator[Opened]:
 
 
 class _Pages:
-    """The blocks of a bucket, all of them, page by page; the next one is asked for ahead."""
+    """All blocks of a bucket, page by page; the next page is requested ahead."""
 
     def __init__(self, part: BucketRead) -> None:
         self._part = part
@@ -60,11 +65,14 @@ class _Pages:
         self._asked: Optional[Asked] = part.ask(WHOLE, self._count)
 
     def __iter__(self) -> Iterator[Tuple[List[BlockRow], Optional[Order]]]:
-        """Yield blocks, and the key that those of later pages lie behind; None = none come."""
+        """Yield blocks, and a key that all blocks of later pages lie after.
+
+        None = the last page.
+        """
         while self._asked is not None:
             asked = self._asked
             page: Sequence[RawRow] = next((p for p in asked.pages(ahead=False) if p), ())
-            # All are unpacked before the next page comes: their bytes need not be copied.
+            # All are unpacked before the next page is read, so their bytes need not be copied.
             blocks = self._part.blocks(page.views() if isinstance(page, RawPage) else page)
             self._asked = None
             if not page or not asked.more:
@@ -85,8 +93,8 @@ def _whole(part: BucketRead, pages: _Pages) -> Iterator[TableRow]:
         for block, bound in zip(blocks, keys):
             opened = part.open(block)
             if not held and opened.left and (bound is None or opened.last < bound[0]):
-                # Nothing overlaps. By some at a time: Python's collector looks through rows that
-                # are there together.
+                # The block overlaps no other. Its rows are made in small groups, because Python's
+                # collector walks through all rows that exist at the same time.
                 while opened.left:
                     yield from part.rows(opened.take(ROWS_AT_ONCE, reverse=False))
                 continue

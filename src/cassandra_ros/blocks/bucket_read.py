@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is read of one bucket of blocks, and rows of it that wait for their turn."""
+"""A read of one bucket of blocks, and rows of overlapping blocks that wait for their turn."""
 
 from __future__ import annotations
 
@@ -36,33 +36,33 @@ from cassandra_ros.tables.row_table import (
 _log = logging.getLogger(__name__)
 
 BLOCK_BYTES = 256 * 1024
-"""Assumed of a block, in its first page."""
+"""Assumed size of a block before the first page is read, bytes."""
 EARLY_BLOCKS = 2
-"""Where it is not known how many writers there are: those of several overlap."""
+"""Number of blocks read before their headers, if the number of overlapping writers is unknown."""
 MAX_BLOCKS = 512
-"""Of one page."""
+"""Maximum number of blocks in a page."""
 GROWTH = 4
-"""How much more is read than the time before, where little was wanted at first."""
+"""Ratio between the sizes of two consecutive requests of a read of few messages."""
 
 Sift = Callable[[Unpacked], Optional[NDArray[np.bool_]]]
-"""From a block to a mask of the messages that may be wanted; None = all may be."""
+"""Returns a mask of the messages of a block that may be wanted; None = all."""
 _Bound = Tuple[object, ...]
 
 
 @dataclass
 class BucketRead:
-    """What is read of one bucket.
+    """A read of one bucket: what is read, and how.
 
     Attributes:
-        ends: The first and the last message.
-        writers: Only of these writer ids; None = of all.
-        bare: No bytes are wanted.
-        filters: What the server is to check, in several ways; None = nothing.
-        sift: What leaves out messages that are not wanted, once they are unpacked.
-        opened: Told of each block how many messages it has, and how many of those became rows.
-        wanted: So few messages are probably taken; 0 = all.
-        early: So many blocks are asked for beside their headers then: mostly those that are needed.
-        page_bytes: Serialised bytes that may be held at once, about.
+        ends: Keys of the first and the last message to read, both included.
+        writers: Writer ids whose messages are read; None = all.
+        bare: Rows are made without their bytes.
+        filters: Conditions for the server; a block must pass one of them. None = no conditions.
+        sift: Selects messages of a block after it was unpacked.
+        opened: Called for each block with its number of messages and the number that became rows.
+        wanted: Number of messages that will probably be taken; 0 = all.
+        early: Number of blocks that a read of few messages requests together with the headers.
+        page_bytes: Approximate limit of serialised bytes in memory.
     """
 
     table: RowTable
@@ -83,7 +83,7 @@ class BucketRead:
         self._place = self.table.place(self.node, self.bucket)
         begin = self.bucket * self.table.metadata.bucket_ns
         low = self.ends[0][0]
-        # A block that begins before may reach in.
+        # An earlier block may reach into the range.
         self.first = max(begin, low - self.table.metadata.span_ns) if low > begin else begin
         self.reaching: Terms = (("_last", ">=", encode_long(low)),) if self.first < low else ()
 
@@ -94,7 +94,7 @@ class BucketRead:
         last: Optional[RawRow] = None,
         terms: Terms = (),
     ) -> Asked:
-        """Ask for blocks behind the last one that was read, so many at once."""
+        """Request ``count`` blocks a page, those after the last row that was read."""
         low, high = self.ends
         past = last is not None and last[0] is not None and last[0] >= encode_long(low[0])
         reaching = () if past and not self.reverse else self.reaching
@@ -110,24 +110,25 @@ class BucketRead:
         )
 
     def fetch(self, headers: Sequence[BlockRow]) -> Asked:
-        """Ask for blocks of which the headers are known."""
+        """Request blocks with known headers."""
         return ask_blocks(self.table, self._place, [header.key for header in headers])
 
     def blocks(self, page: Iterable[RawRow]) -> List[BlockRow]:
-        """Read the blocks of a page, those that are wanted."""
+        """Return the blocks of a page that may hold messages to read."""
         found = (read_block(self.table, values) for values in page)
         return [block for block in found if block is not None and self.wants(block)]
 
     def wants(self, block: BlockRow) -> bool:
-        """Say whether a block may hold messages that are wanted."""
+        """Return whether a block may hold messages to read."""
         written = self.writers is None or block.writer in self.writers
         return written and block.last >= self.ends[0][0] and block.left > 0
 
     def open(self, row: BlockRow) -> Opened:
-        """Unpack a block, and find what is wanted of it; it is noted what that took.
+        """Unpack a block, select its messages to read, and report both numbers to ``opened``.
 
         Raises:
-            CorruptMessage: It is damaged and begins before what is read: no row would tell of it.
+            CorruptMessage: The block is damaged and begins before the range, so no row stands for
+                it.
         """
         try:
             block = Block(self.table, self.node, row)
@@ -146,35 +147,35 @@ class BucketRead:
         return Opened(row, block, places)
 
     def rows(self, opened: Opened) -> List[TableRow]:
-        """Make the rows that are left of a block, in order."""
+        """Return the rows of the remaining messages of a block, in order."""
         if opened.block is None:
             return [stand_in(self.table, self.node, opened.row)] * len(opened.places)
         return opened.block.rows(opened.places, bare=self.bare) if opened.left else []
 
 
 class Opened:
-    """What is wanted of a block that is unpacked, or has to be without that it can.
+    """The messages of a block that are to be read, or of a damaged block.
 
     Attributes:
-        row: The block in its table.
-        block: None where it cannot be read.
-        places: Positions of the messages of which no rows are made yet.
+        row: The row of the block.
+        block: The unpacked block; None if it is damaged.
+        places: Positions of the messages that have not been made into rows yet.
     """
 
     size = 0
-    """Of bytes that are still to be read."""
+    """Number of bytes that are still to be fetched."""
 
     def __init__(self, row: BlockRow, block: Optional[Block], places: Longs) -> None:
         self.row, self.block, self.places = row, block, places
 
     @property
     def left(self) -> int:
-        """How many messages there are."""
+        """Number of remaining messages."""
         return len(self.places)
 
     @property
     def key(self) -> Order:
-        """Key of the first message."""
+        """Key of the first remaining message."""
         if self.block is None:
             return self.row.key
         place = self.places[0]
@@ -182,11 +183,11 @@ class Opened:
 
     @property
     def last(self) -> int:
-        """Time of the last message, ns."""
+        """Key time of the last remaining message, ns."""
         return self.row.t if self.block is None else int(self.block.times[self.places[-1]])
 
     def take(self, count: int, *, reverse: bool) -> Opened:
-        """Take so many messages at most, from the end or the beginning on."""
+        """Take at most ``count`` messages, from the beginning or (reverse) from the end."""
         cut = max(0, self.left - count) if reverse else min(count, self.left)
         parts = self.places[:cut], self.places[cut:]
         taken, self.places = parts[::-1] if reverse else parts
@@ -194,7 +195,7 @@ class Opened:
 
 
 class Held:
-    """Rows of overlapping blocks, in order, until nothing can come before them."""
+    """Sorted rows of overlapping blocks, kept until no earlier row can come."""
 
     def __init__(self) -> None:
         self._rows: List[TableRow] = []
@@ -215,18 +216,18 @@ class Held:
 
     def _sort(self) -> None:
         if not self._sorted:
-            self._rows.sort()  # runs, which are merged
+            self._rows.sort()  # sorted runs, which sort() merges
             self._sorted = True
 
     def until(self, key: Order, node: str) -> List[TableRow]:
-        """Take the rows up to a key, included."""
+        """Take the rows up to a key, which is included."""
         self._sort()
         cut = _bisect(self._rows, (key[0], node, key[1] + 1))
         found, self._rows = self._rows[:cut], self._rows[cut:]
         return found
 
     def beyond(self, t: int) -> List[TableRow]:
-        """Take the rows behind a time, the newest first."""
+        """Take the rows after a time, newest first."""
         self._sort()
         cut = _bisect(self._rows, (t + 1,))
         found, self._rows = self._rows[cut:], self._rows[:cut]
@@ -251,6 +252,6 @@ def _bisect(rows: Sequence[TableRow], bound: _Bound) -> int:
 
 
 def key_of(values: RawRow) -> Order:
-    """Read the key of a row."""
+    """Return ``_t`` and ``_seq`` of raw values."""
     t, seq = (int.from_bytes(value or b"", "big", signed=True) for value in values[:2])
     return t, seq

@@ -1,16 +1,19 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The bytes of a block: many serialised messages, laid out so that they compress.
+"""The bytes of a block: many serialised messages, arranged so that they compress well.
 
-Behind a byte for the version and one for flags stands a zstd frame. In it come, each as planes
-(all first bytes, all second bytes, …, little-endian): the differences of the key times, of the
-``_seq``, the sizes, and where flag 1 is set the times of reception less the key times. Then come
-the messages, those of equal size together, the smallest first, each group in the order of the
-block; a group of at least 16 as planes too: what changes little from message to message lies side
-by side, and a field at a fixed offset is some whole rows of a matrix. Where flag 2 is set, those of
-at least 512 bytes, which are the last, are coded as words instead (words.py): scans take half.
-Where flag 4 is set, each group of at least 16 that is not says how it is laid out (layouts.py).
-Where flag 8 is set, there is no frame: all of it stands as it is, for zstd would save nothing.
+The first byte is the version, the second one the flags; a zstd frame follows. It holds, each as
+planes (all first bytes, all second bytes, …, little-endian): the differences of the key times,
+those
+of ``_seq``, the sizes, and with flag 1 the receive times minus the key times. The messages follow
+in
+groups of equal size, the smallest first, each group in the order of the block. A group of at least
+16 messages is stored as planes too: bytes that change little from message to message are side by
+side, and a field at a fixed offset is some whole rows of a matrix. With flag 2 messages of at least
+512 bytes, which are the last, are coded as words instead (words.py): scans take half the bytes.
+With
+flag 4 each other group of at least 16 has its own layout (layouts.py). With flag 8 there is no
+frame, because zstd would save nothing.
 """
 
 from __future__ import annotations
@@ -32,19 +35,24 @@ Bytes = NDArray[np.uint8]
 
 VERSION = 1
 LEVEL = 1
-"""Of zstd: higher ones take more time than the store."""
+"""Level of zstd. Higher ones take more time than storing the bytes."""
 QUICK_LEVEL = -10
-"""For what hardly compresses, as random numbers do: a third of the time, and as few bytes."""
+"""Level of zstd for data that hardly compress, such as random numbers: as many bytes in a third of
+the time."""
 HARDLY = 0.6
-"""What a sample of that comes to, compressed, as part of it; of robots' data 0.05 to 0.3."""
+"""Ratio of compressed to plain bytes of a sample above which data hardly compress. Data of robots
+have 0.05 to 0.3."""
 SAMPLE, STRETCHES = 16 * 1024, 4
-"""Bytes that are looked at, and in how many pieces; of blocks of four times as many or more."""
+"""Size of the sample in bytes, and number of its parts. Taken from blocks of at least four times
+this
+size."""
 MIN_PLANES = 16
-"""Fewer messages of a size stand as they are: text is not torn apart for nothing."""
+"""Minimum number of messages of one size that are stored as planes. Fewer are stored plain, because
+planes would only tear texts apart."""
 FEW_SHARE = 64
-"""Where less than one in so many messages is wanted, each is cut out by itself."""
+"""A read of less than one in FEW_SHARE messages of a block cuts each one out by itself."""
 LONG = 512
-"""Bytes of a message that may be full of measured numbers."""
+"""Minimum size of messages that may be coded as words, bytes."""
 _RECEIVED, _WORDS, _LAYOUTS, _STORED = 1, 2, 4, 8
 _KNOWN = _RECEIVED | _WORDS | _LAYOUTS | _STORED
 _HEAD = 2
@@ -56,9 +64,9 @@ class Group(NamedTuple):
 
     size: int
     members: Longs
-    """Their positions in the block, ascending."""
+    """Positions of the messages in the block, ascending."""
     planes: Bytes
-    """(size, members): row k holds byte k of every message."""
+    """Matrix (size, members): row k holds byte k of every message."""
 
 
 class Unpacked:
@@ -66,10 +74,10 @@ class Unpacked:
 
     Attributes:
         times: Key times, ns.
-        seqs: ``_seq`` of each.
-        sizes: Serialised bytes of each.
-        received: Times of reception, ns; None where those are the key times.
-        groups: The messages by their size, the smallest first.
+        seqs: ``_seq`` of each message.
+        sizes: Number of serialised bytes of each message.
+        received: Receive times, ns; None = they equal the key times.
+        groups: The messages by size, the smallest first.
     """
 
     def __init__(
@@ -82,7 +90,7 @@ class Unpacked:
         as_rows: FrozenSet[int] = frozenset(),
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
-        # Sizes of which the messages stand one behind the other, however many they are.
+        # Sizes whose messages are stored one after the other, however many there are.
         self._body, self._as_rows = body, as_rows
 
     def __len__(self) -> int:
@@ -90,7 +98,7 @@ class Unpacked:
 
     @cached_property
     def groups(self) -> Tuple[Group, ...]:
-        """The messages by their size; no bytes are copied."""
+        """The messages by size, the smallest first; no bytes are copied."""
         found: List[Group] = []
         at = 0
         for members in _members(self.sizes):
@@ -104,7 +112,7 @@ class Unpacked:
 
     @cached_property
     def _turned(self) -> Tuple[bytes, Longs]:
-        """All messages, those of a group one behind the other, and where each begins."""
+        """All messages, those of a group one after the other, and the offset of each."""
         parts = [_turn(group.planes) for group in self.groups]
         starts, at = np.empty(len(self), np.int64), 0
         for (size, members, _), part in zip(self.groups, parts):
@@ -114,7 +122,7 @@ class Unpacked:
 
     def wire(self, position: int) -> bytes:
         """Return one message, serialised."""
-        # To look at the others, too, would be most of the work.
+        # Looking at the other messages would be most of the work.
         size, alike = int(self.sizes[position]), self.sizes == self.sizes[position]
         count, place = np.count_nonzero(alike), np.count_nonzero(alike[:position])
         at = int(self.sizes[self.sizes < size].sum())
@@ -147,9 +155,9 @@ def pack_block(
 
     Args:
         times: Key times, ns.
-        seqs: ``_seq`` of each.
-        wires: Their serialised bytes.
-        received: Times of reception, ns, where those are not the key times.
+        seqs: ``_seq`` of each message.
+        wires: The serialised messages.
+        received: Receive times, ns; None = they equal the key times.
     """
     t = np.array(times, np.int64)
     sizes = np.fromiter(map(len, wires), np.int64, len(wires))
@@ -178,8 +186,8 @@ def pack_block(
 
 
 def _finished(flags: int, parts: Sequence[Part], messages: int) -> bytes:
-    """Return a block, compressed as a sample of it says."""
-    # What is stored as it is, is copied no more.
+    """Return the bytes of a block, compressed as well as a sample of it promises."""
+    # If the bytes are stored plain they are not copied again.
     stored = b"".join([bytes((VERSION, flags | _STORED)), *parts])
     body = memoryview(stored)[_HEAD:]
     if len(body) >= 4 * SAMPLE:
@@ -187,7 +195,7 @@ def _finished(flags: int, parts: Sequence[Part], messages: int) -> bytes:
         starts = range(step // 2, len(body), step)
         sample = b"".join([body[at : at + SAMPLE // STRETCHES] for at in starts])
         if _cost(sample) > HARDLY * len(sample):
-            # Of small messages the differences of times and the like are worth a frame.
+            # For small messages a frame already pays for the differences of times.
             long = len(body) > LONG * messages
             if long and len(_mine.quick.compress(sample)) >= len(sample):
                 return stored
@@ -196,7 +204,7 @@ def _finished(flags: int, parts: Sequence[Part], messages: int) -> bytes:
 
 
 def _many(sizes: Longs) -> List[Tuple[int, int]]:
-    """Return of sizes that ascend from where to where many are the same, and not 0."""
+    """Return the ranges of ascending sizes in which many messages have one size other than 0."""
     if not len(sizes):
         return []
     ends = np.append(np.flatnonzero(np.diff(sizes)) + 1, len(sizes))
@@ -209,19 +217,19 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     """Unpack a block.
 
     Args:
-        data: What pack_block gave.
-        count: How many messages it holds, as its row says.
-        size: Their serialised bytes together, as its row says.
+        data: Result of pack_block.
+        count: Number of messages, as the block's row says.
+        size: Number of serialised bytes of all messages, as the block's row says.
 
     Raises:
-        CorruptMessage: The bytes are no such block.
+        CorruptMessage: The bytes are not such a block.
     """
     if len(data) < _HEAD or data[0] != VERSION or data[1] & ~_KNOWN:
         raise CorruptMessage(f"a block of {len(data)} bytes is of no version that is known here")
     received, coded = bool(data[1] & _RECEIVED), data[1] & (_WORDS | _LAYOUTS)
     begin = count * (20 + 8 * received)
     try:
-        # Before anything is made room for: the frame itself says how long it is.
+        # Checked before memory is allocated: the frame's header has its length.
         packed = memoryview(data)[_HEAD:]
         stored = bool(data[1] & _STORED)
         length = (len(packed) if stored else zstandard.frame_content_size(packed)) - begin
@@ -242,7 +250,7 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
 
 
 def _decode(body: memoryview, sizes: Longs, coded: int) -> Tuple[memoryview, FrozenSet[int]]:
-    """Return messages as planes or as they stand, and the sizes of which many stand as they are."""
+    """Return the messages, and the sizes with many messages that are not planes but plain."""
     ordered = np.sort(sizes)
     short = int(np.searchsorted(ordered, LONG)) if coded & _WORDS else len(ordered)
     words = ordered[short:].tolist()
@@ -278,7 +286,7 @@ def _as_planes(count: int) -> bool:
 
 
 def _differences(values: Longs) -> Longs:
-    # The first one from 0. Sums and differences wrap in the same way.
+    # The first value is a difference from 0. Sums and differences wrap in the same way.
     return np.diff(values, prepend=np.int64(0))
 
 
@@ -289,14 +297,14 @@ def _planes(values: NDArray[np.generic]) -> bytes:
 
 def _turn(matrix: Bytes) -> bytes:
     """Return the bytes of a matrix column by column."""
-    # Turned first: tobytes alone would go through it byte by byte, at a third of the speed.
+    # tobytes alone would go byte by byte, at a third of the speed.
     return np.ascontiguousarray(matrix.T).tobytes()
 
 
 def _numbers(
     view: memoryview, at: int, columns: int, count: int, kind: np.dtype[np.generic]
 ) -> Longs:
-    """Return columns of numbers that lie one behind the other: (columns, count)."""
+    """Return columns of numbers that are stored one after the other: (columns, count)."""
     planes: Bytes = np.ndarray((columns, kind.itemsize, count), np.uint8, view, at)
     turned: Any = planes.transpose(0, 2, 1).copy()
     found: Longs = turned.view(kind).reshape(columns, count)
@@ -304,7 +312,7 @@ def _numbers(
 
 
 class _PerThread(threading.local):
-    """What zstd works with; none of it may be used by two threads at once."""
+    """zstd objects of a thread; two threads must not use one at the same time."""
 
     def __init__(self) -> None:
         self.compressor = zstandard.ZstdCompressor(level=LEVEL)

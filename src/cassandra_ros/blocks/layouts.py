@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How messages of equal size are laid out in a block, each group as its first ones compress best.
+"""Layouts of messages of equal size in a block, chosen for each group by a sample.
 
-- As planes: all first bytes, all second bytes, …; of a plane that rises in equal steps, as
-  counters and stamps do, the differences of its bytes.
-- As columns of 8 bytes, cut from the ends of the messages: a ``float64`` of a sensor that knows a
-  few thousand values comes back whole, which in planes is eight coincidences.
-- As they stand, one behind the other: long ones that would hardly be smaller as planes, as random
-  ``float32`` are not. To turn them and back would take half of what it takes to store them.
+- Planes: all first bytes, all second bytes, …. A plane that rises in equal steps, as counters and
+  stamps do, is stored as the differences of its bytes.
+- Columns of 8 bytes, cut from the ends of the messages. A ``float64`` of a sensor with a few
+thousand
+  different values then repeats as a whole, while in planes each of its eight bytes repeats alone.
+- Rows: plain, one after the other. For long messages that planes would hardly make smaller, such as
+  random ``float32``: turning them and back would take half the time of storing them.
 
-Before the bytes of a group stands a byte for which, and of planes a bit for each: differences.
+The first byte of a group is its layout. For planes one bit each follows: stored as differences.
 """
 
 from __future__ import annotations
@@ -28,35 +29,39 @@ _PLANES, _COLUMNS, _ROWS = 0, 1, 2
 _UNIT = 8
 _SAMPLE_BYTES = 16 * 1024
 _SAMPLE_SHARE = 2
-"""The sample is one in so many messages of a group, at the most."""
+"""The sample is at most one in this number of messages of a group."""
 _LEAST = 16
-"""Messages of a sample."""
+"""Minimum number of messages in a sample."""
 _SMALL = 4 * 1024
-"""Groups of fewer bytes are planes: to try would cost more than it saves."""
+"""Size of a group in bytes below which it is always planes: a sample would cost more than it
+saves."""
 _WORTH = 0.97
-"""Columns are taken where they are smaller by that: a field is read faster from planes."""
+"""Ratio of bytes below which columns are preferred to planes. Fields are read faster from
+planes."""
 _LONG, _STRETCHES = 1024, 4
-"""Bytes of a message that may stand as it is, and at how many places it is looked at."""
+"""Minimum size of a message that may be stored as rows, bytes; and number of parts of its
+sample."""
 _HARDLY = 0.8
-"""What planes of such messages come to, compressed, as part of them: more is not worth it."""
+"""Ratio of compressed to plain bytes above which planes of such messages are not worth their
+time."""
 
 
 class Laid(NamedTuple):
     """A group that was read."""
 
     data: Part
-    """Its planes, or its messages one behind the other."""
+    """Its planes, or its messages one after the other."""
     as_planes: bool
     length: int
-    """So many bytes of what was read are the group's."""
+    """Number of bytes that the group takes in the block."""
 
 
 def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[Part]:
-    """Lay out at least one message of at least one byte; return what stands one behind the other.
+    """Return the layout of at least one message of at least one byte, as parts to be joined.
 
     Args:
-        wires: Of equal size.
-        cost: What bytes take compressed.
+        wires: Messages of equal size.
+        cost: Returns the compressed size of some bytes.
     """
     count, size = len(wires), len(wires[0])
     few = max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))
@@ -70,14 +75,14 @@ def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[Pa
     still = _counts(steps == 0)
     rises = _counts(steps[1:] == steps[:-1]) > still
     if size >= _UNIT:
-        # Of long messages the ends, lest to try costs more than to pack.
+        # Of long messages only the ends are tried, or trying would cost more than packing.
         tried = slice(-max(_UNIT, _SAMPLE_BYTES // len(sample) // _UNIT * _UNIT), None)
         ends = sample[:, tried]
         planes, rising = np.array(ends.T, order="C"), rises[tried]
         planes[rising, 1:] = steps[:, tried].T[rising]
         if cost(_columns(ends)) < _WORTH * cost(planes.tobytes()):
             return bytes((_COLUMNS,)), _columns(rows)
-    planes = np.array(rows.T, order="C")  # always a copy: rows of one byte lie as planes already
+    planes = np.array(rows.T, order="C")  # always a copy: rows of one byte are planes already
     if rises.any():
         planes[rises, 1:] = np.diff(planes[rises], axis=1)
     return bytes((_PLANES,)), np.packbits(rises).tobytes(), planes.reshape(-1).data
@@ -88,10 +93,10 @@ def _rows(wires: Sequence[bytes]) -> Bytes:
 
 
 def read_layout(data: memoryview, size: int, count: int) -> Laid:
-    """Read a group that stands at the beginning of some bytes.
+    """Read the group at the beginning of some bytes.
 
     Raises:
-        CorruptMessage: They hold no such group.
+        CorruptMessage: The bytes do not hold such a group.
     """
     kind = data[0] if len(data) else -1
     begin = 1 + (size + 7) // 8 if kind == _PLANES else 1
@@ -111,7 +116,7 @@ def read_layout(data: memoryview, size: int, count: int) -> Laid:
 
 
 def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
-    """Say whether planes of some messages are hardly smaller than those are."""
+    """Return whether planes of some messages hardly compress."""
     count, size = sample.shape
     width = min(size, _SAMPLE_BYTES // count) // _STRETCHES
     begins = range(0, size - width + 1, (size - width) // (_STRETCHES - 1))
@@ -120,8 +125,8 @@ def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
 
 
 def _counts(found: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Count for each column of a matrix where it is true."""
-    # Row by row: along columns numpy would take one byte at a time.
+    """Return the number of true values in each column of a matrix."""
+    # Row by row: numpy would go along columns one byte at a time.
     counts: NDArray[np.int32] = np.add.reduce(found, axis=0, dtype=np.int32)
     return counts
 

@@ -1,21 +1,23 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Long messages as words of 4 bytes, for those full of measured ``float32``.
+"""Long messages as words of 4 bytes, for messages full of measured ``float32``.
 
-A sensor counts millimetres or steps of its converter, its driver writes 1.234 or 812.0: as bytes
-such numbers look random, as the integers 1234 and 812 they differ little from their neighbours.
-Messages are cut into words from their ends, for what makes their sizes odd, the name of a frame,
-stands at their beginnings. Each word has a code:
+A sensor counts millimetres or steps of its converter, and its driver writes 1.234 or 812.0. As
+bytes
+such numbers look random; as the integers 1234 and 812 they differ little from their neighbours.
+Messages are cut into words from their ends, because the name of a frame, which makes their sizes
+odd, is at their beginnings. Each word has a code:
 
 - below ``_WHOLE`` it is the word itself: a length, a zero;
 - ``_WHOLE``: a ``float32`` that is a whole number;
-- ``_SCALED``: one that is a whole number divided by the scale of the block;
-- ``_OTHER``: anything else.
+- ``_SCALED``: a ``float32`` that is a whole number divided by the scale of the block;
+- ``_OTHER``: any other word.
 
-A number becomes an integer only where the division gives back each of its bits. The bytes are: the
-scale, what is left of each message before its first word, the codes; then of whole, scaled and
-other words in turn the values as planes, of numbers their differences from one to the next, with
-the sign in the lowest bit.
+A number is stored as an integer only if the division gives back each of its bits. The bytes are:
+the
+scale; of each message the bytes before its first word; the codes; then of whole, scaled and other
+words in turn the values as planes. Whole and scaled words are stored as differences from one to the
+next, with the sign in the lowest bit.
 """
 
 from __future__ import annotations
@@ -34,14 +36,14 @@ Integers = NDArray[np.int32]
 _WORD = np.dtype("<u4")
 _WHOLE, _SCALED, _OTHER = 253, 254, 255
 _SCALES = (1000, 4000, 10_000)
-"""Of what is measured in mm, quarters of it and tenths."""
+"""Scales of values measured in millimetres, quarters of a millimetre and tenths."""
 _SHIFTS = tuple(np.uint32(shift) for shift in (0, 8, 16, 24))
 _SAMPLE, _WIRES = 1024, 16
-"""Words that are looked at before all are, and of how many messages."""
+"""Number of words in the sample that is tried first, and number of its messages."""
 
 
 def code_words(wires: Sequence[bytes]) -> Optional[bytes]:
-    """Code serialised messages; None where most of their words are no such numbers."""
+    """Code serialised messages; return None if most of their words are not such numbers."""
     scale = _find_scale(_words(wires[:: -(-len(wires) // _WIRES)]))
     if scale is None:
         return None
@@ -65,16 +67,16 @@ def code_words(wires: Sequence[bytes]) -> Optional[bytes]:
 
 
 def most_bytes(size: int) -> int:
-    """Return how long the code of messages of so many bytes may be, of whatever layout."""
+    """Return the maximum length of the code of ``size`` bytes of messages, in any layout."""
     return 4 + size + size // 4
 
 
 def decode_words(data: memoryview, sizes: Sequence[int]) -> bytes:
-    """Return messages one behind the other.
+    """Return the messages, one after the other.
 
     Args:
-        data: What code_words gave.
-        sizes: Bytes of each.
+        data: Result of code_words.
+        sizes: Number of bytes of each message.
 
     Raises:
         CorruptMessage: The bytes do not hold such messages.
@@ -100,8 +102,8 @@ def _words(wires: Sequence[bytes]) -> Words:
 
 
 def _find_scale(words: Words) -> Optional[int]:
-    """Return by what most of the larger words are divided; None: by nothing."""
-    step = len(words) // _SAMPLE | 1  # odd, for lengths and numbers may take turns
+    """Return the divisor of most of the larger words; None if there is no such divisor."""
+    step = len(words) // _SAMPLE | 1  # odd, because lengths and numbers may take turns
     sample = words[::step]
     sample = sample[sample >= _WHOLE]
     is_whole = _as_integers(sample, 1)[1]
@@ -112,8 +114,8 @@ def _find_scale(words: Words) -> Optional[int]:
 
 
 def _as_integers(words: Words, scale: int) -> Tuple[Integers, NDArray[np.bool_]]:
-    """Return words as integers, and of which of them those are exact."""
-    # What is no number, or too large for an integer, does not come back as it was.
+    """Return words as integers, and for which of them the integer is exact."""
+    # A word that is not a number, or too large for an integer, does not come back as it was.
     with np.errstate(invalid="ignore", over="ignore"):
         integers = np.rint(words.view("<f4") * np.float32(scale)).astype(np.int32)
     return integers, _divided(integers, scale) == words
@@ -125,12 +127,12 @@ def _as_floats(zigzag: Words, scale: int) -> Words:
 
 
 def _divided(integers: Integers, scale: int) -> Words:
-    # IEEE 754 leaves no choice in a division: every machine finds the same bits.
+    # IEEE 754 defines the result of a division: every machine computes the same bits.
     return (integers.astype("<f4") / np.float32(scale)).view(_WORD)
 
 
 def _planes(words: Words) -> bytes:
-    # Four passes of vectors are twice as fast as to turn a matrix of four columns.
+    # Four passes over vectors are twice as fast as turning a matrix of four columns.
     return b"".join([(words >> shift).astype(np.uint8).tobytes() for shift in _SHIFTS])
 
 
@@ -144,7 +146,7 @@ def _from_planes(data: memoryview, at: int, count: int) -> Words:
 
 
 def _joined(words: bytes, loose: memoryview, sizes: Sequence[int]) -> bytes:
-    """Put before the words of each message what it has besides."""
+    """Put the bytes of each message that are no words before its words."""
     if not loose:
         return words
     parts: List[bytes] = []
