@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A contact sheet: many small pictures in one, each with its time."""
+"""A contact sheet: many small pictures in one, each with a caption."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ if TYPE_CHECKING:
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
 _GAP = 6
-"""Pixels between cells."""
+"""Distance between cells, pixels."""
 _TEXT = 12
 _TITLE = 16
-"""Height of letters, pixels."""
+"""Height of the title's letters, pixels."""
 _GROUND, _INK, _FAINT = (255, 255, 255), (20, 20, 20), (235, 235, 235)
 
 
 class Cell(NamedTuple):
-    """A picture of a sheet and what stands below it."""
+    """A picture of a sheet and its caption."""
 
     caption: str
     picture: Image | None
-    """None: there is none, the caption says why."""
+    """The picture; None if there is none, for the reason in the caption."""
 
 
 def draw_sheet(cells: Sequence[Cell], columns: int, width: int, title: str) -> Image:
     """Draw small pictures in rows.
 
     Args:
-        cells: In their order, at least one; a picture is at most ``width`` wide.
-        columns: Cells of a row, at least 1.
-        width: Of a cell, pixels.
-        title: Stands above.
+        cells: Cells in their order, at least one; a picture is at most ``width`` wide.
+        columns: Maximum number of cells in a row, at least 1.
+        width: Width of a cell, pixels.
+        title: Text above the cells.
 
     Raises:
         MissingDependency: Pillow is not installed.
@@ -63,7 +63,7 @@ def draw_sheet(cells: Sequence[Cell], columns: int, width: int, title: str) -> I
 
 
 def fitted(text: str, font: FreeTypeFont | ImageFont, width: int) -> str:
-    """Cut a text so that it is at most so many pixels wide."""
+    """Shorten a text to at most ``width`` pixels."""
     if font.getlength(text) <= width:
         return text
     while text and font.getlength(text + "...") > width:

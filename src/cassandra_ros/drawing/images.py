@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Pictures out of messages: sensor_msgs/Image and sensor_msgs/CompressedImage.
+"""Pictures of messages: sensor_msgs/Image and sensor_msgs/CompressedImage.
 
-Colours of 8 bits are taken as they are, without their alpha, and those of 16 bits, as mono16, are
-scaled to 8 as cv_bridge does. What measures (16UC1, 32FC1 and their like: depths) is drawn from
-black, the least value of the picture, to white, the greatest; where nothing was measured (NaN,
-infinity) it is black. Of a Bayer pattern each cell of 2 x 2 is one colour.
+Colours of 8 bits are used unchanged, without alpha; those of 16 bits, and mono16, are scaled to 8
+bits as by cv_bridge. Measurements (16UC1, 32FC1 and similar: depths) are drawn from black, the
+minimum of the picture, to white, the maximum; pixels without a measurement (NaN, infinity) are
+black. In a Bayer pattern each cell of 2 x 2 becomes one colour.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 IMAGE = "sensor_msgs/Image"
 COMPRESSED = "sensor_msgs/CompressedImage"
 IMAGE_TYPES = (IMAGE, COMPRESSED)
-"""Types of which pictures are made."""
+"""Message types that can be drawn."""
 _DEPTH = "depth"
 _YUV = ("uyvy", "yuyv")
 _NAMED = {
@@ -43,46 +43,47 @@ _NAMED = {
     "uyvy": ("u1", "uyvy"),
     "yuyv": ("u1", "yuyv"),
 }
-"""Encoding -> type of a sample, and which samples there are."""
+"""Sample type and order of the samples, by encoding."""
 _OPENCV = re.compile(r"(8|16|32|64)(u|s|f)c([1-4])")
 _OPENCV_COLOURS = {3: "bgr", 4: "bgra"}
 _DECODERS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
-"""What a compressed image may be; other decoders of Pillow start programs."""
+"""Formats accepted in a compressed image; other decoders of Pillow start programs."""
 _JPEG_START = b"\xff\xd8"
 _MOST_JPEG = 65_500
-"""Pixels of width or height that a JPEG may have."""
+"""Maximum width or height of a JPEG, pixels."""
 _MOST_PIXELS = 1 << 26
-"""Of a compressed image: some bytes can stand for very many."""
+"""Maximum number of pixels of a compressed image. A few bytes can decode to very many pixels."""
 _DEPTH_HEADER = struct.Struct("<iff")
-"""What compressed_depth_image_transport writes first: an enum and two parameters."""
+"""Header that compressed_depth_image_transport writes: an enum and two parameters."""
 
 
 class _Layout(NamedTuple):
-    """How the samples of an encoding lie."""
+    """Arrangement of the samples of an encoding."""
 
     sample: str
-    """numpy's type of one, without the order of its bytes."""
+    """numpy type of a sample, without byte order."""
     kind: str
-    """Colours in their order ('bgra'), 'l', 'depth', a Bayer cell ('rggb'), 'uyvy', 'yuyv'."""
+    """Colours in order ('bgra'), 'l', 'depth', a Bayer cell ('rggb'), 'uyvy' or 'yuyv'."""
 
     @property
     def channels(self) -> int:
-        """Samples of a pixel."""
+        """Number of samples per pixel."""
         if self.kind in _YUV:
             return 2
         return len(self.kind) if self.kind in ("rgb", "bgr", "rgba", "bgra") else 1
 
 
 def picture_of(row: StoredRow, width: int | None = None) -> Image:
-    """Draw the image that a message holds, in colours or grey.
+    """Draw the image in a message, in colours or grey.
 
     Args:
-        width: Shrink it to so many pixels of width at most, at least 1; None = its own size.
+        row: Row of the message.
+        width: Maximum width, pixels, at least 1; a wider image is shrunk. None = its own size.
 
     Raises:
-        TypeMismatch: The message is of none of the types IMAGE_TYPES.
-        UnknownEncoding: Its pixels are encoded in a way that cannot be drawn.
-        CorruptMessage: It is damaged, or has no pixels.
+        TypeMismatch: The message has none of the types IMAGE_TYPES.
+        UnknownEncoding: The encoding of its pixels cannot be drawn.
+        CorruptMessage: The image is malformed, or has no pixels.
         MissingDependency: Pillow is not installed.
     """
     msg = _message(row)
@@ -93,11 +94,12 @@ def picture_of(row: StoredRow, width: int | None = None) -> Image:
 
 
 def jpeg_of(row: StoredRow, width: int | None = None, quality: int = 85) -> bytes:
-    """Return the image that a message holds as a JPEG; one that is one already stays as it is.
+    """Return the image in a message as a JPEG; an image that is a JPEG stays unchanged.
 
     Args:
-        width: As picture_of takes it, and raises for it.
-        quality: Of what is compressed here, 1 to 95.
+        row: Row of the message.
+        width: As in picture_of; errors are the same too.
+        quality: Quality of images compressed here, 1 to 95.
     """
     msg = _message(row)
     if row.type == COMPRESSED and bytes(msg.data[:2]) == _JPEG_START:
@@ -157,7 +159,7 @@ def _samples(row: StoredRow, msg: Any, layout: _Layout) -> np.ndarray[Any, Any]:
     height, width, size = int(msg.height), int(msg.width), sample.itemsize
     least = width * layout.channels * size
     step = int(msg.step) or least
-    # The last row may lack what others have behind their pixels.
+    # The padding after the pixels may be missing in the last row.
     wanted = step * (height - 1) + least
     if not (height and width) or step < least or len(msg.data) < wanted:
         raise CorruptMessage(
@@ -169,7 +171,7 @@ def _samples(row: StoredRow, msg: Any, layout: _Layout) -> np.ndarray[Any, Any]:
 
 
 def _to_bytes(samples: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Scale samples of 16 bits to 8, rounded; those of 8 bits stay as they are."""
+    """Scale samples of 16 bits to 8 bits, rounded; those of 8 bits stay unchanged."""
     if samples.dtype.itemsize == 1:
         return samples
     rounded: np.ndarray[Any, Any] = (samples.astype(np.uint32) + 128) // 257
@@ -177,14 +179,14 @@ def _to_bytes(samples: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 
 def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Scale numbers to 0 (the least) to 255 (the greatest), rounded; what is not finite is 0."""
+    """Scale numbers to 0 (minimum) to 255 (maximum), rounded; infinities and NaN become 0."""
     exact = values.astype(np.float64)
     known = np.isfinite(exact)
     if not known.any():
         return np.zeros(exact.shape, np.uint8)
     least, greatest = exact[known].min(), exact[known].max()
     with np.errstate(over="ignore", invalid="ignore"):
-        # Halves, for the distance of the extremes may be more than a number can be.
+        # Halved, because the difference of the extremes may overflow.
         part = (exact / 2 - least / 2) / (greatest / 2 - least / 2 or 1.0)
     part[~known] = 0
     scaled: np.ndarray[Any, Any] = np.rint(part * 255).astype(np.uint8)
@@ -193,7 +195,7 @@ def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 def _from_bayer(cells: np.ndarray[Any, Any], pattern: str) -> np.ndarray[Any, Any]:
     height, width = cells.shape
-    # Mirrored at an odd border, a row or column goes on with the pattern.
+    # At an odd border, mirroring a row or column continues the pattern.
     even = np.pad(cells, ((0, height % 2), (0, width % 2)), mode="reflect")
     planes = [even[down::2, right::2] for down in (0, 1) for right in (0, 1)]
     greens = [plane for plane, colour in zip(planes, pattern) if colour == "g"]
@@ -218,7 +220,7 @@ def _from_yuv(row: StoredRow, samples: np.ndarray[Any, Any], kind: str) -> Image
 
 
 def _picture(values: np.ndarray[Any, Any]) -> Image:
-    """Make a picture of bytes: grey of two dimensions, RGB of three."""
+    """Make a picture of bytes: grey from two dimensions, RGB from three."""
     image = optional_module("PIL.Image", "a picture")
     found: Image = image.fromarray(np.ascontiguousarray(values))
     return found
@@ -232,7 +234,7 @@ def _decompressed(row: StoredRow, msg: Any, width: int | None) -> Image:
     picture = _opened(row, data)
     try:
         if picture.format == "JPEG" and width is not None:
-            picture.draft(None, (width, 1))  # it is decoded at a part of its size
+            picture.draft(None, (width, 1))  # decodes at a reduced size
         picture.load()
     except (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error) as exc:
         raise _undecodable(row, str(exc)) from exc
@@ -249,13 +251,13 @@ def _decompressed(row: StoredRow, msg: Any, width: int | None) -> Image:
 def _depth_of_inverse(
     values: np.ndarray[Any, Any], scale: float, offset: float
 ) -> np.ndarray[Any, Any]:
-    """Return the depths whose inverses compressed_depth_image_transport has kept; 0 = none."""
+    """Return depths from the inverse depths of compressed_depth_image_transport; 0 = unknown."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(values == 0, np.nan, scale / (values - np.float64(offset)))
 
 
 def _opened(row: StoredRow, data: bytes) -> Image:
-    """Open what is compressed, without decoding its pixels."""
+    """Open a compressed image without decoding its pixels."""
     image = optional_module("PIL.Image", "a picture")
     try:
         found: Image = image.open(io.BytesIO(data), formats=_DECODERS)

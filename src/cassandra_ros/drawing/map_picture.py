@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A map as a PNG: the darker a cell, the likelier something is there."""
+"""A map as a PNG: the darker a cell, the more probably it is occupied."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from cassandra_ros.installation import optional_module
 from cassandra_ros.mapping.occupancy import OccupancyMap
 
 _UNKNOWN_GREY = 205
-"""As map_server's."""
-# By a cell's byte: a large map is drawn without an array of floats beside it.
+"""Grey value of unknown cells, as in map_server."""
+# Indexed by a cell's byte, so that a large map needs no array of floats.
 _PERCENT = np.arange(256).astype(np.uint8).view(np.int8)
 _SEEN = np.where(_PERCENT < 0, 0, 255).astype(np.uint8)
 _GREYS = np.where(
@@ -24,12 +24,13 @@ _GREYS = np.where(
 
 
 def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
-    """Return a map as PNG, a pixel a cell, the row with the largest y first.
+    """Return a map as PNG, one pixel per cell, the row with the largest y first.
 
-    What map_info says stands in it, too, in a text called ``map``.
+    The PNG also contains map_info, in a text field called ``map``.
 
     Args:
-        transparent: What was not seen is transparent instead of grey.
+        made: The map.
+        transparent: Whether unknown cells are transparent instead of grey.
 
     Raises:
         MissingDependency: Pillow is not installed.
@@ -40,7 +41,7 @@ def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
     layers = [_GREYS[cells]]
     if transparent:
         layers.append(_SEEN[cells])
-    # A picture has at least one pixel.
+    # A picture needs at least one pixel.
     shape = max(made.height, 1), max(made.width, 1)
     empty = np.full(shape, _UNKNOWN_GREY, np.uint8), np.zeros(shape, np.uint8)
     planes = [image.fromarray(p if p.size else e) for p, e in zip(layers, empty)]
@@ -53,7 +54,7 @@ def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
 
 
 def map_info(made: OccupancyMap) -> Dict[str, Any]:
-    """Return what a picture of a map means: x, y, yaw are those of its lower left corner."""
+    """Return the metadata of a map's picture: x, y, yaw are those of its lower left corner."""
     return {
         "frame": made.frame,
         "resolution": made.resolution,

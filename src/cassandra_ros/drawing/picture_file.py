@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A picture that is written to a file, whole or not at all."""
+"""Atomic writing of a picture to a file."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 ENDINGS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".webp": "WEBP"}
-"""Ending of a name -> format, as Pillow calls it."""
+"""Formats in Pillow's names, by file name ending."""
 
 
 def check_picture_path(path: str | os.PathLike[str], force: bool = False) -> None:
-    """Refuse a name before the work is done.
+    """Check the path of a picture before it is drawn.
 
     Args:
-        force: An existing file is replaced.
+        path: Path of the file.
+        force: Whether an existing file may be replaced.
 
     Raises:
-        InvalidOption: Its ending is none of ENDINGS, or the file exists.
+        InvalidOption: The ending is not in ENDINGS, or the file exists.
     """
     if Path(path).suffix.lower() not in ENDINGS:
         known = ", ".join(ENDINGS)
@@ -39,8 +40,8 @@ def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
     """Write a picture in the format of the file's ending; return its size in bytes.
 
     Raises:
-        InvalidOption: The file cannot be made, or its format has no pictures so large; one that
-            was there stays.
+        InvalidOption: The file cannot be written, or the format does not allow so large a picture.
+            An existing file then stays.
     """
     found, active = io.BytesIO(), Path(f"{os.fspath(path)}.active")
     form = ENDINGS[Path(path).suffix.lower()]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numbers as a picture: over time, a panel for each unit; or one column over another."""
+"""Plots of numbers: over time with a panel for each unit, or one column over another."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ PURPOSE = "cassandra_bag plot"
 _DAY_NS = 86_400 * SECOND_NS
 _DPI = 100
 FEW_POINTS = 60
-"""Up to here each point is marked."""
+"""Maximum number of points of a line whose points are marked."""
 MAX_ABREAST = 4
-"""Names beside each other, above a panel."""
+"""Maximum number of names in a row of the legend above a panel."""
 _GRID = "#d8dde4"
 _COLOURS = ("#2f6fde", "#d9622b", "#0e7c66", "#a23ea8", "#b28a00", "#c4302b", "#4f6b8f", "#5d8f2a")
 
 
 class Line(NamedTuple):
-    """What is drawn of one column: what lies between its least and its greatest numbers."""
+    """The line of one column: a band from minimum to maximum at each time."""
 
     label: str
     unit: str
     times: AnyArray
-    """Of its points, ns."""
+    """Times of the points, ns since 1970."""
     low: AnyArray
-    """NaN where the line is broken."""
+    """Minimum at each point; NaN where the line is broken."""
     high: AnyArray
 
     @property
@@ -50,7 +50,7 @@ class Line(NamedTuple):
 
 
 def lines_of(series: Sequence[Series]) -> Sequence[Line]:
-    """Return the lines of some statements; those of several topics are labelled with them."""
+    """Return the lines of some statements; of several topics, labelled with the topic."""
     topics = {each.topic for each in series}
     found = []
     for each in series:
@@ -66,29 +66,30 @@ def lines_of(series: Sequence[Series]) -> Sequence[Line]:
 
 
 class Curve(NamedTuple):
-    """One column over another: of each pixel of time the rectangle in which its messages lie."""
+    """One column over another: for each pixel of time the rectangle that contains its messages."""
 
     label: str
     columns: Tuple[Column, Column]
-    """Along x, and along y."""
+    """Columns along x and along y."""
     low: AnyArray
-    """(2, points): the smallest x and y of each. NaN where the curve is broken."""
+    """Smallest x and y of each rectangle, (2, points); NaN where the curve is broken."""
     high: AnyArray
 
     @property
     def middle(self) -> AnyArray:
-        """(2, points): the middle of each rectangle; of a single message exactly its numbers."""
+        """Centre of each rectangle, (2, points); exact for a single message."""
         return np.asarray(self.low + (self.high - self.low) / 2)
 
 
 def curves_of(series: Sequence[Series], names: Tuple[str, str]) -> Sequence[Curve]:
-    """Return the curves of some statements: of each the second column over the first.
+    """Return the curves of some statements: for each the second column over the first.
 
     Args:
-        names: The columns, as the statements call them.
+        series: Results of the statements.
+        names: Names of the two columns, as in the statements.
 
     Raises:
-        InvalidOption: A statement has no such column that is a number.
+        InvalidOption: A statement has no numeric column with such a name.
     """
     found = []
     for each in series:
@@ -117,11 +118,11 @@ def draw_xy(
 ) -> None:
     """Draw one column of statements over another into one picture.
 
-    Both axes have the same scale where both columns are in metres, or are longitude and latitude.
+    Both axes have the same scale if both columns are in metres, or are longitude and latitude.
 
     Args:
-        stream, ending, size, title: As draw_plot takes them.
-        curves: What is drawn, at least one.
+        stream, ending, size, title: As in draw_plot.
+        curves: The curves, at least one.
 
     Raises:
         MissingDependency: matplotlib is not installed.
@@ -165,7 +166,7 @@ def _named(column: Column) -> str:
 
 
 def _aspect(curve: Curve) -> Optional[float]:
-    """Return how long a unit along y is beside one along x; None where they do not compare."""
+    """Return the ratio of the y to the x unit length; None if the units cannot be compared."""
     units = tuple(column.unit for column in curve.columns)
     if units[0] == units[1] != "":
         return 1.0
@@ -185,14 +186,14 @@ def draw_plot(
     size: Tuple[int, int],
     title: str = "",
 ) -> None:
-    """Draw statements into one picture.
+    """Draw statements into one picture over time.
 
     Args:
-        stream: Where the picture is written.
+        stream: Stream that the picture is written to.
         ending: One of ENDINGS.
-        series: What was read of each; together they have a column.
-        size: Width and height, in pixels (of svg and pdf in 1/100 inch).
-        title: Above all; '' = none.
+        series: Results of the statements; together they have at least one column.
+        size: Width and height, pixels (1/100 inch for svg and pdf).
+        title: Text above the picture; '' = no title.
 
     Raises:
         InvalidOption: There is nothing to draw.
@@ -245,7 +246,7 @@ def _draw_line(panel: Axes, line: Line, colour: str) -> None:
 
 
 def _draw_times(panel: Axes, series: Sequence[Series]) -> None:
-    """Draw the axis of time from the first to the last pixel of all, in UTC."""
+    """Draw the time axis from the first to the last point of all series, in UTC."""
     dates = optional_module("matplotlib.dates", PURPOSE)
     locator = dates.AutoDateLocator(minticks=3, maxticks=9)
     panel.xaxis.set_major_locator(locator)
@@ -259,6 +260,6 @@ def _draw_times(panel: Axes, series: Sequence[Series]) -> None:
 
 
 def _plain(text: str) -> str:
-    """Return a text of which nothing is taken for a formula, nor for a line that has no name."""
+    """Escape a text, so that matplotlib neither reads a formula nor hides it from the legend."""
     escaped = text.replace("$", r"\$")
     return f" {escaped}" if escaped.startswith("_") else escaped

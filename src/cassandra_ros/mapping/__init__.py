@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Occupancy grids out of stored scans and clouds, and the poses from which they were taken."""
+"""Occupancy grids made from stored scans and clouds, and the poses of the sensors."""

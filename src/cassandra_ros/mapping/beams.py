@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What one scan or cloud saw: the ends of its beams, and whether something was there."""
+"""The beams of one scan or cloud: their ends, and whether they hit something."""
 
 from __future__ import annotations
 
@@ -15,32 +15,33 @@ from cassandra_ros.places.pose_samples import Flags
 from cassandra_ros.places.rigid import Floats
 
 CLOUD_RANGE = 30.0
-"""Metres; what is further away in a cloud is too sparse for a map, where no range is given."""
+"""Maximum range in a cloud if the options give none, metres. Farther points are too sparse."""
 CLOUD_HEIGHTS = (0.1, 2.0)
-"""Metres above the floor of the map's frame; a cloud's points between them are obstacles."""
+"""Minimum and maximum height of obstacles in a cloud, metres above the floor of the map's frame."""
 
 _ANY_HEIGHT = (-math.inf, math.inf)
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-"""PointField's numbers of types, as numpy calls them."""
+"""numpy types by PointField's type numbers."""
 
 
 class Beams(NamedTuple):
-    """Straight ways of light, from the sensor's origin."""
+    """Straight beams from the sensor's origin."""
 
     ends: Floats
-    """(n, 3), metres, in the sensor's frame."""
+    """End points in the sensor's frame, (n, 3), metres."""
     hit: Flags
-    """Whether something is at the end; else nothing was seen up to there."""
+    """Whether the beam hit something at its end; else it is free up to there."""
 
 
 def beams_of_scan(scan: Any, max_range: Optional[float]) -> Beams:
     """Return the beams of a sensor_msgs/LaserScan, by the rules of REP 117.
 
-    +Inf, or range_max itself as older drivers wrote it, means that nothing was seen up to
-    range_max. NaN, -Inf, and what lies below range_min or above range_max say nothing.
+    +Inf, or range_max itself as in older drivers, means that the beam is free up to range_max. NaN,
+    -Inf, and values below range_min or above range_max are ignored.
 
     Args:
-        max_range: Metres; what is further away counts as not seen. None = range_max.
+        scan: The message.
+        max_range: Maximum range, metres; a farther hit counts as free. None = range_max.
     """
     return _beams(scan, np.asarray(scan.ranges, np.float64), max_range)
 
@@ -48,16 +49,16 @@ def beams_of_scan(scan: Any, max_range: Optional[float]) -> Beams:
 def beams_of_echoes(scan: Any, max_range: Optional[float]) -> Beams:
     """Return the beams of a sensor_msgs/MultiEchoLaserScan to their first echoes.
 
-    A beam without an echo says nothing; the rest is as beams_of_scan has it.
+    A beam without an echo is ignored; otherwise like beams_of_scan.
     """
     first = [each.echoes[0] if len(each.echoes) else math.nan for each in scan.ranges]
     return _beams(scan, np.array(first, np.float64), max_range)
 
 
 def _beams(scan: Any, ranges: Floats, max_range: Optional[float]) -> Beams:
-    """Return the beams of one of the two, of which the ranges are known."""
+    """Return the beams of a scan or multi-echo scan with these ranges."""
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
-    most = scan.range_max if scan.range_max > 0 else math.inf  # a driver that fills in nothing
+    most = scan.range_max if scan.range_max > 0 else math.inf  # some drivers leave range_max at 0
     limit = most if max_range is None else min(most, max_range)
     with np.errstate(invalid="ignore"):
         valid = (ranges > 0) & (ranges >= scan.range_min) & (ranges < most)
@@ -73,14 +74,15 @@ def _beams(scan: Any, ranges: Floats, max_range: Optional[float]) -> Beams:
 
 
 def beams_of_cloud(cloud: Any, max_range: Optional[float]) -> Beams:
-    """Return the beams to the points of a sensor_msgs/PointCloud2; those with NaN are left out.
+    """Return the beams to the points of a sensor_msgs/PointCloud2, without points with NaN.
 
     Args:
-        max_range: Metres; a beam to a point further away ends there, with nothing seen. None =
+        cloud: The message.
+        max_range: Maximum range, metres; a beam to a farther point is free up to there. None =
             CLOUD_RANGE.
 
     Raises:
-        CorruptMessage: It has no fields x and y, or less data than it says.
+        CorruptMessage: The cloud has no fields x and y, or fewer bytes than its size needs.
     """
     points = _points(cloud)
     points = points[np.isfinite(points).all(1)]
@@ -93,7 +95,7 @@ def beams_of_cloud(cloud: Any, max_range: Optional[float]) -> Beams:
 
 
 def _points(cloud: Any) -> Floats:
-    """Return (n, 3) coordinates of a cloud, whether it is organised or not."""
+    """Return the (n, 3) coordinates of a cloud, organised or not."""
     order = ">" if cloud.is_bigendian else "<"
     places = {f.name: (order + _KINDS.get(f.datatype, ""), f.offset) for f in cloud.fields}
     names = [name for name in "xyz" if name in places]
@@ -128,12 +130,12 @@ def _points(cloud: Any) -> Floats:
 
 
 class Sensor(NamedTuple):
-    """How a type of messages becomes beams."""
+    """Conversion of one message type to beams."""
 
     beams: Callable[[Any, Optional[float]], Beams]
-    """Of a message and the range that is asked for."""
+    """Function from a message and the maximum range to its beams."""
     heights: Tuple[float, float]
-    """Metres above the floor between which something is an obstacle, where none are asked for."""
+    """Default minimum and maximum height of obstacles, metres above the floor."""
 
 
 SENSORS: Mapping[str, Sensor] = {

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A grid of log-odds that grows with what is seen, and the rays that fill it."""
+"""A grid of log-odds that grows as needed, and the rays that fill it."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from cassandra_ros.places.pose_samples import Flags
 from cassandra_ros.places.rigid import Floats
 
 MAX_CELLS = 50_000_000
-"""200 MB."""
+"""Maximum number of cells (200 MB)."""
 _FARTHEST = 2.0**40
-"""Cells from the frame's origin: sums of such numbers are exact."""
+"""Maximum distance from the frame's origin, cells. Sums of such numbers are exact."""
 _MARGIN = 128
-"""Cells by which it grows beyond what is asked: it is seldom copied then."""
+"""Number of additional cells on each side when the grid grows, so that it is rarely copied."""
 _CERTAIN = np.float32(3.5)
-"""Log-odds at which a cell is certain enough (97 %): it can still be talked out of it."""
+"""Maximum absolute log-odds of a cell (97 %), so that later measurements can still change it."""
 _BLOCK = 1 << 15
-"""Cells of rays that are computed together; they stay in the processor's cache."""
+"""Number of cells of rays that are computed together; they fit into the processor's cache."""
 
 Cells = NDArray[np.int64]
 Odds = NDArray[np.float32]
 
 
 class LogOddsGrid:
-    """Says of each cell how likely something is in it. Without bounds, but for memory.
+    """Probability, as log-odds, that each cell is occupied. Its size is limited only by memory.
 
-    Cells are counted from the frame's origin: cell (0, 0) reaches from 0 to the resolution.
+    Cells are counted from the frame's origin: cell (0, 0) extends from 0 to the resolution.
 
     Args:
         resolution: Length of a cell, metres.
-        hit: Probability that there is something in a cell in which a beam ended, 0.5 to 1.
-        miss: The same where a beam went through, 0 to 0.5.
+        hit: Probability that a cell in which a beam ended is occupied, 0.5 to 1.
+        miss: Probability that a cell which a beam crossed is occupied, 0 to 0.5.
 
     Raises:
-        InvalidOption: One of them is not in its range.
+        InvalidOption: An argument is out of range.
     """
 
     def __init__(self, resolution: float, hit: float = 0.7, miss: float = 0.4) -> None:
@@ -57,12 +57,12 @@ class LogOddsGrid:
         self._odds: Odds = np.zeros((0, 0), np.float32)
 
     def add(self, origin: Floats, ends: Floats, hit: Flags) -> None:
-        """Take in the rays of one measurement; each cell changes once, and a hit outweighs.
+        """Add the rays of one measurement. Each cell changes once; a hit has priority over a miss.
 
         Args:
-            origin: (2,), metres: where they begin.
-            ends: (n, 2), metres.
-            hit: Whether something is at the end.
+            origin: Origin of the rays, (2,), metres.
+            ends: Ends of the rays, (n, 2), metres.
+            hit: Whether each ray hit something at its end.
 
         Raises:
             InvalidOption: The grid would be larger than MAX_CELLS.
@@ -86,13 +86,13 @@ class LogOddsGrid:
         (column, row) = (int(n) for n in low - self._low)
         window = self._odds[row : row + height, column : column + width]
         window += change.reshape(height, width)
-        # Four times as quick as np.clip.
+        # Four times as fast as np.clip.
         np.maximum(window, -_CERTAIN, out=window)
         np.minimum(window, _CERTAIN, out=window)
 
     def _cells(self, points: Floats) -> Cells:
         cells = np.floor(points / self.resolution)
-        if not (np.abs(cells) < _FARTHEST).all():  # nor is NaN
+        if not (np.abs(cells) < _FARTHEST).all():  # also true for NaN
             raise InvalidOption(
                 f"the map would reach {np.abs(points).max():g} m from the origin of its frame: "
                 "give a shorter max_range"
@@ -101,7 +101,7 @@ class LogOddsGrid:
         return found
 
     def _cover(self, low: Cells, high: Cells) -> None:
-        """Grow so that the cells from low to high are in memory."""
+        """Grow the array so that it contains the cells from low to high."""
         size = np.array(self._odds.shape[::-1])
         first = low if not self._odds.size else np.minimum(low, self._low)
         behind = high + 1 if not self._odds.size else np.maximum(high + 1, self._low + size)
@@ -121,24 +121,24 @@ class LogOddsGrid:
         self._odds, self._low = odds, first
 
     def trimmed(self) -> Tuple[Odds, Tuple[float, float]]:
-        """Return the log-odds of what was seen, by rows of y and columns of x, and its origin.
+        """Return the log-odds of the seen area, by rows of y and columns of x, and its origin.
 
-        The origin is the corner with the least x and y, metres. Log-odds of 0 say nothing.
+        The origin is the corner with the smallest x and y, metres. Log-odds of 0 mean unknown.
         """
         seen = self._odds != 0
         rows, columns = np.flatnonzero(seen.any(1)), np.flatnonzero(seen.any(0))
         if not len(rows):
             return np.zeros((0, 0), np.float32), (0.0, 0.0)
         first = self._low + (columns[0], rows[0])
-        # To the nanometre: 127 cells of 0.1 m are 12.7 m.
+        # Rounded to 1 nm, because 127 cells of 0.1 m should be 12.7 m.
         x, y = (round(float(n) * self.resolution, 9) for n in first)
         return self._odds[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].copy(), (x, y)
 
 
 def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[NDArray[np.int32]]:
-    """Yield the cells on the straight ways from one cell to others, without these, flat.
+    """Yield the flat indices of the cells on the lines from one cell to others, without the others.
 
-    As Bresenham's they have one cell in each column, or in each row where they are steep.
+    As Bresenham's lines they have one cell in each column, or in each row if they are steep.
     """
     y, x = np.divmod(ends, width)
     dx, dy = x - begin[0], y - begin[1]
@@ -151,7 +151,7 @@ def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[NDArray[np.int32
         mine = order[done : done + max(1, _BLOCK // longest)]
         done += len(mine)
         count = steps[mine].astype(np.float32)[:, None]
-        # Shorter ways stay in their last cell: to set a cell twice changes nothing.
+        # Shorter lines repeat their last cell, which has no effect.
         step = np.minimum(np.arange(longest, dtype=np.float32)[None, :], count - 1)
         columns = _along(step, dx[mine, None] / count, begin[0])
         rows = _along(step, dy[mine, None] / count, begin[1])
@@ -161,5 +161,5 @@ def _crossed(begin: Cells, ends: Cells, width: int) -> Iterator[NDArray[np.int32
 
 
 def _along(step: Odds, slope: Floats, begin: int) -> NDArray[np.int32]:
-    """Return the columns, or rows, at some steps; none of them is below 0."""
+    """Return the columns, or rows, at some steps; none is negative."""
     return (step * slope.astype(np.float32) + np.float32(begin + 0.5)).astype(np.int32)

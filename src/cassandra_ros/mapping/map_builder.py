@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Make an occupancy grid of the scans or clouds of a stored topic (paper figure 4)."""
+"""Making of an occupancy grid from the scans or clouds of a stored topic (paper figure 4)."""
 
 from __future__ import annotations
 
@@ -50,35 +50,35 @@ from cassandra_ros.topics.stored_row import StoredRow
 _log = logging.getLogger(__name__)
 
 DEFAULT_RESOLUTION = 0.05
-"""Metres."""
+"""Default length of a cell, metres."""
 _BATCH_ROWS = 256
 _BATCH_BYTES = 16 << 20
-"""Of messages whose poses are found together."""
+"""Maximum size of the messages whose poses are computed together, bytes."""
 
 Progress = Callable[[int, int], None]
-"""Is told how many messages are done, of how many; what it raises ends the work."""
+"""Function called with the number of processed messages and of all. An exception stops the work."""
 
 
 @dataclass(frozen=True)
 class MapOptions:
-    """What of the beams comes into a map."""
+    """Options of a map: its cells, and which hits of the beams are used."""
 
     resolution: float = DEFAULT_RESOLUTION
     """Length of a cell, metres."""
     max_range: Optional[float] = None
-    """Metres; what a sensor saw further away is not taken. None = of scans their own range_max, of
-    clouds 30."""
+    """Maximum range, metres; farther hits are ignored. None = scans: their range_max, clouds:
+    30."""
     min_height: Optional[float] = None
-    """Metres in the map's frame: what is below is floor, over which one can go. None = of scans
-    everything is an obstacle, of clouds from 0.1."""
+    """Minimum height of an obstacle, metres in the map's frame; lower hits are floor. None = scans:
+    no minimum, clouds: 0.1."""
     max_height: Optional[float] = None
-    """Metres; what is above is left out. None = of scans nothing, of clouds from 2."""
+    """Maximum height, metres; higher hits are ignored. None = scans: no maximum, clouds: 2."""
     hit: float = 0.7
-    """Probability of something where a beam ended."""
+    """Probability that a cell in which a beam ended is occupied."""
     miss: float = 0.4
-    """Probability of something where a beam went through."""
+    """Probability that a cell which a beam crossed is occupied."""
     most: Optional[int] = None
-    """So many messages at most, evenly spread over all; None = each."""
+    """Maximum number of messages, evenly spaced; None = all messages."""
 
     def __post_init__(self) -> None:
         if self.max_range is not None and not self.max_range > 0:
@@ -90,7 +90,7 @@ class MapOptions:
             raise InvalidOption(f"most={self.most!r}: give at least one message")
 
     def heights(self, sensor: Sensor) -> Tuple[float, float]:
-        """Return between which heights something is an obstacle."""
+        """Return the minimum and maximum height of obstacles, metres."""
         low, high = sensor.heights
         return (
             low if self.min_height is None else self.min_height,
@@ -100,21 +100,22 @@ class MapOptions:
 
 @dataclass
 class MadeMap:
-    """A map, and what it was made of."""
+    """A map, and the data it was made from."""
 
     map: OccupancyMap
     used: int
-    """Messages that are in it."""
+    """Number of messages used."""
     without_pose: int
-    """Messages of which nobody knows where the sensor was."""
+    """Number of messages without a known pose of the sensor."""
     unreadable: int
     received: int
-    """Messages whose pose is that at their reception, for none was recorded at their stamps."""
+    """Number of messages placed by the pose at their receive time, because none is known at their
+    stamp."""
     sources: Sequence[str] = ()
-    """From what poses were taken, for people."""
+    """Sources of the poses, as texts for people."""
     offers: Sequence[PoseOffer] = ()
-    """The topics that tell the robots' poses, the best one first: ``PoseChoice(odom=…)`` takes
-    another one. Empty where tf told the poses."""
+    """Topics with poses of the robots, best first: ``PoseChoice(odom=…)`` selects another one.
+    Empty if the poses are from tf."""
 
 
 _ALL = MapOptions()
@@ -134,32 +135,35 @@ def makeMap(
     poses: PoseChoice = _BEST,
     progress: Optional[Progress] = None,
 ) -> MadeMap:
-    """Make an occupancy grid of stored sensor_msgs/LaserScan or PointCloud2.
+    """Make an occupancy grid from stored sensor_msgs/LaserScan or PointCloud2.
 
-    Poses are those of recorded tf, each robot's own (by nodeID), or of a topic of Odometry,
-    PoseStamped or PoseWithCovarianceStamped: of several topics the one whose poses cover most of
-    the messages. They are interpolated at the stamps of the headers,
-    and where nothing was recorded that has such stamps, at the times of reception. Of a topic of
-    nav_msgs/OccupancyGrid the newest map is returned as it was stored.
+    Poses are taken from recorded tf, for each robot its own (by nodeID), or from a topic of
+    Odometry, PoseStamped or PoseWithCovarianceStamped: of several topics the one whose poses cover
+        most
+    messages. They are interpolated at the header stamps, or at the receive times if no poses with
+    such stamps were recorded. For a topic of nav_msgs/OccupancyGrid the newest map is returned as
+    it was stored.
 
     Args:
-        rosCas: Connected to the keyspace.
-        topic: Its name.
-        key, to_key: Ends, both included; None = open.
-        nodeID: Only messages of this robot, or of several; None = of all. Each by its own poses.
-        run: Only what this run recorded, of poses too.
-        name: Of a topic of maps that are kept under names the one that is meant; None = any.
-        options, poses: What comes in, and where the sensor was.
-        progress: Is told how far it is.
+        rosCas: Store, connected to the keyspace.
+        topic: Name of the topic.
+        key, to_key: First and last time, both included; None = open.
+        nodeID: Robot, or list of robots, whose messages are used, each by its own poses; None =
+            all.
+        run: Run whose messages and poses are used; None = all runs.
+        name: Name of the map, for a topic whose maps are kept under names; None = any.
+        options: Cells and beams.
+        poses: Source of the poses.
+        progress: Called with the number of processed messages.
 
     Raises:
-        TopicNotFound, RunNotFound: The topic, or what is to tell poses, is not stored; no such run.
-        TypeMismatch: It is no topic of scans, clouds or maps; odom tells no poses.
-        MessageNotFound: It has no message there.
-        TransformException: Of none of them is known where the sensor was; the text says why.
-        InvalidOption: An option is not in its range, the map would be too large, or nothing was
-            seen within the range and the heights.
-        InvalidKey: A time is none.
+        TopicNotFound, RunNotFound: The topic, the source of the poses, or the run is not stored.
+        TypeMismatch: The topic has no scans, clouds or maps, or the topic ``odom`` has no poses.
+        MessageNotFound: The topic has no message in the time range.
+        TransformException: No message has a known pose of the sensor; the text gives the reason.
+        InvalidOption: An option is out of range, the map would be too large, or nothing was seen
+            within the range and the heights.
+        InvalidKey: A time is invalid.
     """
     stored = rosCas.getTopic(topic)
     each = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
@@ -189,13 +193,13 @@ def makeMap(
 
 @dataclass(frozen=True)
 class _Rows:
-    """The messages that are asked for."""
+    """The selected messages."""
 
     topic: CassandraTopic
     key: Optional[Time]
     to_key: Optional[Time]
     nodes: Sequence[Optional[str]]
-    """Robots; one of them None = all."""
+    """nodeIDs of the robots; None = all robots."""
     writers: Writers
 
     def count(self) -> int:
@@ -209,12 +213,12 @@ class _Rows:
         return islice(rows, limit)
 
     def measured(self, catalog: Catalog, node: str) -> Measurements:
-        """Return what of this is one robot's."""
+        """Return the selected messages of one robot."""
         ends = [None if end is None else to_ns(end) for end in (self.key, self.to_key)]
         return Measurements(catalog, self.topic.name, ends[0], ends[1], node, self.writers)
 
     def some_times(self, node: str) -> List[int]:
-        """Return the keys of the first, a middle and the last message of a robot, ns."""
+        """Return the row keys of the first, a middle and the last message of a robot, ns."""
         mine = replace(self, nodes=[node])
         first, last = (next((row.t for row in mine.read(way, 1)), 0) for way in (False, True))
         later = replace(mine, key=Stamp.from_ns((first + last) // 2), to_key=None)
@@ -222,7 +226,7 @@ class _Rows:
 
 
 def _stored_map(wanted: _Rows, name: Optional[str]) -> MadeMap:
-    """Return the newest of stored maps, or of those under a name, as it is."""
+    """Return the newest stored map, or the newest with a name, unchanged."""
     topic = wanted.topic
     if name is None:
         rows = wanted.read(reverse=True, limit=1)
@@ -244,7 +248,7 @@ def _stored_map(wanted: _Rows, name: Optional[str]) -> MadeMap:
 
 
 def _batches(rows: Iterator[StoredRow], step: int) -> Iterator[Tuple[int, List[StoredRow]]]:
-    """Yield every so manieth row, some together, and how many were read before."""
+    """Yield every step-th row in batches, and the number of rows read before each batch."""
     batch: List[StoredRow] = []
     size = begun = number = 0
     for number, row in enumerate(rows):
@@ -260,7 +264,7 @@ def _batches(rows: Iterator[StoredRow], step: int) -> Iterator[Tuple[int, List[S
 
 
 class _Measured(NamedTuple):
-    """A message, and when it was received, ns."""
+    """A message, and its receive time, ns."""
 
     key: int
     message: Any
@@ -271,7 +275,7 @@ class _Measured(NamedTuple):
 
 
 class _Work:
-    """A map in the making."""
+    """A map that is being made."""
 
     def __init__(
         self,
@@ -289,14 +293,14 @@ class _Work:
         self._grid = LogOddsGrid(options.resolution, options.hit, options.miss)
         self._robots: Dict[str, SensorPoses] = {}
         self._frames: Dict[str, str] = {}
-        """The frame of the map, by robot and sensor."""
+        """Frame of the map, by robot and sensor."""
         self._lost: Optional[Tuple[Poses, _Measured]] = None
-        """The first message of which no pose is known."""
+        """The first message without a known pose."""
         self.seen = self._used = self._without_pose = self._unreadable = 0
         self._stamp = 0
 
     def add(self, rows: Sequence[StoredRow]) -> None:
-        """Take in some messages."""
+        """Add some messages to the map."""
         measured: Dict[Tuple[str, str], List[_Measured]] = defaultdict(list)
         for row in rows:
             self.seen += 1
@@ -311,7 +315,7 @@ class _Work:
             self._place(node, frame, those)
 
     def _place(self, node: str, sensor: str, measured: Sequence[_Measured]) -> None:
-        """Take in the messages of one sensor."""
+        """Add the messages of one sensor to the map."""
         if node not in self._robots:
             mine, times = self._wanted.measured(self._catalog, node), self._wanted.some_times(node)
             self._robots[node] = SensorPoses(self._choice, mine, times)
@@ -350,7 +354,7 @@ class _Work:
         self._stamp = max(self._stamp, measured.stamp or measured.key)
 
     def finished(self, topic: str) -> MadeMap:
-        """Return the map; raises where no message had a pose, and where nothing was seen."""
+        """Return the map; raises if no message had a pose, or if nothing was seen."""
         if self._lost is not None and not self._used:
             poses, first = self._lost
             why = poses.explain(first.stamp or first.key)

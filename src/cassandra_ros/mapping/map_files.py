@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Maps as map_server keeps them: an image of three greys, and a YAML file that explains it."""
+"""Maps in the files of map_server: an image with three greys, and a YAML file with its metadata."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from cassandra_ros.errors import InvalidName
 from cassandra_ros.mapping.occupancy import OccupancyMap
 
 OCCUPIED_FROM = 65
-"""Per cent, included, as map_saver has it."""
+"""Minimum probability of an occupied cell, %, included, as in map_saver."""
 FREE_BELOW = 50
-"""Per cent: what was seen through once is free."""
+"""Probability below which a cell is free, %. A cell that a beam crossed once is free."""
 _OCCUPIED, _UNKNOWN, _FREE = 0, 205, 254
-"""Greys by which map_server and map_saver know them."""
+"""Grey values of map_server and map_saver."""
 
 
 def trinary(made: OccupancyMap) -> np.ndarray:  # type: ignore[type-arg]
-    """Return the greys of a map, by rows of an image: the first one has the largest y."""
+    """Return the grey values of a map, by rows of an image: the first row has the largest y."""
     cells = made.cells
     greys = np.full(cells.shape, _UNKNOWN, np.uint8)
     greys[(cells >= 0) & (cells < FREE_BELOW)] = _FREE
@@ -33,10 +33,10 @@ def trinary(made: OccupancyMap) -> np.ndarray:  # type: ignore[type-arg]
 
 
 def map_paths(path: Union[str, Path]) -> tuple[Path, Path]:
-    """Return the names of the image and of the YAML file of a map, of which one is given.
+    """Return the paths of a map's image and YAML file, given one of them.
 
     Raises:
-        InvalidName: It ends neither in .pgm nor in .yaml.
+        InvalidName: The path ends neither in .pgm nor in .yaml.
     """
     path = Path(path)
     if path.suffix not in (".pgm", ".yaml"):
@@ -45,20 +45,21 @@ def map_paths(path: Union[str, Path]) -> tuple[Path, Path]:
 
 
 def save_map(made: OccupancyMap, path: Union[str, Path]) -> tuple[Path, Path]:
-    """Write a map for map_server; return the names of the image and of the YAML file.
+    """Write a map for map_server; return the paths of the image and of the YAML file.
 
     Args:
-        path: NAME.pgm or NAME.yaml: both are written, the image first, each of them at once.
+        made: The map.
+        path: NAME.pgm or NAME.yaml: both are written, the image first, each atomically.
 
     Raises:
-        InvalidName: It is another name.
+        InvalidName: The path has another ending.
         OSError: A file cannot be written.
     """
     image, description = map_paths(path)
     head = f"P5\n# {made.resolution:g} m a pixel\n{made.width} {made.height}\n255\n"
     write_whole(image, head.encode("ascii") + trinary(made).tobytes())
-    # map_server takes a pixel for free when its darkness is below free_thresh; that of the
-    # unknown grey is 0.19608.
+    # For map_server a pixel is free if its darkness is below free_thresh. The darkness of the
+    # grey for unknown is 0.19608.
     told = {
         "image": image.name,
         "resolution": made.resolution,
@@ -73,7 +74,7 @@ def save_map(made: OccupancyMap, path: Union[str, Path]) -> tuple[Path, Path]:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file at once: who reads it meanwhile gets the old one or the new one."""
+    """Write a file atomically: other processes see the old or the new file."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         part.write_bytes(data)

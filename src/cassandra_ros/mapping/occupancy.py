@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A finished map: cells with a probability each, as nav_msgs/OccupancyGrid has them."""
+"""A finished map: the probability of each cell in per cent, as in nav_msgs/OccupancyGrid."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cassandra_ros.messages.definition import parse_definition
 
 OCCUPANCY_GRID = "nav_msgs/OccupancyGrid"
 UNKNOWN = -1
-# Its text stands here, so that nav_msgs need not be installed where maps are made.
+# The definition is repeated here, so that nav_msgs need not be installed to make maps.
 _SECTION = "\n" + "=" * 80 + "\nMSG: "
 _DEFINITION = _SECTION.join(
     (
@@ -39,12 +39,12 @@ class OccupancyMap:
     """A map of the plane.
 
     Attributes:
-        cells: (height, width) of int8: 0 to 100 %, how likely something is there; -1 = not seen.
-            Row 0 is the one with the least y, as in the message.
+        cells: (height, width) of int8: probability that the cell is occupied, 0 to 100 %; -1 =
+            unknown. Row 0 has the smallest y, as in the message.
         resolution: Length of a cell, metres.
         x, y, yaw: Pose of the corner of cell (0, 0) in the frame: metres, radians.
         frame: Name of the frame, without a slash in front.
-        stamp: When what it shows was seen last, ns.
+        stamp: Time of the newest measurement, ns since 1970.
     """
 
     cells: NDArray[np.int8]
@@ -57,7 +57,7 @@ class OccupancyMap:
 
     @classmethod
     def of_grid(cls, grid: LogOddsGrid, frame: str, stamp: int) -> OccupancyMap:
-        """Return what a grid of log-odds says."""
+        """Return the map of a grid of log-odds."""
         odds, (x, y) = grid.trimmed()
         percent = np.rint(100 / (1 + np.exp(-odds)))
         cells = np.where(odds == 0, UNKNOWN, percent).astype(np.int8)
@@ -68,7 +68,8 @@ class OccupancyMap:
         """Return the map of a nav_msgs/OccupancyGrid.
 
         Raises:
-            CorruptMessage: It has more or less cells than it says, or they have no length.
+            CorruptMessage: The number of cells differs from width x height, or the resolution is
+                invalid.
         """
         info = message.info
         cells = np.asarray(message.data, np.int8)
@@ -88,7 +89,7 @@ class OccupancyMap:
 
     @property
     def width(self) -> int:
-        """Columns."""
+        """Number of columns."""
         return int(self.cells.shape[1])
 
     @property

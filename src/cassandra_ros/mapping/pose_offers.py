@@ -30,12 +30,12 @@ class PoseOffer(NamedTuple):
     share: float
     """Share of the messages that lie between two of its poses, 0 to 1, as the directory counts."""
     taken: bool = False
-    """Whether the poses were taken from it."""
+    """Whether the poses are taken from this topic."""
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """The messages of one robot for which poses are asked."""
+    """The messages of one robot whose poses are needed."""
 
     catalog: Catalog
     topic: str
@@ -49,15 +49,15 @@ class Measurements:
     """Writer ids of the runs; None = all runs."""
 
     def offers(self, ranks: Mapping[str, int], gap_ns: int) -> List[PoseOffer]:
-        """Say for how many of the messages topics tell the poses, by what the directory counts.
+        """Return for each topic the share of messages with poses, by counts in the directory.
 
         Args:
-            ranks: The topics, with a rank each: of topics that are equally good the one with the
-                lowest rank comes first, then the one whose name comes first.
-            gap_ns: Longest time between two poses between which the pose is known.
+            ranks: Rank of each topic. Of equally good topics the one with the lowest rank comes
+                first, then the one whose name comes first.
+            gap_ns: Maximum time between two poses with known poses in between, ns.
 
         Returns:
-            One for each topic, the best one first.
+            One offer for each topic, best first.
         """
         if not ranks:
             return []
@@ -78,7 +78,7 @@ class Measurements:
         found = timeline.picture(own).scale
         if found is None:
             return shares
-        # Poses around the first and the last message count.
+        # Poses shortly before the first and after the last message are needed too.
         start, end = max(0, found.start - gap_ns), min(MAX_NS, found.end + gap_ns)
         every = View(start, end, _CELLS, [self.topic, *names], whose, detail=True)
         picture = timeline.picture(every)
@@ -97,17 +97,18 @@ class Measurements:
 
 
 def _inside(counts: Floats, scale: Scale, window: Scale) -> Floats:
-    """Return the counts of the cells that touch a window, and 0 for the others."""
+    """Return the counts of the cells that overlap a time range, and 0 for other cells."""
     first, last = scale.cells_of(np.array([window.start, window.end]))
     cells = np.arange(len(counts))
     return np.where((cells >= first) & (cells <= last), counts, 0.0)
 
 
 def _covered(filled: Bools, gap: float) -> Bools:
-    """Say which cells lie between two filled ones that are at most a gap apart, both included.
+    """Return which cells lie between two filled ones at most a gap apart, both included.
 
     Args:
-        gap: In cells.
+        filled: For each cell, whether it has poses.
+        gap: Maximum gap, cells.
     """
     cells: Longs = np.arange(len(filled))
     before = np.maximum.accumulate(np.where(filled, cells, -len(cells)))
@@ -117,7 +118,10 @@ def _covered(filled: Bools, gap: float) -> Bools:
 
 
 def united_offers(robots: Iterable[Sequence[PoseOffer]]) -> List[PoseOffer]:
-    """Return the offers of several robots as one list: of a topic the larger share."""
+    """Return the offers of several robots as one list.
+
+    Of each topic the offer with most messages.
+    """
     found: Dict[str, PoseOffer] = {}
     for offer in (offer for offers in robots for offer in offers):
         other = found.get(offer.topic, offer)

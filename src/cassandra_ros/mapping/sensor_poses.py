@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a sensor was when it measured: by recorded tf, else by a topic that tells poses."""
+"""Poses of a sensor at the times of its measurements, from recorded tf or a topic of poses."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cassandra_ros.places.sources import key_behind
 from cassandra_ros.transforms.lookup import lookup_transform
 
 FRAMES = ("map", "odom", "odom_combined", "world")
-"""In which of its frames a robot's map is, the first that there is; else in the topmost one."""
+"""Names of frames for maps, in order of preference; without them the topmost frame is used."""
 _TYPES = (
     "nav_msgs/Odometry",
     "geometry_msgs/PoseWithCovarianceStamped",
@@ -33,15 +33,16 @@ of the first type is chosen."""
 
 @dataclass(frozen=True)
 class PoseChoice:
-    """From what poses are taken."""
+    """The source of poses."""
 
     frame: Optional[str] = None
-    """The map's; None = the best that there is."""
+    """Frame of the map; None = the best of the robot's frames."""
     odom: Optional[str] = None
-    """A topic that tells poses; None = tf where it knows the sensor, else the topic whose poses
-    cover most of the messages."""
+    """Topic of poses; None = tf if it knows the sensor, else the topic whose poses cover most
+    messages."""
     sensor_offset: Optional[Rigid] = None
-    """Pose of the sensor on the robot whose poses a topic tells; None = as tf has it, else none."""
+    """Pose of the sensor on the robot, for a topic of poses; None = from tf if known, else no
+    offset."""
     tf: str = TF
     tf_static: str = TF_STATIC
     longest_gap_sec: float = LONGEST_GAP_SEC
@@ -51,15 +52,13 @@ class SensorPoses:
     """The poses of the sensors of one robot.
 
     Args:
-        choice: From what they are taken.
-        measured: The messages for which poses will be asked, all of one robot.
+        choice: Source of the poses.
+        measured: Messages whose poses will be requested, all of one robot.
         times: Row keys of some of them, ns.
 
     Attributes:
-        offers: The topics that tell this robot's poses, the best one first. Empty where tf tells
-            the poses.
-        received: How many poses are those at the times of reception, for by the stamps of the
-            headers none was known.
+        offers: Topics with poses of this robot, best first. Empty if the poses are from tf.
+        received: Number of poses taken at receive times, because none was known at the stamps.
     """
 
     def __init__(
@@ -88,17 +87,17 @@ class SensorPoses:
             return None
 
     def at(self, sensor: str, keys: Times, stamps: Times) -> Placed:
-        """Return the poses of a sensor's frame when messages were measured.
+        """Return the poses of a sensor's frame at the times of measurements.
 
         Args:
-            sensor: The frame in the messages' headers.
-            keys: Their row keys, ns.
-            stamps: Of their headers, ns. Of those with a stamp of 0, and of all where nothing was
-                recorded that has such stamps, the poses are those at the keys.
+            sensor: Frame in the messages' headers.
+            keys: Row keys of the messages, ns.
+            stamps: Header stamps, ns. For messages with stamp 0, and for all messages if no poses
+                with such stamps were recorded, the poses at the row keys are returned.
 
         Raises:
-            TopicNotFound, TransformException: There is nothing that tells poses; tf does not know
-                the sensor.
+            TopicNotFound, TransformException: There is no source of poses, or tf does not know the
+                sensor.
         """
         poses, stamped = self.of(sensor), stamps > 0
         placed = poses.at(keys, stamps)
@@ -113,14 +112,14 @@ class SensorPoses:
         return placed
 
     def of(self, sensor: str) -> Poses:
-        """Return where a sensor was; raises as at does."""
+        """Return the poses of a sensor; raises as ``at``."""
         if sensor not in self._known:
             self._known[sensor] = self._find(sensor)
         return self._known[sensor]
 
     @property
     def sources(self) -> Sequence[str]:
-        """What the poses were taken from, for people."""
+        """Sources of the poses, as texts for people."""
         return list(dict.fromkeys(self._sources.values()))
 
     def _find(self, sensor: str) -> Poses:
@@ -150,13 +149,13 @@ class SensorPoses:
         return Poses(placed, choice.longest_gap_sec)
 
     def _stands(self, sensor: str) -> bool:
-        """Say whether the map is to be in the sensor's own frame, where it never moves."""
+        """Return whether the map is in the sensor's own frame, in which it never moves."""
         choice = self._choice
         own = choice.frame is not None and choice.frame.strip("/") == sensor.strip("/")
         return own and not choice.odom and choice.sensor_offset is None
 
     def _best(self, sensor: str, above: Sequence[str]) -> Optional[str]:
-        """Return the frame of those above a sensor for its map; None where a topic does better."""
+        """Return the best ancestor frame of a sensor for the map; None if a topic is better."""
         for wanted in FRAMES:
             for name in above:
                 if name.split("/")[-1] == wanted:
@@ -165,10 +164,13 @@ class SensorPoses:
         way = [sensor, *above[:-1]]
         if above and frames is not None and any(frames.code(n) not in frames.fixed for n in way):
             return above[-1]
-        return None  # its place on the robot is all that tf tells
+        return None  # tf has only the sensor's fixed place on the robot
 
     def _best_topic(self, sensor: str) -> str:
-        """Return the topic that tells poses where tf does not; raises where there is none."""
+        """Return the topic to take poses from when tf has none.
+
+        Raises if there is no such topic.
+        """
         if self.offers:
             return self.offers[0].topic
         tf, tf_static = self._choice.tf, self._choice.tf_static
@@ -184,7 +186,7 @@ class SensorPoses:
         )
 
     def _pose_offers(self) -> List[PoseOffer]:
-        """List the topics that tell this robot's poses, the best one first."""
+        """Return the topics with poses of this robot, best first."""
         kinds = {
             topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
             for topic in self._catalog.all(None)
@@ -195,7 +197,7 @@ class SensorPoses:
         return self._measured.offers(kinds, gap_ns)
 
     def _offset(self, topic: str, sensor: str) -> tuple[Rigid, str]:
-        """Return where the sensor is on the robot whose poses a topic tells, and who says so."""
+        """Return the pose of the sensor on the robot, and the source of that pose as a text."""
         given = self._choice.sensor_offset
         if given is not None:
             return given, "sensor offset as given"
@@ -217,7 +219,7 @@ class SensorPoses:
 
 
 class _Standing:
-    """Where a sensor is in its own frame: always at the origin."""
+    """The poses of a sensor in its own frame: always the origin."""
 
     def __init__(self, frame: str) -> None:
         self.frame = frame
