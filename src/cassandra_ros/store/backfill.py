@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values into the shadow column of rows that are stored already.
+"""Values for the shadow column of rows that were stored before their index was made.
 
-A value is written with the timestamp of its row, so that a row that was deleted meanwhile stays
-deleted, and with what is left of the row's time to live.
+A value is written with the timestamp of its row, so a row that is deleted meanwhile stays deleted,
+and with the row's remaining time to live.
 """
 
 from __future__ import annotations
@@ -19,42 +19,45 @@ from cassandra_ros.tables.row_table import ODD, RowTable, TableRow, bind, decode
 PAGE_ROWS = 1000
 PAGE_BYTES = 2 * 1024 * 1024
 LATER_SEC = 1
-"""How much longer than its row a value stays, at least: an index must not lose a row before it
-expires. Readers leave out what is left of it then."""
+"""Minimum time that a value stays longer than its row, s, because an index must not lose a row that
+has not expired. After that readers skip the value."""
 
 
 class Written(NamedTuple):
-    """A stored row, and when it was written."""
+    """A stored row with its write time."""
 
     row: TableRow
     timestamp: bytes
-    """Microseconds, encoded."""
+    """Write time, encoded microseconds."""
     ttl: int | None
-    """Seconds that it had left when its page was read; None = it stays."""
+    """Remaining time to live when its page was read, s; None = it does not expire."""
 
 
 class Update(NamedTuple):
-    """What a row gets."""
+    """A row and the value that it gets."""
 
     written: Written
     value: bytes | None
-    """None = the row has a value that the index cannot hold, and is marked odd."""
+    """Encoded value; None = the index cannot hold the row's value, and the row is marked odd."""
 
 
 class Backfill:
-    """Reads the rows of a table, which lie by time, and writes the values of one shadow column."""
+    """Reads the rows of a table (of a time key) and writes the values of one shadow column."""
 
     def __init__(self, table: RowTable, shadow: str) -> None:
         self._table = table
         self._set_value, self._set_odd = table.update(shadow), table.update("_odd")
 
     def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[Written]]:
-        """Read the rows of a bucket, whose largest message in a row has so many bytes."""
+        """Yield the rows of a bucket by pages.
+
+        ``largest`` = bytes of its largest message in a row.
+        """
         size = max(1, min(PAGE_ROWS, PAGE_BYTES // (largest + 64)))
         table = self._table
         names = f'{table.listing()}, WRITETIME("_conn"), TTL("_conn")'
         asked = table.select_range(names, table.place(node, bucket), page_rows=size)
-        # What is back-filled competes with who records: nothing is asked for ahead.
+        # Back-filling must not slow down recorders, so no page is requested ahead.
         for page in asked.pages(ahead=False):
             yield [self._written(node, each) for each in page if not table.is_rest(each)]
 
@@ -64,7 +67,7 @@ class Backfill:
         return Written(row, timestamp or b"", None if ttl is None else decode_long(ttl))
 
     def write(self, updates: Sequence[Update]) -> None:
-        """Write the values of rows of one bucket; return when they are acknowledged."""
+        """Write the values for rows of one bucket; return when they are acknowledged."""
         batches = [self._batch(part) for part in _parts(updates)]
         for sent in [self._table.send(batch, "indexing") for batch in batches]:
             sent.page()
@@ -81,7 +84,7 @@ class Backfill:
 
 
 def _parts(updates: Sequence[Update]) -> Iterator[list[Update]]:
-    """Divide updates into batches of bearable size."""
+    """Divide updates into batches of limited size."""
     part: list[Update] = []
     size = 0
     for update in updates:

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The buckets of a table from one end on: as much of the directory is read as is asked for.
+"""The buckets of a table from one end on, by reading only as much of the directory as needed.
 
-A topic that is recorded for a year has half a million buckets of a minute, and who asks for its
-last message needs one of them. So the directory is read in windows that grow, slot by slot; who
-wants every row is given a slot at once.
+A topic that was recorded for a year has half a million buckets of a minute, and a read of its last
+message needs one of them. So the directory is read slot by slot, in windows that grow. A read of
+all
+rows gets a whole slot at once.
 """
 
 from __future__ import annotations
@@ -23,34 +24,34 @@ from cassandra_ros.tables.directory import (
 )
 
 FEW_BUCKETS = 8
-"""Rows of the first window of each node."""
+"""Number of rows in the first window of buckets, for each node."""
 FEW_SLOTS = 64
-"""Rows of the first window of slots and their nodes."""
+"""Number of rows in the first window of slots and their nodes."""
 MANY_SLOTS = 1024
-"""So many are remembered of a table."""
+"""Maximum number of directory slots cached for one table."""
 WIDER = 4
-"""How many times more is read in the next window."""
+"""Ratio between the sizes of two consecutive windows."""
 
 Group = List[BucketRow]
-"""What the writers of one bucket of one node say."""
+"""Rows of the directory of all writers for one bucket and node."""
 Found = Tuple[int, Group]
-"""A bucket and its group; an empty one says that from here on the directory was not read yet."""
+"""A bucket and its group. An empty group means that the directory was read up to here."""
 _Slot = Tuple[int, Tuple[str, ...]]
 """A slot, and the nodes that have buckets in it."""
 _Answers = Iterator[Callable[[], List[BucketRow]]]
-"""Of each node of a slot, when it is waited for."""
+"""Functions that wait for the buckets of one node each."""
 
 
 class Walk:
-    """The buckets of one table in [first, last], in the order of time, or newest first.
+    """The buckets of one table in [first, last], in order of time, or newest first.
 
     Args:
-        nodes: Only these nodeIDs; None = all.
-        ttl: Of the table's rows, seconds: what has expired is left out.
-        few: Few of the buckets are probably needed.
+        nodes: nodeIDs to read; None = all.
+        ttl: Lifetime of the table's rows, seconds; expired buckets are left out.
+        few: Whether probably only few of the buckets are needed.
 
     Attributes:
-        met: The nodes that are known to have buckets, as far as was looked.
+        met: Nodes found so far that have buckets.
     """
 
     def __init__(
@@ -75,14 +76,14 @@ class Walk:
         self.met: Set[str] = set()
 
     def groups(self) -> Iterator[Found]:
-        """Yield the buckets, those of all nodes in the order of their time.
+        """Yield the buckets of all nodes in order of time.
 
-        Where few are needed an empty group comes before each further request.
+        If few are needed, an empty group is yielded before each further request.
         """
         limit = FEW_BUCKETS if self._few else ALL_ROWS
         slots = self._slots()
-        next(slots, None)  # they are asked for; of no stretch there are none
-        # The first is mostly the one that it was before: its buckets are asked for at once.
+        next(slots, None)  # sends the request; an empty range has no slots
+        # The first slot is mostly the same as last time: its buckets are requested at once.
         expected = self._expected()
         early = None if expected is None else self._ask(expected, self._inside(expected), limit)
         begun = False
@@ -90,7 +91,7 @@ class Walk:
             if slot is None:
                 continue
             low, high = self._inside(slot)
-            # Behind others it were too little: they ask for more and more.
+            # Only for the first slot: later ones need a larger window.
             asked = early if slot == expected and not begun else None
             while low <= high:
                 if begun and self._few:
@@ -102,12 +103,12 @@ class Walk:
                 limit, asked, begun = min(ALL_ROWS, WIDER * limit), None, True
 
     def _inside(self, slot: _Slot) -> Tuple[int, int]:
-        """Return the first and the last bucket of a slot that are wanted."""
+        """Return the first and the last bucket of a slot in the range of this walk."""
         begin = slot[0] * SLOT_BUCKETS
         return max(self._ends[0], begin), min(self._ends[1], begin + SLOT_BUCKETS - 1)
 
     def _slots(self) -> Iterator[Optional[_Slot]]:
-        """Yield None as soon as they are asked for, then the slots with buckets of the nodes."""
+        """Yield None when the request was sent, then the slots in which the nodes have buckets."""
         first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
         limit = FEW_SLOTS if self._few else ALL_ROWS
         while first <= last:
@@ -119,7 +120,7 @@ class Walk:
             if len(listed) < limit:
                 first, last = 1, 0
             else:
-                cut = slots.pop()[0]  # nodes of it may be missing
+                cut = slots.pop()[0]  # further nodes of this slot may follow
                 first, last = (first, cut) if self._reverse else (cut, last)
                 limit = min(ALL_ROWS, WIDER * limit)
             if self._few:
@@ -127,13 +128,13 @@ class Walk:
             yield from [kept for kept in map(self._kept, slots) if kept is not None]
 
     def _kept(self, slot: _Slot) -> Optional[_Slot]:
-        """Leave nodes out that are not wanted; None where none is left."""
+        """Leave out the nodes that are not to be read; return None if there are no others."""
         nodes = tuple(n for n in slot[1] if self._nodes is None or n in self._nodes)
         self.met.update(nodes)
         return (slot[0], nodes) if nodes else None
 
     def _expected(self) -> Optional[_Slot]:
-        """Return the slot that is probably the first; None = unknown, or too many to try."""
+        """Return the slot that is probably the first; None = unknown, or too many nodes to try."""
         first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
         known = self._directory.seen.get(self._table, {}) if self._few else {}
         inside = [(s, nodes) for s, nodes in known.items() if first <= s <= last]
@@ -143,23 +144,23 @@ class Walk:
         return slot if slot is not None and len(slot[1]) <= AT_ONCE else None
 
     def _ask(self, slot: _Slot, ends: Tuple[int, int], limit: int) -> _Answers:
-        """Ask the nodes of a slot for their buckets, some at once."""
+        """Request the buckets of the nodes of a slot, several at once."""
         params = [(self._table, node, slot[0], *ends) for node in slot[1]]
         asked = sent_ahead(
             self._directory.begin_buckets(params, limit, reverse=self._reverse), AT_ONCE
         )
-        first = next(asked, None)  # only then they are on their way
+        first = next(asked, None)  # sends the requests
         return iter(()) if first is None else chain((first,), asked)
 
     def _window(self, asked: _Answers, low: int, high: int, limit: int) -> Tuple[List[Group], int]:
-        """Return the next buckets, and up to where, included, they are all that there are."""
+        """Return the next buckets, and the last bucket (included) up to which they are complete."""
         end = low if self._reverse else high
         found: List[BucketRow] = []
         for answer in asked:
             rows = answer()
             found += rows
             if len(rows) == limit:
-                cut = rows[-1].bucket  # writers of it may be missing
+                cut = rows[-1].bucket  # further writers of this bucket may follow
                 end = max(end, cut + 1) if self._reverse else min(end, cut - 1)
         groups: Dict[Tuple[int, str], Group] = {}
         for row in found:
@@ -170,7 +171,7 @@ class Walk:
 
 
 def note(directory: Directory, table: str, asked: range, slots: Sequence[_Slot]) -> None:
-    """Keep what was listed of some slots for who asks next."""
+    """Cache the listed nodes of some slots for the next read."""
     kept = {s: n for s, n in directory.seen.get(table, {}).items() if s not in asked}
     directory.seen[table] = {**(kept if len(kept) < MANY_SLOTS else {}), **dict(slots)}
 
@@ -178,7 +179,10 @@ def note(directory: Directory, table: str, asked: range, slots: Sequence[_Slot])
 def begin_slot(
     directory: Directory, table: str, slot: int
 ) -> Tuple[Tuple[str, ...], Callable[[], Tuple[str, ...]]]:
-    """Ask for the nodes of a slot; return those seen there last, and what waits for the answer."""
+    """Request the nodes of a slot.
+
+    Return the cached ones, and a function that waits for the answer.
+    """
     answer = directory.begin_nodes(table, (slot, slot))
 
     def nodes() -> Tuple[str, ...]:

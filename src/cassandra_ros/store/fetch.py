@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows that are found by their keys: one by one, by a name, by the value of an indexed field.
+"""Rows found by their keys: one by one, by a name, or by the value of an indexed field.
 
-Names have no order in Cassandra. Whoever wants all of them gets their keys first: a scan of the
+Names have no order in Cassandra. A read of all rows in order first lists their keys: a scan of the
 whole table, and some 300 bytes of memory a message.
 """
 
@@ -40,26 +40,26 @@ KEY_PAGE_ROWS = 5000
 _PAGE_CHUNKS = 8
 VERSION_PAGE_ROWS = 16
 FEW_ROWS = 1000
-"""So many keys are asked for in one query over the whole table and put in order here."""
+"""Maximum number of keys that are fetched by one query over the whole table and sorted here."""
 
 
 _Side = Union[Asked, Iterator[TableRow]]
-"""The rows on one side of a time, or the messages of blocks."""
+"""The read of the rows before or after a time, or the messages of blocks there."""
 
 
 class Wanted(NamedTuple):
-    """A row to be fetched."""
+    """Table and position of a row to be fetched."""
 
     table: RowTable
     position: Position
 
 
 def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
-    """Yield the rows in the order asked for; one that was deleted meanwhile is left out."""
+    """Yield rows in the given order; rows that were deleted meanwhile are left out."""
     finders: dict[str, Finder] = {}
 
     def sent(key: Wanted) -> tuple[Wanted, Asked | None]:
-        # Of a block the next ones may come, too: it is not asked for before that is known.
+        # The block of one message may hold the next ones too, so blocks are not requested ahead.
         return key, None if key.table.packed else _ask(key)
 
     for key, asked in sent_ahead(map(sent, wanted), ahead):
@@ -72,7 +72,7 @@ def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRo
 
 
 def fetch_row(table: RowTable, position: Position) -> TableRow | None:
-    """Read one row by its place, None where there is none: one SELECT."""
+    """Return one row by its position, None if there is no such row: one SELECT."""
     key = Wanted(table, position)
     return _answer(key, _ask(key))
 
@@ -80,11 +80,12 @@ def fetch_row(table: RowTable, position: Position) -> TableRow | None:
 def first_at(
     directory: Directory, tables: Sequence[RowTable], t: int, nodes: Sequence[str] | None
 ) -> TableRow | None:
-    """Read the first row with exactly this key time, ns, in the order (node, seq, table).
+    """Return the first row with exactly this key time, ns, in the order (node, seq, table).
 
-    The nodes that are known to write a table are asked first: one round trip. Only where they
-    have nothing the directory is asked for others, so no row is missed; of two nodes with the
-    very same time one that this process has not met yet comes behind.
+    First the nodes that are known to write to a table are asked: one round trip. If they have no
+    row,
+    the directory is asked for other nodes, so no row is missed. If two nodes have a row with this
+    time, one that this process has not met yet is not preferred, even if it is first in order.
     """
     known = [(t_, n) for t_ in tables for n in sorted(t_.known_nodes if nodes is None else nodes)]
     row = _best(known, t)
@@ -114,16 +115,16 @@ def beside(
     nodes: Sequence[str] | None,
     ways: Sequence[bool],
 ) -> list[TableRow] | None:
-    """Find the rows nearest to a time, ns, in one round trip; None where that is in vain.
+    """Return the rows nearest to a time, ns, in one round trip; None if that did not work.
 
-    Whoever was seen to write at the time is asked for what lies in the very bucket, and the
-    directory meanwhile whether these are all.
+    The nodes that were writing at this time are asked for rows of the bucket of this time, while
+    the directory is asked whether there are other nodes.
 
     Args:
-        ways: False = at or behind the time, True = at or before it.
+        ways: False = at or after the time, True = at or before it.
 
     Returns:
-        One row for each way: of several with the same time the first.
+        One row for each way; of several rows with the same time the first.
     """
     listings = [
         (table, begin_slot(directory, table.name, slot_of(table.bucket_of(t)))) for table in tables
@@ -138,7 +139,7 @@ def beside(
     found = [_best_side(*each) for each in zip(streams, ways)]
     low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)
     high = min((table.bucket_of(t) + 1) * table.metadata.bucket_ns for table in tables)
-    # Beyond these another table may have a row that is nearer, in its next bucket.
+    # Outside of this range another table may have a nearer row in its next bucket.
     near = [row for row in found if row is not None and low <= row.t < high]
     return near if len(near) == len(ways) else None
 
@@ -152,7 +153,7 @@ def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
 
 
 def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> TableRow | None:
-    """Return the row that is nearest of all; None where there is none, or it cannot be said."""
+    """Return the nearest row of all nodes; None if there is no row, or the first is not known."""
     rows: list[TableRow] = []
     for table, node, each in asked:
         if not isinstance(each, Asked):
@@ -160,7 +161,7 @@ def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> T
             continue
         values = each.page()
         found = [table.row_from_values(node, v) for v in values if not table.is_rest(v)]
-        # The last of several with the same time comes first.
+        # Descending order begins with the last of several rows with the same time.
         if len(found) < len(values) or len(found) == 2 and found[0].t == found[1].t:
             return None
         rows += found[:1]
@@ -168,7 +169,7 @@ def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> T
 
 
 def _first_of(messages: Iterator[TableRow]) -> list[TableRow]:
-    """Return the first of the messages that share the time of the one that comes first."""
+    """Return the lowest of the first messages that have the same time, as a list of at most one."""
     found: list[TableRow] = []
     for row in messages:
         if found and row.t != found[0].t:
@@ -202,15 +203,15 @@ def _select_chunks(table: RowTable, row: TableRow) -> BoundStatement:
 
 
 def ask_chunks(table: RowTable, row: TableRow) -> Sent:
-    """Ask for the bytes of a large message, for read_chunks."""
+    """Request the chunks of a large message, for read_chunks."""
     return table.begin(_select_chunks(table, row))
 
 
 def read_chunks(table: RowTable, row: TableRow, sent: Sent | None = None) -> bytes:
-    """Read the bytes of a large message; raises CorruptMessage where they are not its row's.
+    """Return the bytes of a large message; raises CorruptMessage if they do not match its row.
 
     Args:
-        sent: What ask_chunks gave, where it was called.
+        sent: Result of ask_chunks; None = the chunks have not been requested yet.
     """
 
     def data_of(rows: ResultSet) -> list[bytes]:
@@ -235,7 +236,7 @@ def read_chunks(table: RowTable, row: TableRow, sent: Sent | None = None) -> byt
 
 
 def _views(rows: ResultSet) -> Iterator[RawRow]:
-    """Yield the rows of all pages, where they are wide without a copy of their bytes."""
+    """Yield the rows of all pages; the bytes of wide rows are not copied."""
     while True:
         page = rows.current_rows
         yield from page.views() if isinstance(page, RawPage) else page
@@ -245,7 +246,7 @@ def _views(rows: ResultSet) -> Iterator[RawRow]:
 
 
 class NamedKey(NamedTuple):
-    """What the list of names tells of a row."""
+    """Key of a row with a name, and what a count needs of the row."""
 
     position: Position
     size: int
@@ -254,7 +255,7 @@ class NamedKey(NamedTuple):
 
 
 def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
-    """List the keys of all rows of a table whose rows are found by name, in no order."""
+    """Return the keys of all rows of a table whose rows have names, in no order."""
 
     def keys(rows: Iterable[RawRow]) -> list[NamedKey]:
         found = (_named_key(values, table.name) for values in rows)
@@ -265,10 +266,10 @@ def list_names(table: RowTable, nodes: Sequence[str] | None) -> list[NamedKey]:
 
 
 def some_names(table: RowTable, count: int) -> tuple[list[NamedKey], bool]:
-    """Return the keys of some rows of a table whose rows are found by name, and whether all.
+    """Return the keys of some rows of a table whose rows have names, and whether these are all.
 
     Args:
-        count: At most so many, from 1.
+        count: Maximum number of keys, from 1.
     """
     asked = table.send(bind(table.select_names(), (), count), "listing some names of")
     rows = asked.page()
@@ -286,7 +287,7 @@ def _named_key(values: RawRow, table: str) -> NamedKey:
 def versions(
     table: RowTable, name: str, nodes: Sequence[str], *, reverse: bool = False
 ) -> Iterator[TableRow]:
-    """Yield the rows of a name, of several nodes, in the order of time or newest first."""
+    """Yield the rows of one name and several nodes in order of time, or newest first."""
     streams = [_versions_of(table, name, node, reverse) for node in nodes]
     return heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
 
@@ -302,7 +303,7 @@ def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterat
 def keys_by_shadow(
     directory: Directory, table: RowTable, shadow: str, value: bytes, nodes: Sequence[str] | None
 ) -> Iterator[Wanted]:
-    """Yield the keys of the rows whose shadow column has an encoded value, in the order of time."""
+    """Yield the keys of the rows with an encoded value in a shadow column, in order of time."""
 
     def keys(rows: Iterable[RawRow]) -> list[Wanted]:
         return [_wanted(table, values) for values in rows]

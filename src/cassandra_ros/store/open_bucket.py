@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One bucket that a writer has open: the batch that is being filled, and what was stored."""
+"""One bucket into which a writer writes: the batch being filled, and counts of stored rows."""
 
 from __future__ import annotations
 
@@ -32,55 +32,62 @@ from cassandra_ros.tables.row_table import (
     encode_texts,
 )
 
-# A batch costs the server some 0.5 ms beside its rows: 500 rows and 256 KiB cost it an eighth more,
-# 200 and 64 KiB a third. Larger ones than a chunk would be another size to reckon with.
+# A batch costs the server some 0.5 ms in addition to its rows. Batches of 500 rows and 256 KiB cost
+# it
+# an eighth more, those of 200 rows and 64 KiB a third. None is larger than a chunk.
 BATCH_ROWS = 1000
 BATCH_BYTES = 512 * 1024
 HELD_BYTES = 8 * 1024 * 1024
-"""Of large messages whose rows wait in a batch: they are kept until those are stored."""
+"""Maximum size of the large messages whose rows wait in a batch, bytes. They stay in memory until
+the batch is stored."""
 _ROW_OVERHEAD = 60
 _OWN = struct.Struct(">iqiqiqii")
-"""_t, _seq, _conn and _size, each behind its size."""
+"""_t, _seq, _conn and _size, each after its size."""
 
 _time_of, _wire_of = attrgetter("t"), attrgetter("wire")
 
 Again = Callable[[], object]
-"""Writes a message anew, into the table that its topic has then."""
+"""Writes a message again, into the table that its topic has then."""
 RowAgain = Callable[[NewRow], object]
-"""The same for the message of a row."""
+"""The same for the message of a given row."""
 
 
 class Chunks(NamedTuple):
-    """A message that lies in the chunk table."""
+    """The chunks of a large message."""
 
     number: int
     crc: int
-    """Of the whole message."""
+    """Checksum of the whole message."""
 
 
 @dataclass
 class Batch:
-    """Rows of one partition on their way: one mutation, whatever their number."""
+    """Rows of one partition that are sent together as one mutation."""
 
     rows: list[Prepared | NewRow] = field(default_factory=list)
-    """Statements, or rows that are encoded when the batch is sent."""
+    """Encoded statements, or rows that are encoded when the batch is sent."""
     sizes: list[int] = field(default_factory=list)
     times: list[int] = field(default_factory=list)
     again: list[Again | None] = field(default_factory=list)
     runs: list[tuple[Sequence[NewRow], RowAgain]] = field(default_factory=list)
-    """Rows that came together, in place of an ``again`` of each."""
+    """Rows that were added together, with one function in place of an ``again`` for each."""
     blocks: list[Block] = field(default_factory=list)
     nbytes: int = 0
     held: int = 0
-    """Bytes of the messages that lie in chunks, which are no part of nbytes."""
+    """Number of bytes of the messages in chunks, which are not counted in nbytes."""
     odd_rows: int = 0
     largest: int = 0
-    """Bytes of the largest message in a row; those in chunks do not count."""
+    """Size of the largest message that is stored in its row, bytes; messages in chunks do not
+    count."""
     since: float = field(default_factory=time.monotonic)
-    """When its oldest row came; monotonic, -inf where it shall wait no longer."""
+    """Monotonic time at which its oldest row was added, s; -inf = send the batch without
+    waiting."""
 
     def rewriters(self) -> list[Again | None]:
-        """Return for each message what writes it anew, None where nobody can."""
+        """Return for each message a function that writes it again.
+
+        None if there is no such function.
+        """
         runs = [partial(again, row) for rows, again in self.runs for row in rows]
         blocks = (again for block in self.blocks for again in block.rewriters())
         return [*self.again, *runs, *blocks]
@@ -89,15 +96,16 @@ class Batch:
 class OpenBucket:
     """State of one partition of one writer; guarded by the writer's lock.
 
-    Of a table whose rows are found by name it is made for one row, and the directory knows none.
-    ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
+    In a table whose rows have names there is one such object for each row, and the directory does
+    not
+    list it. ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
 
     Args:
-        table, node, bucket, name: Which partition.
-        known: The directory lists it for this writer already.
-        shadows: The indexes that all rows of this state are given; others that the table gets
-            later wait for the next bucket.
-        filled: Of their columns those that earlier rows of the writer have, too.
+        table, node, bucket, name: The partition.
+        known: Whether the directory already lists the bucket for this writer.
+        shadows: Indexes for which the rows get values. An index that is made later counts from the
+            next bucket on.
+        filled: Shadow columns that earlier rows of the writer in the bucket have too.
     """
 
     def __init__(
@@ -115,7 +123,8 @@ class OpenBucket:
         self.node = node
         self.bucket = bucket
         self.must_recount = known
-        """The bucket has rows that this state has not seen, so its totals are not final."""
+        """Whether the bucket has rows that this object did not count, so its totals are not
+        final."""
         self.totals = BucketTotals()
         self.in_air = 0
         self.mutex = threading.Lock()
@@ -142,7 +151,7 @@ class OpenBucket:
         return (*self._place, encode_long(t), encode_long(seq))
 
     def add(self, row: NewRow, again: Again | None, chunks: Chunks | None = None) -> None:
-        """Add a row to the batch, with its message inside or in chunks."""
+        """Add a row to the batch, with its message in the row or in chunks."""
         batch = self.batch
         if not batch.rows:
             batch.since = time.monotonic()
@@ -160,10 +169,10 @@ class OpenBucket:
         batch.again.append(again)
 
     def add_run(self, rows: Sequence[NewRow], again: RowAgain) -> int:
-        """Add the first of some rows without columns; return how many: none where it has indexes.
+        """Add the first of some rows without columns; return how many, 0 if the table has indexes.
 
         Args:
-            again: Writes one of them anew.
+            again: Writes the message of one of these rows again.
         """
         batch = self.batch
         if self._shadows is not None:
@@ -186,7 +195,7 @@ class OpenBucket:
         return len(rows)
 
     def _statement(self, row: NewRow, chunks: Chunks | None = None) -> Prepared:
-        """Return the statement that stores a row, which is counted in the batch."""
+        """Return the statement that stores a row, and count the row in the batch."""
         if row.columns is None:
             row = self.table.encode(row)
         columns, odd, wire = row.columns or (), row.odd, row.wire
@@ -212,13 +221,13 @@ class OpenBucket:
         return True, self._full_id, full
 
     def add_block(self, block: Block, chunks: Chunks | None = None) -> None:
-        """Add a block to the batch, whose one message may lie in chunks."""
+        """Add a block to the batch; if it is one large message, this may be in chunks."""
         batch, sizes = self.batch, list(map(len, block.wires))
         if not batch.rows:
             batch.since = time.monotonic()
         if chunks:
             batch.held += len(block.wire)
-        else:  # it has waited to be filled already
+        else:  # the block has already waited to be filled
             batch.since, batch.largest = -math.inf, max(batch.largest, *sizes)
         values = (
             *self._place,
@@ -229,7 +238,7 @@ class OpenBucket:
             encode_long(block.crc),
             encode_int(chunks.number) if chunks else UNSET,
             ODD if block.odd else UNSET,
-            None,  # whatever was deleted is there again, as a row that is written anew
+            None,  # a row that is written again brings its deleted messages back
             encode_texts(block.nan) if block.nan else UNSET,
             *(UNSET if value is None else value for value in block.zones),
         )
@@ -241,18 +250,18 @@ class OpenBucket:
         batch.times += (block.times[0], block.times[-1])
 
     def is_full(self) -> bool:
-        """Say whether the batch should be sent now."""
+        """Return whether the batch should be sent now."""
         batch = self.batch
         large = batch.nbytes >= BATCH_BYTES or batch.held >= HELD_BYTES
         return large or len(batch.rows) >= BATCH_ROWS
 
     def take(self) -> tuple[Batch, BatchStatement]:
-        """Take the filled batch; return it with the statement that stores it."""
+        """Return the filled batch with the statement that stores it, and begin a new batch."""
         rows = self._encoded()
         batch, self.batch = self.batch, Batch()
         statement = BatchStatement(BatchType.UNLOGGED)
         statement.is_idempotent = True
-        # What BatchStatement.add does row by row, at once (cassandra.md: 10 to 6 µs a row).
+        # Does at once what BatchStatement.add does row by row (10 to 6 µs a row).
         statement._statements_and_parameters = rows
         statement.routing_key = self._routing_key
         statement.keyspace = self._plain.keyspace
@@ -261,7 +270,7 @@ class OpenBucket:
         return batch, statement
 
     def _encoded(self) -> EncodedRows:
-        """Encode the rows of the batch that are not yet; most of them at once."""
+        """Encode the rows of the batch that are not encoded yet, most of them together."""
         rows = self.batch.rows
         later = [row for row in rows if isinstance(row, NewRow)]
         others = (
@@ -272,15 +281,15 @@ class OpenBucket:
         if len(columns) < len(later):
             for row, each in zip(later, every):
                 if each is None:
-                    self.batch.nbytes -= len(row.wire) + _ROW_OVERHEAD  # it is counted anew
+                    self.batch.nbytes -= len(row.wire) + _ROW_OVERHEAD  # _statement adds it again
                     others.append(self._statement(row))
             later = [row for row, each in zip(later, every) if each is not None]
-        self.batch.rows = []  # what is sent needs them no more
+        self.batch.rows = []  # not needed any more; releases their memory
         parts = chain.from_iterable(zip(repeat(self._prefix), _own_columns(later), columns))
         return EncodedRows(b"".join(parts), len(later), others)
 
     def stored(self, batch: Batch) -> None:
-        """Count a batch that was acknowledged."""
+        """Add an acknowledged batch to the counts."""
         with self.mutex:
             self.in_air -= 1
             totals = self.totals
@@ -293,7 +302,7 @@ class OpenBucket:
             self.changed = True
 
     def failed(self) -> None:
-        """Note that a batch was given up: some of its rows may lie there or not."""
+        """Note that a batch was given up; some of its rows may have been stored."""
         with self.mutex:
             self.in_air -= 1
             self.must_recount = True
@@ -301,7 +310,7 @@ class OpenBucket:
 
 
 def _own_columns(rows: Sequence[NewRow]) -> Iterable[bytes]:
-    """Encode the columns that all formats have, each behind its size."""
+    """Encode our own columns of all formats, each after its size."""
     if not rows:
         return ()
     times, seqs, conns, wires, *_ = zip(*rows)
@@ -310,6 +319,6 @@ def _own_columns(rows: Sequence[NewRow]) -> Iterable[bytes]:
 
 
 def _statement_head(query_id: bytes, values: int, first: Sequence[bytes]) -> bytes:
-    """Encode the begin of a prepared statement in a batch: its id and its first values."""
+    """Encode the beginning of a prepared statement in a batch: its id and its first values."""
     sized = b"".join(encode_int(len(value)) + value for value in first)
     return struct.pack(f">BH{len(query_id)}sH", 1, len(query_id), query_id, values) + sized

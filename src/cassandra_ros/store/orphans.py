@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What lies in the tables of a topic and nobody finds: unlisted buckets, pieces without a message.
+"""Buckets that the directory does not list, and chunks of messages without a row.
 
-Whoever writes a large message stores its pieces first and its row last, which is the commit mark;
-one that dies in between leaves pieces. A bucket is listed before its first row is written, so one
-that is not has lost its entry.
+A writer stores the chunks of a large message first and its row last. A writer that dies in between
+leaves chunks without a row. A bucket is listed before its first row is written, so an unlisted
+bucket
+has lost its entry in the directory.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from cassandra_ros.connection.paging import RawRow
 from cassandra_ros.tables.row_table import COUNTED, Order, RowTable, bind, decode_long
 
 ORPHAN_SEC = 3600
-"""So old pieces without a message are nobody's: a message is not tried for longer."""
+"""Minimum age of chunks that count as left over, s. No message is retried for this long."""
 _PAGE_ROWS = 5000
 _PAGE_KEYS = 500
 
 Where = Union[int, str]
-"""A bucket, or a name."""
+"""A bucket, or the name of a row."""
 
 
 class Orphan(NamedTuple):
-    """The pieces of a message that has no row."""
+    """The key of a message that has chunks but no row."""
 
     node: str
     where: Where
@@ -37,7 +38,7 @@ class Orphan(NamedTuple):
 
 
 def partitions(table: RowTable) -> Set[Tuple[str, Where]]:
-    """List the partitions in which there are rows: node, and bucket or name (a scan of keys)."""
+    """Return the partitions that have rows: node, and bucket or name (a scan of keys)."""
 
     def read(rows: Iterable[RawRow]) -> Set[Tuple[str, Where]]:
         return {_place(table, values) for values in rows}
@@ -46,14 +47,14 @@ def partitions(table: RowTable) -> Set[Tuple[str, Where]]:
 
 
 def old_us(cassandra: Cassandra) -> int:
-    """Return until when, by the server's clock in us, pieces without a message are nobody's."""
+    """Return the server time in us before which chunks without a row are left over."""
     return cassandra.server_time_us() - ORPHAN_SEC * 10**6
 
 
 def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int) -> List[Orphan]:
-    """List the pieces of large messages, of before a time, that have no row.
+    """Return the messages that have chunks, written before a time, but no row.
 
-    There are none where rows expire by themselves.
+    The result is empty if the table's rows expire.
     """
     name = chunk_table_name(table.name)
     there = cassandra.system_schema("tables", "table_name", keyspace, name)
@@ -69,23 +70,24 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
 
 
 def rows_at(table: RowTable, place: Tuple[bytes, bytes], key: Order) -> Sequence[RawRow]:
-    """Read what is counted of the row of a key; it has none where it was deleted."""
+    """Return the counted columns of the row with a key; empty if it was deleted."""
     return list(ask_blocks(table, place, [key], COUNTED).page())
 
 
 def _has_row(table: RowTable, values: RawRow) -> bool:
     place = values[0] or b"", values[1] or b""
     key = decode_long(values[2]), decode_long(values[3])
-    # Of the columns the fourth says how many pieces there are.
+    # The fourth column is the number of chunks.
     return any(row[3] is not None for row in rows_at(table, place, key))
 
 
 def remove_orphans(
     cassandra: Cassandra, table: RowTable, found: Iterable[Orphan], until_us: int
 ) -> None:
-    """Delete the pieces of messages that have no row, as far as they are of before a time.
+    """Delete the chunks of messages without a row, if they were written before a time.
 
-    An import that is repeated meanwhile writes them anew, and then their row.
+    So an import that is repeated at the same time, which writes new chunks and then the row, keeps
+    them.
     """
     params = ((until_us, *each) for each in found)
     what = f"removing orphans of topic {table.metadata.topic}"

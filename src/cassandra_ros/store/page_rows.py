@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The rows of a page read at once, with their messages: not column by column."""
+"""Rows of a whole page made together with their messages, not column by column."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.tables.row_table import RowTable, TableRow
 
 MIN_BYTES = 4096
-"""Of an answer: the rows of a smaller one are quicker read one by one."""
+"""Minimum size of an answer, bytes. The rows of a smaller one are read faster one by one."""
 _SIZED_AT = 40
-"""Where in a listing the bytes of ``_size`` lie, behind three columns of eight bytes and its own
-size."""
+"""Offset of the bytes of ``_size`` in a listing: after three columns of eight bytes, all with their
+sizes, and its own size."""
 _BEGIN = struct.pack(">i", 8)
-"""With which a listing begins: the size of ``_t``."""
+"""Beginning of each listing: the size of ``_t``."""
 _HEAD = np.dtype(
     [
         ("t_size", ">i4"),
@@ -38,33 +38,33 @@ _HEAD = np.dtype(
         ("raw", ">i4"),
     ]
 )
-"""A listing up to the columns of the format, where nothing is odd: each value behind its size."""
+"""A listing up to the columns of the format, if no value is unusual; each value after its size."""
 _RECEIVED = np.dtype([*_HEAD.descr, ("received_size", ">i4"), ("received", ">i8")])
 _MARKS = {
     **dict.fromkeys(("t_size", "seq_size", "conn_size", "received_size"), 8),
     **dict.fromkeys(("nchunks", "crc", "odd", "raw"), -1),
     "size_size": 4,
 }
-"""What stands there then."""
+"""Sizes in such a listing; -1 = null."""
 
 
 class _Heads(NamedTuple):
-    """Where the rows of a page lie, and what our own columns say."""
+    """Places of the rows of a page, and the values of our own columns."""
 
     starts: Places
     begins: Places
-    """Where the columns of the format begin."""
+    """Offsets at which the columns of the format begin."""
     ends: Places
     fits: NDArray[np.bool_]
-    """Whether nothing in it is odd."""
+    """Whether all sizes are as in _MARKS."""
     values: NDArray[Any]
     received: Iterable[int]
-    """When each message was received, -1 = at ``_t``."""
+    """Receive time of each message, ns; -1 = it equals ``_t``."""
 
     def rows(
         self, node: str, table: str, wires: Sequence[Optional[bytes]]
     ) -> Iterator[Optional[TableRow]]:
-        """Yield each row with its message; None where it is to be looked at by itself."""
+        """Yield each row with its message; None if the row has to be read by itself."""
         t, seq, conn, sizes = (self.values[name].tolist() for name in ("t", "seq", "conn", "size"))
         fixed = repeat(0), repeat(0), repeat(False), wires, repeat(()), repeat("")
         own = t, repeat(node), seq, repeat(table), conn, sizes
@@ -80,12 +80,12 @@ class _Heads(NamedTuple):
 
 
 def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence[TableRow]]:
-    """Read a page of listings of all columns of rows that lie by time.
+    """Read a page of listings of all columns of a table with a time key.
 
-    Rows have their message instead of its columns, where it could be made of them.
+    A row has its message in place of the columns, if that could be made of them.
 
     Returns:
-        None where they are to be read one by one, by row_from_values.
+        The rows; None = the page has to be read row by row, by row_from_values.
     """
     small = len(page.body) < MIN_BYTES
     heads = None if small else _read_heads(page, bool(table.metadata.received_columns))
@@ -102,18 +102,18 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence
             continue
         at = int(heads.starts[n])
         if page.end(at) != heads.ends[n]:
-            return None  # the guess was wrong, so it is for all that follow
+            return None  # the guess of the places was wrong, so it is for all later rows
         values = page.row(at)
         try:
             if not table.is_rest(values):
                 found.append(table.row_from_values(node, values))
         except CorruptMessage:
-            return None  # it is told when its turn comes
+            return None  # the error is raised when the row is read by itself
     return found
 
 
 def _read_heads(page: RawPage, with_received: bool) -> Optional[_Heads]:
-    """Read our own columns; None where rows cannot be told apart. See RawPage.bounds."""
+    """Read our own columns; None if the rows cannot be told apart. See RawPage.bounds."""
     bounds, head = page.bounds(_SIZED_AT, _BEGIN), _RECEIVED if with_received else _HEAD
     if bounds is None:
         return None

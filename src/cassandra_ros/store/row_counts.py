@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Counting rows: from the directory where it is closed, live where it is not."""
+"""Counts of rows: from the directory for closed buckets, by reading for the others."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ COUNT_PAGE_ROWS = 5000
 def scan_keys(
     table: RowTable, node: str, bucket: int, low: int, high: int
 ) -> Iterator[tuple[int, int, int, bool, bool]]:
-    """Read (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high].
+    """Yield (t, seq, size, chunked, odd) of the rows of a bucket with t in [low, high].
 
-    Of a table of blocks those are the messages; all blocks that hold one are read.
+    In a table of blocks these are the messages; all blocks that hold one are read.
     """
     if table.packed:
         ends = (low, MIN_SEQ), (high, MAX_SEQ)
@@ -49,9 +49,9 @@ def scan_keys(
 def scan_written(
     table: RowTable, node: str, bucket: int, low: int, high: int
 ) -> Iterator[tuple[int, int, bool, int]]:
-    """Read (t, seq, chunked, written) of the rows of a bucket with t in [low, high].
+    """Yield (t, seq, chunked, written) of the rows of a bucket with t in [low, high].
 
-    Written is when the server took the row, microseconds since 1970; no table of blocks.
+    ``written`` is the server's write time, microseconds since 1970. Not for tables of blocks.
     """
     asked = table.select_range(
         f'{COUNTED}, WRITETIME("_size")',
@@ -73,7 +73,7 @@ def count_part(
     ends: tuple[int, int],
     writers: Optional[FrozenSet[int]] = None,
 ) -> int:
-    """Count the messages of a bucket with a time in [low, high], of writers (None = of all)."""
+    """Return the number of messages of writers (None = all) with a time in [low, high]."""
     if table.packed:
         return count_blocks(table, node, bucket, *ends, writers)
     found = scan_keys(table, node, bucket, *ends)
@@ -81,7 +81,7 @@ def count_part(
 
 
 def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
-    """Count the rows of one bucket as they are now, by writer id."""
+    """Count the rows that one bucket has now, by writer id."""
     found: dict[int, BucketTotals] = {}
     if table.packed:
         for block, left in measure(table, node, bucket):
@@ -94,16 +94,16 @@ def recount(table: RowTable, node: str, bucket: int) -> dict[int, BucketTotals]:
 
 
 def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list[BucketRow]:
-    """Return directory rows of a table with counts of now in place of what is not closed.
+    """Return the rows of the directory with present counts for buckets that are not closed.
 
-    A recount is written back where the bucket has no living writer any more.
+    A recount is written back if the bucket has no living writer any more.
     """
     by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
     for row in rows:
         by_bucket.setdefault((row.node, row.bucket), []).append(row)
     settled: list[BucketRow] = []
     for (node, bucket), group in by_bucket.items():
-        # Rows of a topic with a TTL go one by one, and nobody tells the directory.
+        # In a table with a TTL rows expire one by one, which the directory does not know.
         if all(row.closed for row in group) and not table.metadata.ttl:
             settled.extend(group)
             continue
@@ -122,5 +122,5 @@ def _write_back(
     try:
         directory.put_recount(table.name, row, totals, table.metadata.ttl)
     except (AccessDenied, StoreUnavailable, ConnectionFailed) as exc:
-        # A reader may lack the right to write, or meet another one: the count is true all the same.
+        # A reader may lack the right to write, or be too late: its count is right all the same.
         _log.debug("the recount of topic %s was not kept: %s", table.metadata.topic, exc)

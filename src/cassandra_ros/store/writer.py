@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows into Cassandra: batched by bucket, bounded in flight, counted, never silently lost."""
+"""Rows into Cassandra: batched by bucket, limited in flight, counted; no loss is silent."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ _log = logging.getLogger(__name__)
 TICK_SEC = 0.02
 IDLE_SEC = 10.0
 REOPEN_SEC = 30.0
-"""After so long without a heartbeat a bucket is marked open anew before it is written to."""
+"""Time without a heartbeat after which a bucket is marked open again before it is written to, s."""
 
 _New = Union[NewRow, Block]
 LossCallback = Callable[[str, int, CassandraRosError], None]
-"""Takes (topic, rows, why) of what was given up; called on any thread."""
+"""Takes (topic, number of rows, error) of lost rows; called on any thread."""
 
 
 @dataclass
 class WriteStats:
-    """What became of the rows of one table so far."""
+    """Numbers of the stored and lost rows of one table."""
 
     stored: int = 0
     bytes: int = 0
-    """Serialised bytes of the stored messages."""
+    """Number of serialised bytes of the stored messages."""
     lost: int = 0
     reason: str = ""
-    """Why the first lost ones were lost."""
+    """Error text of the first loss; '' = no row was lost."""
 
 
 class RowWriter:
@@ -55,12 +55,12 @@ class RowWriter:
     Args:
         schema: Makes chunk tables when they are first needed.
         writer_id: 31 bits; the upper half of every ``_seq`` that is written.
-        linger_sec: How long a batch may wait to be filled.
-        block_sec: How long a block may wait to be filled; None = until it is full.
-        limits: Most of what a block holds.
-        give_up_after_sec: How long one request is tried.
-        on_loss: Called with (topic, rows, error) for rows that were given up, on another
-            thread; without it the next call of add, flush or close raises WriteFailed.
+        linger_sec: How long a batch may wait to be filled, s.
+        block_sec: How long a block may wait to be filled, s; None = until it is full.
+        limits: Maximum size of a block.
+        give_up_after_sec: How long one request is retried, s.
+        on_loss: Called on another thread with (topic, number of rows, error) of rows that were
+            given up; without it the next call of add, flush or close raises WriteFailed.
         on_beat: Called every HEARTBEAT_SEC, on another thread.
     """
 
@@ -80,7 +80,7 @@ class RowWriter:
     ) -> None:
         self._cassandra, self._schema = cassandra, schema
         self.patience = Patience(give_up_after_sec)
-        """How long one request is tried."""
+        """How long one request is retried."""
         self._directory = directory.patient(self.patience)
         self._writer_id = writer_id
         self._linger_sec, self._block_sec = linger_sec, block_sec
@@ -90,14 +90,14 @@ class RowWriter:
         # Taken after the lock of a builder, never before it.
         self._lock = threading.RLock()
         self._ready: deque[Callable[[], None]] = deque()
-        """They send the rows of large messages whose chunks are all stored."""
+        """Functions that send the rows of large messages whose chunks are all stored."""
         self.stats: dict[str, WriteStats] = {}
-        """Table name → what became of its rows."""
+        """Table name → numbers of its stored and lost rows."""
         self.gone: set[str] = set()
-        """Tables that were dropped while they were written to."""
+        """Names of tables that were dropped while they were written to."""
         self._builders = Builders(limits, self.add_block, self._raise_error, self.gone)
         self._homeless: deque[tuple[RowTable, Again]] = deque()
-        """Rows that such a table has not taken."""
+        """Rows that these tables did not take, with the functions that write them again."""
         self._moving, self._moves = threading.Lock(), 0
         self._counting = threading.Lock()
         self._error: CassandraRosError | None = None
@@ -108,14 +108,15 @@ class RowWriter:
     # ---------------------------------------------------------------- rows in
 
     def add(self, table: RowTable, node: str, row: NewRow, again: Again | None = None) -> None:
-        """Take one row; blocks while too much is in the air.
+        """Take one row; blocks while too many bytes are in flight.
 
         Args:
-            again: Called on another thread where the table is gone before the row is stored, to
-                add it to another one; without it the row is lost.
+            again: Called on another thread if the table is dropped before the row is stored, to
+                write
+                the message into another table; without it the row is lost.
 
         Raises:
-            TopicNotFound: The table is gone already; nothing was taken.
+            TopicNotFound: The table was dropped; the row was not taken.
         """
         with self._lock:
             if self._error is not None:
@@ -136,10 +137,10 @@ class RowWriter:
                 raise
 
     def add_run(self, table: RowTable, node: str, rows: Sequence[NewRow], again: RowAgain) -> int:
-        """Take rows of one bucket whose columns are made later, as add does.
+        """Take rows of one bucket whose columns are made later, like add.
 
         Returns:
-            How many were taken; the others are for add, which may raise.
+            The number of rows taken; pass the others to add, which may raise.
         """
         at = 0
         with self._lock:
@@ -157,12 +158,12 @@ class RowWriter:
         return at
 
     def builder(self, table: RowTable, node: str, conn: int) -> BlockBuilder:
-        """Return what takes the messages of a connection for a table of blocks."""
+        """Return the builder for the messages of a connection in a table of blocks."""
         self.stats.setdefault(table.name, WriteStats())
         return self._builders.get(table, node, conn)
 
     def add_block(self, builder: BlockBuilder, block: Block) -> None:
-        """Take a block; its messages are counted as lost where that fails."""
+        """Take a block; if that fails its messages are counted as lost."""
         table, added = builder.table, False
         try:
             if table.name in self.gone:
@@ -180,7 +181,7 @@ class RowWriter:
                 if bucket.is_full():
                     self._send(bucket)
         except BaseException as exc:
-            # Also of Ctrl-C; but from the first chunk on the outcome is told by them.
+            # Also after Ctrl-C. From the first chunk on the chunks' outcomes decide.
             known = isinstance(exc, CassandraRosError)
             if not added and (known or not block.in_chunks):
                 self._failed(table, block.rewriters(), block.times, exc)
@@ -189,7 +190,7 @@ class RowWriter:
 
     def _name_bucket(self, table: RowTable, node: str, name: str) -> OpenBucket:
         self._check_taking(table)
-        # The directory only tells which nodes there are: the table itself lists its names.
+        # The directory only lists the nodes: the table itself lists its names.
         self._directory.note(table, node, 0)
         self.stats.setdefault(table.name, WriteStats())
         return OpenBucket(table, node, 0, True, name)
@@ -206,14 +207,14 @@ class RowWriter:
         return bucket
 
     def _check_taking(self, table: RowTable) -> None:
-        """Raise TopicNotFound where another table is about to replace this one, or did."""
+        """Raise TopicNotFound if another table has replaced this one or is about to."""
         if not self._schema.takes_rows(table.name):
             topic = table.metadata.topic
             raise TopicNotFound(f"topic {topic} is converted: messages go into another table")
 
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
         self._check_taking(table)
-        # The indexes of now: a bucket that is opened before one is made is filled without it.
+        # The present indexes: a bucket that is opened before an index is made has no values for it.
         table.metadata = self._schema.latest(table.name, table.metadata)
         shadows = table.shadows()
         found = self._directory.find(table.name, node, number)
@@ -225,7 +226,7 @@ class RowWriter:
         return bucket
 
     def _reopen(self, bucket: OpenBucket, late: bool = False) -> None:
-        # Others took the writer for dead: they may have deleted, and closed the bucket since.
+        # Other clients took this writer for dead: they may have deleted rows and closed the bucket.
         if late:
             self._check_taking(bucket.table)
         bucket.must_recount = bucket.must_recount or late
@@ -248,8 +249,8 @@ class RowWriter:
         """Send the chunks of a message; its row follows when all of them are acknowledged."""
         table = bucket.table
         self._schema.ensure_chunk_table(table)
-        statement = table.insert_chunk()  # before anything is counted: it may fail
-        # Not when its row is made: then its bytes would be far away again.
+        statement = table.insert_chunk()  # may fail, so it comes before anything is counted
+        # Here and not when the row is made: then its bytes would have left the processor's cache.
         crc = new.crc if isinstance(new, Block) else crc32(new.wire)
         chunks, told = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
         outcome, wire = self._chunk_outcome(bucket, new, again, chunks), memoryview(new.wire)
@@ -259,7 +260,7 @@ class RowWriter:
             for number in range(chunks.number):
                 data = wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
                 bound = bind(statement, (*bucket.key(new.t, new.seq), encode_int(number), data))
-                told += 1  # whatever happens in submit, it tells the outcome
+                told += 1  # submit calls outcome in any case
                 self._flight.submit(bound, len(data), outcome)
         except BaseException as exc:
             for _ in range(chunks.number - told):
@@ -286,15 +287,15 @@ class RowWriter:
                 rewriters = new.rewriters() if isinstance(new, Block) else [again]
                 self._failed(bucket.table, rewriters, [new.t], worst)
             else:
-                # Not sent from here: this is the driver's thread, and sending may block.
+                # This is the driver's thread, and sending may block: the row is sent later.
                 self._ready.append(lambda: self._add_row(bucket, new, again, chunks))
 
         return outcome
 
     def _add_row(self, bucket: OpenBucket, new: _New, again: Again | None, chunks: Chunks) -> None:
-        """Add the row of a large message to the batch, as one whose message it holds.
+        """Add the row of a large message to the batch, together with other rows.
 
-        A request for each would cost the server a sixth of what an image does.
+        A request of its own would cost the server a sixth of what an image costs.
         """
         with bucket.mutex:
             bucket.in_air -= 1
@@ -311,7 +312,7 @@ class RowWriter:
 
     @property
     def pending_bytes(self) -> int:
-        """About how many bytes wait here to be stored."""
+        """Approximate number of bytes that wait here to be stored."""
         batches = (bucket.batch for bucket in list(self._buckets.values()))
         waiting = self._builders.nbytes + sum(batch.nbytes + batch.held for batch in batches)
         return self._flight.nbytes + waiting
@@ -319,7 +320,7 @@ class RowWriter:
     # ---------------------------------------------------------------- outcomes
 
     def _count(self, table: RowTable, batch: Batch) -> None:
-        # The driver's, the retry and the calling thread come by here.
+        # Called on the driver's thread, on those of retries, and on the caller's.
         with self._counting:
             stats = self.stats[table.name]
             stats.stored += len(batch.sizes)
@@ -332,10 +333,10 @@ class RowWriter:
         times: Sequence[int],
         exc: BaseException,
     ) -> None:
-        """Count rows as lost, or note that they go on in another table where theirs is gone."""
+        """Count rows as lost, or write them again later if their table was dropped."""
         lost = len(rows)
         if isinstance(exc, TopicNotFound) or is_table_gone(exc):
-            # Nothing of them is left there, so nothing is doubled.
+            # The dropped table has none of them left, so writing them again makes no doubles.
             self.gone.add(table.name)
             homeless = [(table, again) for again in rows if again is not None]
             self._homeless.extend(homeless)
@@ -344,7 +345,7 @@ class RowWriter:
             self._lost(table, lost, exc, times)
 
     def _move_on(self) -> int:
-        """Give the rows whose table is gone to those who know a better one.
+        """Write rows again whose table was dropped, into the table that replaced it.
 
         Returns:
             How often that was done so far, by any thread.
@@ -401,13 +402,13 @@ class RowWriter:
                         self._on_beat()
                     self._heartbeats(now)
             except CassandraRosError as exc:
-                # The directory is behind, never wrong: its buckets still count as open.
-                # A program that ends while the store is silent says that itself.
+                # The directory is late but not wrong: its buckets still count as open.
+                # A program that ends while the store is silent reports that itself.
                 ending = self._cassandra.outage.left_sec <= 0
                 level = logging.DEBUG if ending else logging.WARNING
                 _log.log(level, "the directory of buckets could not be updated: %s", exc)
                 if self._cassandra.closed:
-                    return  # whoever closed it has forgotten us
+                    return  # the connection was closed without closing this writer
 
     def _send_old(self, now: float) -> None:
         for bucket in list(self._buckets.values()):
@@ -415,7 +416,7 @@ class RowWriter:
                 self._send_late(bucket, now)
 
     def _send_late(self, bucket: OpenBucket, now: float) -> None:
-        """Send a batch that may have waited long, for this process may have stood still."""
+        """Send a batch that may have waited for long, if the process was suspended."""
         if now - bucket.marked > REOPEN_SEC:
             try:
                 self._reopen(bucket, late=True)
@@ -458,7 +459,7 @@ class RowWriter:
         while moves != (moves := self._move_on()):
             self._builders.seal()
             with self._lock:
-                self._flight.wait()  # for chunks, whose rows are sent next
+                self._flight.wait()  # for chunks, after which their rows are sent
                 self._commit()
                 now = time.monotonic()
                 for bucket in self._buckets.values():
@@ -468,7 +469,10 @@ class RowWriter:
         self._raise_error()
 
     def close(self) -> None:
-        """Flush, close the buckets in the directory, end the thread. Twice is harmless."""
+        """Flush, close the buckets in the directory, and end the thread.
+
+        A second call does nothing.
+        """
         if self._closing.is_set():
             return
         try:
@@ -481,13 +485,13 @@ class RowWriter:
             for bucket in self._buckets.values():
                 self._close_or_leave(bucket)
         except StoreUnavailable as exc:
-            # Nothing is lost: buckets that stay open are counted live by the next reader.
+            # Nothing is lost: the next reader counts buckets that stayed open.
             _log.warning("buckets stay open in the directory: %s", exc)
         self._buckets.clear()
 
     def _close_or_leave(self, bucket: OpenBucket) -> None:
         if bucket.table.name in self.gone:
-            return  # its directory went with it, and each try would wait for the table
+            return  # its directory was deleted with it, and each try would wait for the table
         totals = bucket.totals
         try:
             if bucket.must_recount:
