@@ -460,7 +460,7 @@ def test_a_recorder_notes_part_by_part(rosCas, monkeypatch):
 
 def brute_tf(store, x, y, radius):
     """Times of messages at which all of tf, read at once, has the robot on a disk."""
-    poses = store.catalog.keyspace.places.robots("map")[0].poses()
+    poses = store.catalog.places.robots("map")[0].poses()
     times = store.getTopic("/n").getArrays(["KEY"])["KEY"]
     placed = poses.at(times)
     near = placed.known & (np.hypot(placed.poses.x - x, placed.poses.y - y) <= radius)
@@ -493,7 +493,7 @@ def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
         assert list(rosCas.near(200, 0, 2, topics="/n", where={"/n": ("data < ?", [5])})) == []
         if not indexed:
             rosCas.upkeep.indexPlaces()
-    assert rosCas.catalog.keyspace.places.robots("map", nodes=["bee"])[0].node == "bee"
+    assert rosCas.catalog.places.robots("map", nodes=["bee"])[0].node == "bee"
 
 
 def test_two_robots_to_which_nobody_gave_a_name(rosCas):

@@ -24,7 +24,7 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.descriptions import Infos, RunList
 from cassandra_ros.topics.key_selection import Clock
-from cassandra_ros.topics.keyspace import Keyspace, wished_topic, with_key
+from cassandra_ros.topics.keyspace import wished_topic, with_key
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.run_finder import RunName
@@ -66,7 +66,7 @@ class RosCassandra:
         keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
         if keyspace is not None:
             try:
-                self._work_in(Keyspace(self.cassandra, keyspace))
+                self._opened = Catalog(self.cassandra, keyspace, clock)
             except BaseException:
                 self.cassandra.close()
                 raise
@@ -84,12 +84,14 @@ class RosCassandra:
             InvalidName: It is not a keyspace name.
             KeyspaceNotFound: It is missing and make is false; the text gives the nearest names.
         """
-        opened = Keyspace(self.cassandra, keyspace)
+        opened = Catalog(self.cassandra, keyspace, self._clock)
         if make:
-            opened.side_tables.make_keyspace()
+            opened.keyspace.side_tables.make_keyspace()
         else:
-            opened.side_tables.require_keyspace()
-        self._work_in(opened)
+            opened.keyspace.side_tables.require_keyspace()
+        if self._opened is not None:
+            self._opened.adder.close()
+        self._opened = opened
 
     def inKeyspace(self, keyspace: str) -> RosCassandra:
         """Return an object that works in another keyspace over the same connection.
@@ -100,16 +102,11 @@ class RosCassandra:
             InvalidName: It is not a keyspace name.
             KeyspaceNotFound: It is missing; the text gives the nearest names.
         """
-        opened = Keyspace(self.cassandra, keyspace)
-        opened.side_tables.require_keyspace()
+        opened = Catalog(self.cassandra, keyspace, self._clock)
+        opened.keyspace.side_tables.require_keyspace()
         other = copy(self)
-        other._opened = Catalog(opened, self._clock)
+        other._opened = opened
         return other
-
-    def _work_in(self, keyspace: Keyspace) -> None:
-        if self._opened is not None:
-            self._opened.adder.close()
-        self._opened = Catalog(keyspace, self._clock)
 
     def getKeyspaces(self) -> list[KeyspaceInfo]:
         """List the keyspaces of the cluster that hold topics, sorted by name."""

@@ -15,6 +15,7 @@ from operator import attrgetter
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes, check_topic, check_topics
+from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import (
     CassandraRosError,
     DefinitionError,
@@ -65,13 +66,15 @@ class Catalog:
     Topics that were added before their type is known live here until their first message.
     """
 
-    def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
-        self.keyspace = keyspace
-        self.adder = Adder(keyspace, clock)
+    def __init__(self, cassandra: Cassandra, keyspace: str, clock: Optional[Clock]) -> None:
+        self.keyspace = Keyspace(cassandra, keyspace, robots=lambda: self.places)
+        self.adder = Adder(self.keyspace, clock)
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
-        self.places = Whereabouts(StoredPlaces(self), keyspace.place_index)
-        keyspace.places = keyspace.tables.places = self.places
+        self.stored_places = StoredPlaces(self.keyspace, self.get, lambda: self.all(None))
+        """The topics, for what asks where the robots were."""
+        self.places = Whereabouts(self.stored_places, self.keyspace.place_index)
+        """Where the robots of the keyspace were."""
 
     def add(self, wanted: TopicMetadata, msg_type: Optional[str]) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored."""

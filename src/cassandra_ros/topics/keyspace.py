@@ -36,7 +36,7 @@ from cassandra_ros.messages.definition import Definition, definition_of
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
-from cassandra_ros.places.whereabouts import Whereabouts
+from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.tables.directory import (
     MIN_SPAN_NS,
     UNKNOWN_SPAN_NS,
@@ -65,12 +65,12 @@ class Keyspace:
     """One keyspace of a cluster; it and its side tables are made by what first writes.
 
     Each of its parts, which are its attributes, does one thing in it; their classes say which.
+
+    Args:
+        robots: Returns where the robots of the keyspace were.
     """
 
-    places: Whereabouts
-    """Set by the Catalog, which finds its topics."""
-
-    def __init__(self, cassandra: Cassandra, name: str) -> None:
+    def __init__(self, cassandra: Cassandra, name: str, robots: Callable[[], RobotPlaces]) -> None:
         self.cassandra = cassandra
         self.name = name
         self.side_tables = SideTables(cassandra, name)
@@ -81,7 +81,7 @@ class Keyspace:
         self.place_index = PlaceIndex(self.side_tables)
         self.connections = ConnectionCache(self.registry)
         self.runs = Runs(name, self.registry, self._has_written)
-        self.tables = TopicTables(cassandra, self.schema, self.connections, self.runs)
+        self.tables = TopicTables(cassandra, self.schema, self.connections, self.runs, robots)
         self.rows = Following(RowReader(cassandra, self.directory))
 
     def _has_written(self, writer: int) -> bool:

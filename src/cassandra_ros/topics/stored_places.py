@@ -5,20 +5,18 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import TYPE_CHECKING, FrozenSet, List, Optional, Sequence, Tuple
+from typing import Callable, FrozenSet, List, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.sources import ArraySource
 from cassandra_ros.places.stored import Extent
 from cassandra_ros.tables.directory import BucketRow
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.key_selection import TimeRange, Whose
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
-
-if TYPE_CHECKING:
-    from cassandra_ros.topics.cassandra_topic import CassandraTopic
-    from cassandra_ros.topics.catalog import Catalog
 
 _LONG_NS = 600 * SECOND_NS
 """In longer buckets, as imports have, it is looked where the messages of an open one lie."""
@@ -27,24 +25,31 @@ _LONG_NS = 600 * SECOND_NS
 class StoredPlaces:
     """The topics of a keyspace, for those who ask where its robots were."""
 
-    def __init__(self, catalog: Catalog) -> None:
-        self._catalog = catalog
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        find: Callable[[str], CassandraTopic],
+        topics: Callable[[], Sequence[CassandraTopic]],
+    ) -> None:
+        self._keyspace = keyspace
+        self._find = find
+        self._topics = topics
 
     def find(self, name: str) -> CassandraTopic:
         """Return a topic by its name; raises TopicNotFound."""
-        return self._catalog.get(name)
+        return self._find(name)
 
     def topics(self) -> Sequence[CassandraTopic]:
         """List all topics, sorted by name."""
-        return self._catalog.all(None)
+        return self._topics()
 
     def nodes(self, topic: ArraySource) -> Sequence[str]:
         """List the nodeIDs that have messages of a topic, sorted."""
-        return self._catalog.keyspace.nodes(self._tables(topic))
+        return self._keyspace.nodes(self._tables(topic))
 
     def extents(self, topic: ArraySource, node: str, low: int, high: int) -> Sequence[Extent]:
         """List when runs of a node have messages of a topic, as far as that touches [low, high]."""
-        directory, whose = self._catalog.keyspace.directory, Whose([node])
+        directory, whose = self._keyspace.directory, Whose([node])
 
         def extents(tables: Sequence[TopicTable]) -> List[Extent]:
             found = []
@@ -71,7 +76,7 @@ class StoredPlaces:
             return time_range.low, time_range.high
         found = []
         for reverse in (False, True):
-            rows = self._catalog.keyspace.rows.read(
+            rows = self._keyspace.rows.read(
                 [table],
                 time_range,
                 whose=Whose([row.node]),
@@ -84,11 +89,11 @@ class StoredPlaces:
 
     def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
         """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
-        return self._catalog.keyspace.runs.nodes(writers)
+        return self._keyspace.runs.nodes(writers)
 
     def run_text(self, writer: int) -> str:
         """Return what RUN says of the messages of a writer."""
-        return self._catalog.keyspace.runs.text(writer)
+        return self._keyspace.runs.text(writer)
 
     def _tables(self, topic: ArraySource) -> List[TopicTable]:
-        return self._catalog.keyspace.tables.of_topic(topic.name)
+        return self._keyspace.tables.of_topic(topic.name)

@@ -13,7 +13,7 @@ from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, T
 
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.raw_page import Places
-from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName, InvalidOption
+from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import MAX_NS
@@ -55,6 +55,8 @@ class TopicTable(RowTable):
         metadata: TopicMetadata,
         connections: ConnectionCache,
         runs: Runs,
+        heir: Callable[[str, bool], Optional[TopicTable]],
+        robots: Callable[[], RobotPlaces],
     ) -> None:
         self.definition = definition = definition_in(metadata)
         """None where the stored definition is not one; the rows are bytes then."""
@@ -80,13 +82,14 @@ class TopicTable(RowTable):
         """The key field whose index holds the md5 of a whole array, where there is one."""
         self.msg_type = metadata.msg_type
         self.by_field = self.format.BY_FIELD
-        self.connections, self.runs = connections, runs
-        self.robots: Callable[[], RobotPlaces] = _unknown_robots
+        self.connections = connections
+        self.runs = runs
+        self._heir = heir
+        self._robots = robots
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
         """Return the class for a connection, by its number: installed, generated or RawMessage."""
         self._later = metadata.key_format == "time" and self.format.TOGETHER
         self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
-        self.heirs: Optional[Callable[[str, bool], Optional[TopicTable]]] = None
 
     def __repr__(self) -> str:
         return f"<TopicTable {self.name} of {self.metadata.topic}: {self.msg_type}>"
@@ -97,12 +100,12 @@ class TopicTable(RowTable):
         Args:
             fresh: Up to now.
         """
-        return None if self.heirs is None else self.heirs(self.name, fresh)
+        return self._heir(self.name, fresh)
 
     @property
     def places(self) -> RobotPlaces:
         """Where its keyspace's robots were."""
-        return self.robots()
+        return self._robots()
 
     @property
     def index_fields(self) -> dict[str, IndexField]:
@@ -251,32 +254,45 @@ class WholeTopic(List[TopicTable]):
 
 
 class TopicTables:
-    """The topic tables of a keyspace as objects, made once each. Thread-safe."""
+    """The topic tables of a keyspace as objects, made once each. Thread-safe.
+
+    Args:
+        robots: Returns where the keyspace's robots were.
+    """
 
     def __init__(
-        self, cassandra: Cassandra, schema: Schema, connections: ConnectionCache, runs: Runs
+        self,
+        cassandra: Cassandra,
+        schema: Schema,
+        connections: ConnectionCache,
+        runs: Runs,
+        robots: Callable[[], RobotPlaces],
     ) -> None:
         self._cassandra = cassandra
         self._schema = schema
-        self._known = connections, runs
+        self._connections = connections
+        self._runs = runs
+        self._robots = robots
         self._made: dict[str, TopicTable] = {}
         self._mutex = threading.Lock()
-        self.places: Optional[RobotPlaces] = None
-        """Set by who knows the topics of the keyspace."""
 
     def get(self, name: str, metadata: TopicMetadata) -> TopicTable:
         """Return the object of a table; its metadata follow the comment."""
         with self._mutex:
             table = self._made.get(name)
             if table is None:
-                where = self._cassandra, self._schema.keyspace
-                table = self._made[name] = TopicTable(*where, name, metadata, *self._known)
-                table.heirs, table.robots = self._heir, self._robots
+                table = self._made[name] = TopicTable(
+                    self._cassandra,
+                    self._schema.keyspace,
+                    name,
+                    metadata,
+                    self._connections,
+                    self._runs,
+                    self._heir,
+                    self._robots,
+                )
             table.metadata = metadata
             return table
-
-    def _robots(self) -> RobotPlaces:
-        return _unknown_robots() if self.places is None else self.places
 
     def by_name(self, name: str) -> Optional[TopicTable]:
         """Return a table by its name, or None where there is none of this name now."""
@@ -313,10 +329,6 @@ class TopicTables:
         heirs = (listing.heirs.get(table.name, table.name) for table in was)
         found = self._whole(topic, listing, [name for name in heirs if name in listing.visible])
         return found or was
-
-
-def _unknown_robots() -> RobotPlaces:
-    raise InvalidOption("of a table alone nobody knows where its robots were: ask a RosCassandra")
 
 
 def _digest(part: KeyPart, wire: bytes) -> tuple[Optional[bytes], bool]:

@@ -49,7 +49,7 @@ def index_places(
     since. Runs that go on, and imports that were interrupted and may be made again, are left out.
     """
     found: List[PlacesOfRun] = []
-    stored = StoredPlaces(catalog)
+    stored = catalog.stored_places
     ttls = [t.metadata.ttl for topic in _tell_poses(stored) for t in topic.tables]
     ttl = 0 if 0 in ttls else max(ttls, default=0)
     for each, state in _states(catalog, node, run):
@@ -90,7 +90,7 @@ class _Look:
     """Looks what is noted, and what would have to be."""
 
     def __init__(self, catalog: Catalog) -> None:
-        self._stored = StoredPlaces(catalog)
+        self._stored = catalog.stored_places
         self._topics = _tell_poses(self._stored)
         names = [table.name for topic in self._topics for table in topic.tables]
         self._noted: Dict[Tuple[str, int], List[Placed]] = {}

@@ -34,7 +34,7 @@ def _near(call: Call) -> Json:
     if not 1 <= limit <= MOST_STAYS:
         raise InvalidOption(f"limit is 1 to {MOST_STAYS}, not {limit}")
     frame, robot = call.text("frame") or "", call.text("robot") or ""
-    places = call.catalog.keyspace.places
+    places = call.catalog.places
     low, high = _ends(call)
     found: List[Json] = []
     nodes, writers = call.texts("nodes"), whose_chosen(call).writers
@@ -55,7 +55,7 @@ def _places(call: Call) -> Json:
     points = USUAL_POINTS if points is None else points
     if not 2 <= points <= MOST_POINTS:
         raise InvalidOption(f"points is 2 to {MOST_POINTS}, not {points}")
-    places = call.catalog.keyspace.places
+    places = call.catalog.places
     low, high = _ends(call)
     frame, robot = call.text("frame") or places.usual_frame(), call.text("robot") or ""
     tracks = find_tracks(
