@@ -40,6 +40,11 @@ class ConnectionFailed(CassandraRosError):
 
     refused = False
 
+    def __init__(self, text: str = "", refused: bool | None = None) -> None:
+        super().__init__(text)
+        if refused is not None:
+            self.refused = refused
+
 
 class LoginFailed(ConnectionFailed):
     """The cluster asks for a user name and password, and none was given or they are wrong."""
@@ -70,7 +75,9 @@ class AccessDenied(CassandraRosError):
         right: Its name in CQL, as SELECT or MODIFY; '' where the server does not tell it.
     """
 
-    right = ""
+    def __init__(self, text: str = "", right: str = "") -> None:
+        super().__init__(text)
+        self.right = right
 
 
 class StoreUnavailable(CassandraRosError):
@@ -78,10 +85,16 @@ class StoreUnavailable(CassandraRosError):
 
 
 class WriteFailed(CassandraRosError):
-    """Rows could not be stored; the text names the topic, the number and the cause."""
+    """Rows could not be stored; the text names the topic, the number and the cause.
 
-    first_ns = last_ns = 0
-    """When the first and the last of them came, ns; 0 = it is not known here."""
+    Attributes:
+        first_ns, last_ns: When the first and the last of them came, ns; 0 = it is not known here.
+    """
+
+    def __init__(self, text: str = "", first_ns: int = 0, last_ns: int = 0) -> None:
+        super().__init__(text)
+        self.first_ns = first_ns
+        self.last_ns = last_ns
 
 
 class KeyspaceNotFound(CassandraRosError):

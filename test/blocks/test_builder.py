@@ -224,9 +224,9 @@ def test_times_of_reception_are_kept():
 def test_who_writes_a_message_anew_gets_what_was_taken():
     told = []
     cutter = Cutter()
-    builder = cutter.builders.get(Table(), "", 1)
-    builder.key_time = lambda received, wire: received // 10
-    builder.again = lambda *message: told.append(message)
+    key_time = lambda received, wire: received // 10  # noqa: E731
+    again = lambda *message: told.append(message)  # noqa: E731
+    builder = cutter.builders.get(Table(), "", 1, key_time, again)
     sent = [(1020, 2, b"b"), (1010, 1, b"a"), (1030, 3, b"c")]
     for message in sent:
         assert builder.take(*message)

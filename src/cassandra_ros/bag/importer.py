@@ -320,9 +320,7 @@ def _write_parts(
     finally:
         for number, (messages, size) in counts.items():
             name = handles[number].topic
-            stats = writer.elsewhere.setdefault(name, WriteStats())
-            stats.stored += messages
-            stats.bytes += size
+            writer.elsewhere.setdefault(name, WriteStats()).store(messages, size)
     if {n: count for n, (count, _) in counts.items()} != {n: reader.counts[n] for n in handles}:
         # The index denies the times of some messages, by which they were divided.
         writer.elsewhere.clear()

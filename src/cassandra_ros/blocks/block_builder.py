@@ -24,7 +24,7 @@ from cassandra_ros.tables.block_limits import ALONE_BYTES, Limits
 from cassandra_ros.tables.checksum import crc32
 from cassandra_ros.tables.row_table import CHUNK_BYTES, RowTable
 
-Again = Callable[[int, int, bytes], object]
+MessageAgain = Callable[[int, int, bytes], object]
 """Writes a message again, given its receive time (ns), its ``_seq`` and its bytes."""
 KeyTime = Callable[[int, bytes], int]
 """Returns the key time (ns) for a receive time (ns) and a serialised message."""
@@ -50,7 +50,7 @@ class Block(NamedTuple):
     """Names of the fields with a NaN value."""
     odd: bool
     """Whether the zones of some field do not hold."""
-    again: Optional[Again] = None
+    again: Optional[MessageAgain] = None
 
     @property
     def t(self) -> int:
@@ -91,7 +91,7 @@ def make_block(
     seqs: Sequence[int],
     wires: Sequence[bytes],
     received: Optional[Sequence[int]] = None,
-    again: Optional[Again] = None,
+    again: Optional[MessageAgain] = None,
 ) -> Block:
     """Return the block of one or more messages, given in any order."""
     order = None if len(times) == 1 else _order(times, seqs)
@@ -126,12 +126,12 @@ class BlockBuilder:
         node: The robot or other source of the messages.
         conn: Number of the connection.
         builders: All builders of the writer.
+        key_time: Returns the key time of a message; None = it is the receive time.
+        again: Writes a message again after its table was dropped; None = not possible.
 
     Attributes:
         nbytes: Number of serialised bytes in the present block.
         since: Monotonic time at which the oldest message of the present block came, s.
-        key_time: Returns the key time of a message; None = it is the receive time.
-        again: Writes a message again after its table was dropped; None = not possible.
     """
 
     def __init__(
@@ -140,13 +140,15 @@ class BlockBuilder:
         node: str,
         conn: int,
         builders: Builders,
+        key_time: Optional[KeyTime] = None,
+        again: Optional[MessageAgain] = None,
     ) -> None:
         self.table, self.node, self.conn = table, node, conn
         self._all = builders
         self._span_ns, self._bucket_ns = table.metadata.span_ns, table.metadata.bucket_ns
         self._most, self._most_bytes = builders.limits
-        self.key_time: Optional[KeyTime] = None
-        self.again: Optional[Again] = None
+        self._key_time = key_time
+        self._again = again
         # Held while a block is packed and passed on, so that blocks leave in their order.
         self._lock = threading.RLock()
         self._clear()
@@ -168,7 +170,7 @@ class BlockBuilder:
             received: Receive time, ns.
             seq: Writer id << 32 | counter.
         """
-        key_time, size = self.key_time, len(wire)
+        key_time, size = self._key_time, len(wire)
         t = received if key_time is None else key_time(received, wire)
         with self._lock:
             nbytes = self.nbytes + size
@@ -200,7 +202,7 @@ class BlockBuilder:
         nbytes = np.cumsum(np.fromiter(map(len, wires), np.int64, len(wires)))
         alone = np.diff(nbytes, prepend=0).max(initial=0) > ALONE_BYTES
         times, numbers = received.tolist(), seqs.tolist()
-        if alone or self.key_time is not None:
+        if alone or self._key_time is not None:
             every = zip(times, numbers, wires)
             return next((n for n, each in enumerate(every) if not self.take(*each)), len(wires))
         at = 0
@@ -252,9 +254,9 @@ class BlockBuilder:
         with self._lock:
             if not self._times:
                 return
-            received = self._received if self.key_time is not None else None
+            received = self._received if self._key_time is not None else None
             block = make_block(
-                self.table, self.conn, self._times, self._seqs, self._wires, received, self.again
+                self.table, self.conn, self._times, self._seqs, self._wires, received, self._again
             )
             try:
                 self._all.put(self, block)
@@ -295,13 +297,20 @@ class Builders:
         self._known: WeakValueDictionary[tuple[str, str, int], BlockBuilder] = WeakValueDictionary()
         self._mutex = threading.Lock()
 
-    def get(self, table: RowTable, node: str, conn: int) -> BlockBuilder:
+    def get(
+        self,
+        table: RowTable,
+        node: str,
+        conn: int,
+        key_time: Optional[KeyTime] = None,
+        again: Optional[MessageAgain] = None,
+    ) -> BlockBuilder:
         """Return the builder for the messages of a connection."""
         key = (table.name, node, conn)
         with self._mutex:
             found = self._known.get(key)
             if found is None:
-                found = self._known[key] = BlockBuilder(table, node, conn, self)
+                found = self._known[key] = BlockBuilder(table, node, conn, self, key_time, again)
             return found
 
     def seal(self, older_than: float = math.inf) -> None:

@@ -157,7 +157,7 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     """
     ros_cas = _connect(options)
     # Found while it runs: one that has ended cannot be.
-    ros_cas.cassandra.outage.hint = partial(_trouble, _local_directories(options))
+    ros_cas.cassandra.outage.tell_reason(partial(_trouble, _local_directories(options)))
     _hurry_on_interrupt(ros_cas.cassandra.outage)
     if not make:
         try:

@@ -121,7 +121,9 @@ class Cassandra:
         self._login = login = read_login(host, port, cqlshrc, credentials, username, password)
         self.hosts, self.port = login.hosts, login.port
         self._where = f"{','.join(self.hosts)} port {self.port}"
-        self.outage = Outage(self._where)
+        self.outage = Outage(
+            self._where, self._nodes_now, lambda silent_sec: self._links.failed(silent_sec)
+        )
         self.schema_changes = SchemaChanges()
         self.consistency = _consistency_level(consistency)
         self._given = {
@@ -139,8 +141,6 @@ class Cassandra:
         self._connecting_until = 0.0
         places = [(host, self.port) for host in self.hosts]
         self._links = Links(self._make_link, self._adopt, places, self._where)
-        self.outage.failing = self._links.failed
-        self.outage.nodes = self._nodes_now
 
     def _make_link(self) -> Link:
         try:
@@ -218,11 +218,10 @@ class Cassandra:
             if refusal:
                 raise refusal from exc
             causes = "; ".join(sorted({str(error) for error in host_errors(exc).values()}))
-            failure = ConnectionFailed(
-                f"no Cassandra answers at {self._where} ({causes or 'no address'}); {START_HINT}"
-            )
-            failure.refused = not is_passing(exc)
-            raise failure from exc
+            raise ConnectionFailed(
+                f"no Cassandra answers at {self._where} ({causes or 'no address'}); {START_HINT}",
+                refused=not is_passing(exc),
+            ) from exc
         except (*DRIVER_ERRORS, OSError) as exc:
             cluster.shutdown()
             raise ConnectionFailed(f"cannot connect to Cassandra at {self._where}: {exc}") from exc

@@ -172,12 +172,11 @@ def _denied(exc: Unauthorized, what: str) -> AccessDenied:
     if not found:
         return AccessDenied(f"{what}: this user may not do that: {text}")
     user, right, place = found.groups()
-    denied = AccessDenied(
+    return AccessDenied(
         f"{what}: user {user} lacks the right {right} on {place}; have an owner grant it "
-        "('cassandra_bag roles' prints how), or log in as somebody else"
+        "('cassandra_bag roles' prints how), or log in as somebody else",
+        right=right,
     )
-    denied.right = right
-    return denied
 
 
 def cause_of(exc: BaseException, nodes: str = "") -> str:

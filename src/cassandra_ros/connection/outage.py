@@ -29,22 +29,23 @@ class Outage:
     Args:
         where: The hosts, as text for log lines.
 
-    Attributes:
-        waiting: Returns the text for log lines that says which messages wait for the store and
-            how long they are kept; '' = none. The object that keeps messages sets it.
-        hint: Returns a text for log lines with a known reason; '' = no reason is known.
         nodes: Returns a text that says which nodes of the cluster answer and which do not; '' if
             all or none do.
         failing: Called after each failure with the time since which no server has answered at
             all, not even with an error, s; must not block.
     """
 
-    def __init__(self, where: str) -> None:
+    def __init__(
+        self,
+        where: str,
+        nodes: Callable[[], str] = str,
+        failing: Callable[[float], object] = float,
+    ) -> None:
         self._where = where
-        self.waiting: Callable[[], str] = str
-        self.hint: Callable[[], str] = str
-        self.nodes: Callable[[], str] = str
-        self.failing: Callable[[float], object] = float
+        self.nodes = nodes
+        self._failing = failing
+        self._waiting: Callable[[], str] = str
+        self._hint: Callable[[], str] = str
         self._mutex = threading.Lock()
         self._failing_since: float | None = None
         """Monotonic time of the first failure since the last request that succeeded, s."""
@@ -57,6 +58,17 @@ class Outage:
         """Monotonic time at which hurry was called, s."""
         self._heard = 0.0
         """Monotonic time of the last answer since hurry was called, s."""
+
+    def tell_reason(self, hint: Callable[[], str]) -> None:
+        """Add to log lines the reason that ``hint`` returns; '' = no reason is known."""
+        self._hint = hint
+
+    def tell_waiting(self, waiting: Callable[[], str]) -> None:
+        """Add to log lines which messages wait for the store and how long they are kept.
+
+        ``waiting`` returns that as text; '' = no message waits.
+        """
+        self._waiting = waiting
 
     def hurry(self) -> None:
         """End each wait in which no answer comes for HURRY_SEC, because the program has to end.
@@ -91,7 +103,7 @@ class Outage:
             elif self._silent_since is None:
                 self._silent_since = now
             silent_sec = 0.0 if self._silent_since is None else now - self._silent_since
-        self.failing(silent_sec)
+        self._failing(silent_sec)
         self._tell(exc, trying_sec, now, away)
 
     def _tell(self, exc: BaseException, trying_sec: float, now: float, away: float) -> None:
@@ -111,7 +123,7 @@ class Outage:
         # An error that a server sent is an answer: the server cannot do what it is asked.
         does = "fails all requests" if is_answer(exc) else "has not answered"
         text = "the store at %s " + does + " since %s %s%s"
-        _log.warning(text, self._where, clock, cause, _rest(self.hint(), self.waiting()))
+        _log.warning(text, self._where, clock, cause, _rest(self._hint(), self._waiting()))
 
     def answered(self) -> None:
         """Note that a request was answered. Cheap while no request fails."""
@@ -125,7 +137,7 @@ class Outage:
         if since is not None and told is not None:
             away = time.monotonic() - since
             text = "the store at %s answers again after %.0f s%s"
-            _log.warning(text, self._where, away, _rest(self.waiting()))
+            _log.warning(text, self._where, away, _rest(self._waiting()))
 
 
 def _rest(*texts: str) -> str:

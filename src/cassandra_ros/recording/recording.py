@@ -144,7 +144,7 @@ class Recording:
     def _open(self) -> None:
         """Begin the run in the store; raises what the store raises."""
         self._writers.append(self._make_writer(self.writer_id))
-        self._store.result().keyspace.cassandra.outage.waiting = self._waiting_for_long
+        self._store.result().keyspace.cassandra.outage.tell_waiting(self._waiting_for_long)
 
     @property
     def opened(self) -> bool:

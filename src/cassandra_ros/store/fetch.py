@@ -96,7 +96,7 @@ def first_at(
         slot = slot_of(table.bucket_of(t))
         found = {node for _, node in directory.nodes(table.name, slot, slot)}
         others.extend((table, node) for node in sorted(found - table.known_nodes))
-        table.known_nodes |= found
+        table.known_nodes.update(found)
     return _best(others, t)
 
 

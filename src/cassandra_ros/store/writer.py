@@ -11,7 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Callable, Sequence, Union
 
-from cassandra_ros.blocks.block_builder import Block, BlockBuilder, Builders
+from cassandra_ros.blocks.block_builder import Block, BlockBuilder, Builders, KeyTime, MessageAgain
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.driver_errors import is_table_gone, translate
 from cassandra_ros.connection.flight import Flight, Outcome
@@ -47,6 +47,21 @@ class WriteStats:
     lost: int = 0
     reason: str = ""
     """Error text of the first loss; '' = no row was lost."""
+
+    def store(self, messages: int, nbytes: int) -> None:
+        """Count messages as stored."""
+        self.stored += messages
+        self.bytes += nbytes
+
+    def lose(self, messages: int, reason: str) -> None:
+        """Count messages as lost."""
+        self.lost += messages
+        self.reason = self.reason or reason
+
+    def add(self, other: WriteStats) -> None:
+        """Count what another writer, or the table of another part of the topic, counted."""
+        self.store(other.stored, other.bytes)
+        self.lose(other.lost, other.reason)
 
 
 class RowWriter:
@@ -157,10 +172,17 @@ class RowWriter:
                     break
         return at
 
-    def builder(self, table: RowTable, node: str, conn: int) -> BlockBuilder:
+    def builder(
+        self,
+        table: RowTable,
+        node: str,
+        conn: int,
+        key_time: KeyTime | None,
+        again: MessageAgain,
+    ) -> BlockBuilder:
         """Return the builder for the messages of a connection in a table of blocks."""
         self.stats.setdefault(table.name, WriteStats())
-        return self._builders.get(table, node, conn)
+        return self._builders.get(table, node, conn, key_time, again)
 
     def add_block(self, builder: BlockBuilder, block: Block) -> None:
         """Take a block; if that fails its messages are counted as lost."""
@@ -215,7 +237,7 @@ class RowWriter:
     def _open(self, table: RowTable, node: str, number: int) -> OpenBucket:
         self._check_taking(table)
         # The present indexes: a bucket that is opened before an index is made has no values for it.
-        table.metadata = self._schema.latest(table.name, table.metadata)
+        table.follow(self._schema.latest(table.name, table.metadata))
         shadows = table.shadows()
         found = self._directory.find(table.name, node, number)
         mine = [row.filled for row in found if row.writer == self._writer_id]
@@ -322,9 +344,7 @@ class RowWriter:
     def _count(self, table: RowTable, batch: Batch) -> None:
         # Called on the driver's thread, on those of retries, and on the caller's.
         with self._counting:
-            stats = self.stats[table.name]
-            stats.stored += len(batch.sizes)
-            stats.bytes += sum(batch.sizes)
+            self.stats[table.name].store(len(batch.sizes), sum(batch.sizes))
 
     def _failed(
         self,
@@ -365,14 +385,15 @@ class RowWriter:
     ) -> None:
         topic = table.metadata.topic
         why = translate(exc, "writing", self._cassandra.outage.nodes())
-        error = WriteFailed(f"{rows} messages of topic {topic} could not be stored: {why}")
+        known = times if times and not table.metadata.own_time else (0,)
+        error = WriteFailed(
+            f"{rows} messages of topic {topic} could not be stored: {why}",
+            first_ns=min(known),
+            last_ns=max(known),
+        )
         error.__cause__ = exc
-        if times and not table.metadata.own_time:
-            error.first_ns, error.last_ns = min(times), max(times)
         with self._counting:
-            stats = self.stats[table.name]
-            stats.lost += rows
-            stats.reason = stats.reason or str(error)
+            self.stats[table.name].lose(rows, str(error))
         if self._on_loss is not None:
             self._on_loss(topic, rows, error)
         elif self._error is None:

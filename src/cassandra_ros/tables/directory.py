@@ -213,9 +213,9 @@ class Directory:
 
     def patient(self, retry_sec: Seconds) -> Directory:
         """Return a copy for one writer, which retries each request for ``retry_sec``."""
-        directory, tables = copy(self), copy(self._tables)
-        tables.retry_sec = retry_sec
-        directory._tables, directory._noted = tables, {}
+        directory = copy(self)
+        directory._tables = self._tables.patient(retry_sec)
+        directory._noted = {}
         return directory
 
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:

@@ -178,6 +178,14 @@ class RowTable:
         self.has_chunks = False
         """Whether the chunk table is known to exist."""
 
+    def follow(self, metadata: TopicMetadata) -> None:
+        """Take over what the comment of the table says now."""
+        self.metadata = metadata
+
+    def note_chunks(self) -> None:
+        """Note that the chunk table exists."""
+        self.has_chunks = True
+
     def bucket_of(self, t_ns: int) -> int:
         """Return the bucket of a key time."""
         return t_ns // self.metadata.bucket_ns

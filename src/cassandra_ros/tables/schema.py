@@ -261,7 +261,7 @@ class Schema:
         if not table.has_chunks and not self._comments(chunk_table_name(table.name)):
             with self.lock() as lock:
                 self._make_chunk_table(table.name, table.metadata, lock)
-        table.has_chunks = True
+        table.note_chunks()
 
     def _make_chunk_table(self, table: str, metadata: TopicMetadata, lock: SchemaLock) -> None:
         if not self._comments(table):

@@ -15,6 +15,7 @@ import re
 import threading
 import time
 import uuid
+from copy import copy
 from typing import Mapping, Sequence
 
 from cassandra_ros.connection.cassandra import Cassandra, CqlRow
@@ -192,6 +193,12 @@ class SideTables:
         self._there: frozenset[str] = frozenset()
         self._keyspace_made = self._made = False
         self._mutex = threading.Lock()
+
+    def patient(self, retry_sec: Seconds) -> SideTables:
+        """Return these side tables for a client that tries a request for so long."""
+        patient = copy(self)
+        patient.retry_sec = retry_sec
+        return patient
 
     def has(self, name: str) -> bool:
         """Return whether a table exists; the server is asked each time until it does."""

@@ -105,10 +105,8 @@ class MessageWriter:
             expire as the topic was made.
         run: Description of the recording or import, kept in the store.
         on_loss: Called with (topic, messages, error) for what is lost; None: the writer raises.
+        given: The caller makes the handles; a table of theirs that is gone is an error.
     """
-
-    given = False
-    """The caller makes the handles; a table of theirs that is gone is an error."""
 
     def __init__(
         self,
@@ -124,12 +122,14 @@ class MessageWriter:
         ttl: Optional[int] = 0,
         run: Optional[Run] = None,
         on_loss: Optional[LossCallback] = None,
+        given: bool = False,
     ) -> None:
         if format is not None:
             format_class(format)
         keyspace.side_tables.make()
         self.writer_id, self._run, self._keyspace = writer_id, run, keyspace
         self._format, self._node, self._ttl, self._on_loss = format, node, ttl, on_loss
+        self._given = given
         self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
@@ -254,10 +254,10 @@ class MessageWriter:
         """Return the handle with what its table needs to take messages."""
         table = handle.table
         if table.packed:
-            blocks = self._rows.builder(table, handle.node, handle.conn)
+            key_time = table.key_time if table.metadata.own_time else None
+            again = partial(self._block_message_anew, handle)
+            blocks = self._rows.builder(table, handle.node, handle.conn, key_time, again)
             handle = replace(handle, blocks=blocks)
-            blocks.key_time = table.key_time if table.metadata.own_time else None
-            blocks.again = partial(self._write_anew, handle)
         with self._mutex:
             self._topics[table.name] = handle.topic
         return handle
@@ -265,7 +265,7 @@ class MessageWriter:
     def current(self, handle: Handle) -> Handle:
         """Return the handle, or another one where its table was dropped: the topic goes on anew."""
         while handle.table.name in self._rows.gone:
-            if self.given:
+            if self._given:
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
             key = (handle.connection, handle.asked, handle.node)
             with self._mutex:
@@ -334,9 +334,7 @@ class MessageWriter:
             if self._on_loss is None:
                 raise
             with self._mutex:
-                stats = self._refused.setdefault(handle.table.name, WriteStats())
-                stats.lost += 1
-                stats.reason = stats.reason or str(exc)
+                self._refused.setdefault(handle.table.name, WriteStats()).lose(1, str(exc))
             self._on_loss(handle.topic, 1, exc)
             return None
 
@@ -366,6 +364,9 @@ class MessageWriter:
             if taken < end:
                 break
         return taken
+
+    def _block_message_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
+        self._write_anew(self.ready(handle), t_ns, seq, wire)
 
     def _row_anew(self, handle: Handle, row: NewRow) -> None:
         self._write_anew(handle, row.t, row.seq, row.wire)
@@ -411,11 +412,7 @@ class MessageWriter:
             ]
             topics = dict(self._topics)
         for name, part in parts:
-            total = found.setdefault(topics.get(name, name), WriteStats())
-            total.stored += part.stored
-            total.bytes += part.bytes
-            total.lost += part.lost
-            total.reason = total.reason or part.reason
+            found.setdefault(topics.get(name, name), WriteStats()).add(part)
         return found
 
     def hurry(self, seconds: float) -> None:

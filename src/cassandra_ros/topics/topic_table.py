@@ -291,7 +291,7 @@ class TopicTables:
                     self._heir,
                     self._robots,
                 )
-            table.metadata = metadata
+            table.follow(metadata)
             return table
 
     def by_name(self, name: str) -> Optional[TopicTable]:

@@ -168,9 +168,7 @@ class Copy:
             raise failed
 
     def _open(self, writer_id: int) -> MessageWriter:
-        writer = MessageWriter(self._space, writer_id, ttl=None, limits=self._limits)
-        writer.given = True
-        return writer
+        return MessageWriter(self._space, writer_id, ttl=None, limits=self._limits, given=True)
 
     def _handle(self, row: StoredRow) -> Handle:
         return Handle(row.connection, self._new, row.conn, row.node, None)
