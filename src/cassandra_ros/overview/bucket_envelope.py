@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The envelope of a statement's columns in one part of a bucket.
 
-Of blocks of format ``packed`` their bounds are enough, where a whole block lies in one pixel and
-the condition is of KEY, NODE and RUN alone; those that lie across the edge of a pixel are unpacked,
-later. Anything else is read and made into arrays.
+For blocks of format ``packed`` the zones are enough, if a whole block is in one pixel and the
+condition contains only KEY, NODE and RUN. Blocks across the edge of a pixel are unpacked later. All
+other messages are read and made into arrays.
 """
 
 from __future__ import annotations
@@ -41,33 +41,33 @@ from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 EDGES_AT_ONCE = 64
-"""Blocks that are unpacked before it is looked whether there is time for more."""
+"""Number of blocks unpacked between two checks of the deadline."""
 MOST_MESSAGES = 100_000
-"""So many are made into arrays at once."""
+"""Number of messages that are made into arrays together."""
 _NOTHING = ArrayType("mixed")
-"""In place of a column that a table lacks."""
+"""Type in place of a column that a table lacks."""
 Coming = Optional[Tuple[BucketRead, Asked]]
-"""Bounds that were asked for; None where messages have to be read."""
+"""A read of zones that was sent; None = messages have to be read."""
 
 
 class Piece(NamedTuple):
-    """A part of a bucket."""
+    """A part of a bucket that is read at once."""
 
     table: TopicTable
     node: str
     bucket: int
     low: int
     high: int
-    """The last time that is read of it, ns."""
+    """Last time of the part, included, ns."""
 
 
 class Part:
-    """What is known of a piece.
+    """The envelope of a piece as far as it was read.
 
     Attributes:
-        sure: What its messages have.
-        edges: Blocks that are still to be unpacked.
-        around: Each pixel of those with all that may lie in it.
+        sure: Envelope of the messages in pixels that are exact.
+        edges: Blocks that have still to be unpacked.
+        around: For the pixels of these blocks the values that they may contain.
     """
 
     def __init__(self, grid: Grid, columns: int) -> None:
@@ -77,35 +77,35 @@ class Part:
 
     @property
     def nbytes(self) -> int:
-        """About what it takes of the memory."""
+        """Approximate size in memory, bytes."""
         return self.sure.nbytes + self.around.nbytes + 512 * len(self.edges)
 
 
 class _Zoned(NamedTuple):
-    """How the bounds of the columns are read of the blocks of a table."""
+    """Zone columns of a table, and how to read them."""
 
     names: Tuple[str, ...]
-    """Of the zone columns: two for each column that the table has."""
+    """Names of the zone columns: two for each column that the table has."""
     converts: Tuple[Optional[Tuple[Convert, ArrayType]], ...]
-    """For each column; None: the table lacks it."""
+    """Conversion for each column; None = the table lacks the column."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is drawn of a topic: some columns of the messages that satisfy a condition."""
+    """The columns of a topic's messages that are drawn, and the condition for the messages."""
 
     select: Select
-    """The statement; of it the condition counts."""
+    """The statement; only its condition counts."""
     bounds: Bounds
-    """Of its condition, and of whom was asked for besides."""
+    """Range, node and writers of the condition, narrowed by those of the request."""
     columns: Tuple[Column, ...]
-    """None is an aggregate."""
+    """The columns; none of them is an aggregate."""
     key: str
-    """Tells it from all else that is asked of the topic."""
+    """Text that identifies this request among all requests for the topic."""
 
     @property
     def selected(self) -> Select:
-        """The statement that gives KEY and the columns, which are called by their numbers."""
+        """The statement that selects KEY and the columns, which are named by their numbers."""
         chosen = [Selected(column.what, str(n)) for n, column in enumerate(self.columns)]
         key = Selected(KeyOperand(0))
         plain = replace(self.select, order=(), hidden=(), limit=None, descending=False)
@@ -116,8 +116,8 @@ class PieceReader:
     """Reads pieces of the buckets of a topic.
 
     Args:
-        keyspace: In which the topic lies.
-        wanted: What is read.
+        keyspace: Keyspace of the topic.
+        wanted: Columns and condition to read.
         watch: See Watch.
     """
 
@@ -129,7 +129,7 @@ class PieceReader:
         self._zoned: dict[str, Optional[_Zoned]] = {}
 
     def ask(self, piece: Piece) -> Coming:
-        """Ask for the bounds of a piece's blocks, where they are enough."""
+        """Request the zones of a piece's blocks, if they are enough."""
         name = piece.table.name
         if name not in self._zoned:
             self._zoned[name] = self._zones(piece.table)
@@ -140,7 +140,7 @@ class PieceReader:
         return blocks, ask_bounds(blocks, zoned.names)
 
     def read(self, piece: Piece, shift: int, coming: Coming) -> Part:
-        """Read a piece, in pixels of 2 ** shift ns; coming: what ask gave for it."""
+        """Read a piece in pixels of 2 ** shift ns; coming: result of ``ask`` for the piece."""
         part = Part(Grid.over(piece.low, piece.high, shift), self._count)
         if coming is None:
             self._add_messages(piece, part.sure)
@@ -149,7 +149,7 @@ class PieceReader:
         return part
 
     def refined(self, piece: Piece, part: Part) -> Part:
-        """Return what is known of a piece when some more of its edges are unpacked."""
+        """Return the envelope of a piece after some more of its edges were unpacked."""
         found = Part(part.sure.grid, self._count)
         found.sure.merge(part.sure)
         now, found.edges = part.edges[:EDGES_AT_ONCE], part.edges[EDGES_AT_ONCE:]
@@ -169,7 +169,7 @@ class PieceReader:
     # ---------------------------------------------------------------- bounds
 
     def _zones(self, table: TopicTable) -> Optional[_Zoned]:
-        """Return how the bounds of all columns are read; None where messages are needed."""
+        """Return how the zones of all columns are read; None if messages have to be read."""
         known = table.zone_map
         if known is None or not self._wanted.bounds.whole:
             return None
@@ -191,7 +191,7 @@ class PieceReader:
         return _Zoned(tuple(names), tuple(converts))
 
     def _add_bounds(self, piece: Piece, part: Part, blocks: Sequence[Bounded]) -> None:
-        """Add blocks that lie in one pixel, and note those that have to be unpacked."""
+        """Add blocks that are in one pixel, and note those that have to be unpacked."""
         zoned = self._zoned[piece.table.name]
         if zoned is None or not blocks:
             return
@@ -209,7 +209,7 @@ class PieceReader:
     def _numbers(
         self, zoned: _Zoned, values: Sequence[Sequence[Optional[bytes]]]
     ) -> Tuple[AnyArray, AnyArray]:
-        """Return the least and the greatest number of each column: (columns, blocks) each."""
+        """Return the minimum and the maximum of each column: (columns, blocks) each."""
         raws = iter(list(zip(*values)))
         low, high = (np.full((self._count, len(values)), np.nan) for _ in range(2))
         for n, convert in enumerate(zoned.converts):
@@ -225,7 +225,7 @@ class PieceReader:
         return TableValues(self._select, table, Findings(self._select.text))
 
     def _add_messages(self, piece: Piece, envelope: Envelope) -> None:
-        """Read messages, and make arrays of some at a time."""
+        """Read the messages of a piece, and make arrays of a limited number at a time."""
         values, count = self._values(piece.table), 0
         for taken in self._taken(piece, values):
             self._watch()
@@ -236,7 +236,7 @@ class PieceReader:
         _drain(values, envelope)
 
     def _taken(self, piece: Piece, values: TableValues) -> Iterator[int]:
-        """Give messages to those who make arrays of them; yield each time how many."""
+        """Pass messages to the makers of arrays; yield how many, each time."""
         time_range = TimeRange(piece.low, piece.high)
         whose = Whose((piece.node,), self._wanted.bounds.writers)
         if self._wanted.bounds.whole and values.takes_blocks:
@@ -255,7 +255,7 @@ class PieceReader:
     def _matching(
         self, table: TopicTable, time_range: TimeRange, whose: Whose, needed: Sequence[str]
     ) -> Iterator[StoredRow]:
-        """Read the messages that satisfy the condition."""
+        """Yield the messages that satisfy the condition."""
         if self._wanted.bounds.whole:
             return self._rows.read([table], time_range, whose=whose, columns=lambda _: needed)
         chooser = Pushdown(self._select.condition, watch=self._watch)
@@ -270,13 +270,13 @@ class PieceReader:
 
 
 def _check_table(table: Table, piece: Piece) -> None:
-    """Refuse messages of a table that has taken the place of the one that is read."""
+    """Raise TopicNotFound for messages of a table that has replaced the one to be read."""
     if table.name != piece.table.name:
         raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
 
 
 def _plain_field(column: Column, table: TopicTable) -> Optional[FieldRef]:
-    """Return the field that a column shows as it is; None where that is more, or less, than one."""
+    """Return the field that a column shows unchanged; None if it shows something else."""
     if not isinstance(column.what, Path) or table.definition is None:
         return None
     try:
@@ -287,7 +287,7 @@ def _plain_field(column: Column, table: TopicTable) -> Optional[FieldRef]:
 
 
 def _drain(values: TableValues, envelope: Envelope) -> None:
-    """Move what was gathered into an envelope."""
+    """Move the gathered values into an envelope."""
     values.flush()
     (key_name, key), *kinds = (next(iter(group), ("", _NOTHING)) for group in values.groups)
     times = values.take(key_name, key).values

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a window of messages holds, as a short text: another one as soon as it holds others."""
+"""A short text for the messages in a time range, which changes whenever the messages do."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ def content_version(
     whose: Whose,
     before: Sequence[StoredRow] = (),
 ) -> str:
-    """Return a text that changes whenever the messages of a window do.
+    """Return a text that changes whenever the messages in a time range do.
 
-    It is of the directory: what takes time are buckets that are being written, and those of topics
-    with a time to live, whose messages are counted. It may change where other messages of the same
-    buckets do, or the format of a topic.
+    It is computed from the directory. Only buckets that are being written, and those of topics with
+    a time to live, take time: their messages are counted. The text may also change if other
+    messages
+    of the same buckets do, or the format of a topic.
 
     Args:
-        tables: Of the topics that are read.
-        stretch: Times of reception, ns, both ends included.
-        whose: Whose messages are meant.
-        before: Messages from before the window that belong to it, as latched ones.
+        tables: Tables of the topics to read.
+        time_range: Receive times, ns, both included.
+        whose: Robots and runs whose messages count.
+        before: Messages from before the range that belong to it, such as latched ones.
 
     Returns:
         64 hexadecimal digits.
@@ -65,7 +66,7 @@ def _bucket_facts(
 ) -> Iterator[str]:
     ends = table.bucket_of(time_range.low), table.bucket_of(time_range.high)
     if table.metadata.own_time:
-        ends = _ALL_BUCKETS  # where its rows lie does not say when they were received
+        ends = _ALL_BUCKETS  # the buckets of its rows say nothing about the receive times
     rows = buckets_of(directory, table, whose, ends)
     moving = set()
     for row in rows:

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The envelope of a statement's columns over many buckets: as much as there is time for.
+"""The envelope of a statement's columns over many buckets, as many as there is time for.
 
-Buckets are taken in an order that spreads over the whole time from the first one on, so that what
-is found soon shows all of it, if thinly. What was found of a bucket that is closed is kept.
+Buckets are read in an order that is spread over the whole time from the beginning, so early results
+show all of it, with few values. The envelopes of closed buckets are cached.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 
 TILE_PIXELS = 1024
-"""A longer bucket is read in such pieces: who looks closely needs little of it."""
+"""Number of pixels of one piece. A longer bucket is read in such pieces, because a close view needs
+only a small part of it."""
 AHEAD = 8
-"""Pieces whose bounds are asked for at once."""
+"""Number of pieces whose zones are requested at the same time."""
 CACHE_BYTES = 64 * 1024 * 1024
 
 
 class EnvelopeCache:
-    """What is known of pieces of closed buckets that somebody looked at.
+    """Envelopes of pieces of closed buckets that were read before. Thread-safe.
 
-    Safe between threads; what nobody asked for the longest goes first.
+    If it is full, the parts that have not been used for the longest time are dropped.
 
     Args:
-        most_bytes: What it takes of the memory, about.
+        most_bytes: Maximum size in memory, approximate bytes.
     """
 
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
@@ -46,7 +47,7 @@ class EnvelopeCache:
         self._lock = threading.Lock()
 
     def get(self, key: object) -> Optional[Part]:
-        """Return a part, which nobody changes; None where it is not known."""
+        """Return a part, which must not be changed; None if it is not in the cache."""
         with self._lock:
             found = self._parts.get(key)
             if found is None:
@@ -55,7 +56,7 @@ class EnvelopeCache:
             return found[0]
 
     def put(self, key: object, part: Part) -> None:
-        """Keep a part."""
+        """Add a part."""
         with self._lock:
             known = self._parts.pop(key, None)
             self._bytes -= known[1] if known else 0
@@ -66,34 +67,35 @@ class EnvelopeCache:
 
 
 class _Listed(NamedTuple):
-    """A piece, and what the directory says of it."""
+    """A piece, and its entries in the directory."""
 
     piece: Piece
     rows: float
-    """How many messages it has, about."""
+    """Approximate number of messages in the piece."""
     state: Optional[Tuple[object, ...]]
-    """What its writers say; None while one writes, or it is unknown what was deleted."""
+    """Counts of its writers in the directory; None while a robot writes, or after a deletion."""
 
 
 class Envelopes(NamedTuple):
-    """What was found."""
+    """Result of EnvelopeReader."""
 
     envelope: Envelope
     share: float
-    """How much of what there is to read was read: 1.0 = all."""
+    """Share of the messages that was read, 0 to 1; 1.0 = all."""
     edges: int
-    """Blocks across the edges of pixels of which only their bounds were read: these pixels may
-    seem to hold more than they do."""
+    """Number of blocks across the edges of pixels of which only the zones were read. Their pixels
+    may
+    show larger ranges of values than they have."""
 
 
 class EnvelopeReader:
     """Reads the envelopes of columns of a topic.
 
     Args:
-        keyspace: In which it lies.
-        tables: Its tables; no message lies under a name.
-        wanted: What is read.
-        cache: None = nothing is kept.
+        keyspace: Keyspace of the topic.
+        tables: Tables of the topic, none of them with names as keys.
+        wanted: Columns and condition to read.
+        cache: Cache to use; None = nothing is cached.
         watch: See Watch.
     """
 
@@ -116,8 +118,9 @@ class EnvelopeReader:
         """Read the envelope of the messages in a grid.
 
         Args:
-            seconds: Stop about then with what is known; at least something more is read each time.
-                Buckets that are still written to come last, all of them. None = read all.
+            seconds: Time limit, s; then the result so far is returned. Each call reads at least one
+                more piece. Buckets that are being written are read last, all together. None = read
+                everything.
         """
         ends = None if seconds is None else time.monotonic() + seconds
         listed = list(self._listed(grid))
@@ -135,7 +138,7 @@ class EnvelopeReader:
                 parts[n], fresh = self._refined(listed[n], grid, parts[n]), True
         done = len(parts) == len(listed) - len(left) + len(kept)
         if done and not (fresh and _is_over(ends) and any(p.edges for p in parts.values())):
-            # Nothing of these is known the next time: who began with them would never end.
+            # These pieces are not cached: a read that began with them would never get further.
             parts.update(self._at_once(listed, [n for n in left if n not in parts], grid))
         return self._joined(grid, listed, parts)
 
@@ -158,10 +161,10 @@ class EnvelopeReader:
     def _tiles(
         self, table: TopicTable, node: str, bucket: int, writers: Sequence[BucketRow], grid: Grid
     ) -> Iterator[_Listed]:
-        """Yield a bucket, or the pieces of a long one that reach into the grid.
+        """Yield a bucket, or the pieces of a long one that meet the grid.
 
-        A piece is no shorter for that only a part of it lies in the grid: who looks a little aside
-        needs all of it.
+        A piece is not cut at the ends of the grid, because a view moved a little needs the whole
+        piece.
         """
         length, tile = table.metadata.bucket_ns, TILE_PIXELS << grid.shift
         begin, end = bucket * length, (bucket + 1) * length - 1
@@ -185,7 +188,7 @@ class EnvelopeReader:
         return self._asked, grid.shift, where
 
     def _keeps(self, listed: _Listed) -> bool:
-        """Say whether what is read of a piece is known the next time."""
+        """Return whether the envelope of a piece is cached for the next time."""
         return self._cache is not None and listed.state is not None
 
     def _known(self, listed: _Listed, grid: Grid) -> Optional[Part]:
@@ -202,7 +205,7 @@ class EnvelopeReader:
     def _new(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
     ) -> Iterator[Tuple[int, Part]]:
-        """Read pieces that are not known; the bounds of some are asked for ahead."""
+        """Read pieces that are not in the cache; the zones of some are requested ahead."""
         coming: Deque[Tuple[int, Coming]] = deque()
         left = iter(places)
         while True:
@@ -226,7 +229,7 @@ class EnvelopeReader:
     def _at_once(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
     ) -> Iterator[Tuple[int, Part]]:
-        """Read pieces whole, however long it takes."""
+        """Read pieces in full, without a time limit."""
         for n, part in self._new(listed, places, grid):
             while part.edges:
                 part = self._refined(listed[n], grid, part)
@@ -250,7 +253,7 @@ def _place(row: BucketRow) -> Tuple[str, int]:
 
 
 def _reaches(row: BucketRow, low: int, high: int) -> bool:
-    """Say whether a writer may have messages of a time in a bucket."""
+    """Return whether a writer may have messages of a time range in a bucket."""
     return not row.closed or bool(row.rows and row.t_min <= high and row.t_max >= low)
 
 
@@ -259,6 +262,6 @@ def _is_over(ends: Optional[float]) -> bool:
 
 
 def spread(count: int) -> Sequence[int]:
-    """Return the numbers below count so that the first of them, however many, lie far apart."""
+    """Return the numbers below count in an order in which the first few are far apart."""
     bits = max(1, (count - 1).bit_length())
     return sorted(range(count), key=lambda n: int(f"{n:0{bits}b}"[::-1], 2))

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Latched messages: what a subscriber of a past time would have been sent first.
+"""Latched messages: those that a subscriber at a past time would have received first.
 
-A connection is latched where its header says ``latching=1``. A late subscriber of such a topic is
-given the last message of each publisher, so whoever plays or exports a window needs those from
-before it, of the runs that the window shows.
+A connection is latched if its header says ``latching=1``. A late subscriber of such a topic gets
+the
+last message of each publisher. So a time range that is played or exported needs these messages from
+before the range, of the runs that have messages in the range.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ Source = Tuple[str, int]
 Publisher = Tuple[Source, int]
 """A run, and the number of one of its connections in a table."""
 Tests = Dict[str, Callable[[StoredRow], bool]]
-"""Topic -> whether a message of it is wanted; topics that are not in it are wanted whole."""
+"""Topic → test whether a message is wanted; of topics that are not in it all messages are."""
 
 
 def latched_before(
@@ -59,19 +60,19 @@ def latched_before(
 ) -> List[StoredRow]:
     """Find the last latched message before a time of each publisher of some topics.
 
-    They are taken only from the runs (recordings, imports) that have messages of any topic in the
-    window that begins at t. Rows of topics that nobody latches are not read.
+    Only runs (recordings, imports) that have messages of any topic in the time range that begins at
+    t are searched. Rows of topics without latched connections are not read.
 
     Args:
-        t: Time of reception at which the window begins, ns; a message at t itself is in it.
-        topics: Names; None = all.
-        to: Where the window ends, included, ns; None = open.
-        nodeID: Only messages of this node; None = of all.
-        run: Only messages of this run, by name or writer id; None = of all.
-        where: Topic -> condition: of these topics the last message that satisfies it.
+        t: Receive time at which the range begins, ns; a message at t itself is in the range.
+        topics: Names of topics; None = all.
+        to: Last receive time of the range, ns; None = open.
+        nodeID: nodeID whose messages are searched; None = all.
+        run: Run whose messages are searched, by name or writer id; None = all.
+        where: Topic → condition that the last message of the topic must satisfy.
 
     Returns:
-        The rows in the order of their reception; their messages are fetched when asked for.
+        The rows in order of their receive times; their messages are fetched when accessed.
 
     Raises:
         TopicNotFound, RunNotFound: One of the topics, or the run, is not stored.
@@ -94,14 +95,14 @@ def tests_of(catalog: Catalog, where: Conditions, node: Optional[str]) -> Tests:
 
 
 class LatchedFinder:
-    """Finds latched messages of some tables; what it knows of their connections it keeps.
+    """Finds latched messages of some tables; caches which of their connections are latched.
 
     Args:
-        keyspace: Where they lie.
-        tables: The tables of the topics that are asked for.
-        nodes: Only messages of these nodeIDs; None = of all.
-        writers: Only messages of these writer ids; None = of all.
-        tests: Topic -> whether a message is wanted.
+        keyspace: Keyspace of the tables.
+        tables: Tables of the requested topics.
+        nodes: nodeIDs whose messages are searched; None = all.
+        writers: Writer ids whose messages are searched; None = all.
+        tests: Topic → test whether a message is wanted.
     """
 
     def __init__(
@@ -120,7 +121,7 @@ class LatchedFinder:
 
     @cached_property
     def _latched(self) -> Dict[str, FrozenSet[int]]:
-        """Table -> numbers of its latched connections."""
+        """Table → numbers of its latched connections."""
         found: Dict[str, set[int]] = {}
         names = {table.name for table in self._tables}
         for table, conn, connection in self._keyspace.connections.of_tables(names):
@@ -130,32 +131,32 @@ class LatchedFinder:
 
     @property
     def latches(self) -> bool:
-        """Whether somebody latched a message of the tables."""
+        """Whether the tables have a latched connection."""
         return bool(self._latched)
 
     def is_latched(self, row: StoredRow) -> bool:
-        """Say whether a message came over a latched connection."""
+        """Return whether a message came over a latched connection."""
         if row.table.name in {table.name for table in self._tables}:
             return row.conn in self._latched.get(row.table.name, ())
-        return is_latched(row.connection)  # its table has replaced one of them
+        return is_latched(row.connection)  # the row's table has replaced one of them
 
     def before(self, t: int, to: int = LAST_NS) -> List[StoredRow]:
-        """Find the last latched message before t of each publisher; see latched_before."""
+        """Return the last latched message before t of each publisher; see latched_before."""
         return self.of_sources(self.sources(t, to), t) if self.latches and t > 0 else []
 
     def of_sources(self, sources: FrozenSet[Source], t: int, since: int = 0) -> List[StoredRow]:
-        """Find the last latched message in [since, t) of each publisher of some runs."""
+        """Return the last latched message in [since, t) of each publisher of some runs."""
         tables = [table for table in self._tables if table.name in self._latched]
         found = [row for table in tables for row in self._last(table, t, since, sources)]
         return sorted(found, key=lambda row: row.arrival)
 
     def sources(self, t: int, to: int) -> FrozenSet[Source]:
-        """List the runs that have messages in [t, to], of whatever topic."""
+        """Return the runs that have messages of any topic in [t, to]."""
         found: set[Source] = set()
-        # What is asked for alone may be a topic that was sent once, long before the window.
+        # Over all topics: the requested topic may have been sent once, long before the range.
         for name, metadata in sorted(self._keyspace.schema.tables().items()):
             if metadata.named or metadata.own_time:
-                continue  # their rows do not lie by the time of reception
+                continue  # their rows are not ordered by receive time
             length = metadata.bucket_ns
             listed = self._keyspace.directory.buckets(
                 name, t // length, to // length, self._nodes, metadata.ttl
@@ -169,7 +170,7 @@ class LatchedFinder:
     def _counted(
         self, name: str, metadata: TopicMetadata, rows: Sequence[BucketRow]
     ) -> List[BucketRow]:
-        """Count what a recorder that was killed left open; one that lives has its bucket still."""
+        """Count the open buckets that a killed recorder left; living ones stay open."""
         left = [row for row in rows if not row.closed and row.age_sec > STALE_SEC]
         if not left:
             return list(rows)
@@ -188,8 +189,8 @@ class LatchedFinder:
     def _last_by_time(
         self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
     ) -> Iterator[StoredRow]:
-        """Read keys backwards, until every latched connection of every run is found."""
-        # Only of buckets that a run of the window wrote into.
+        """Yield rows from newest to oldest until each latched connection of each run has one."""
+        # Only buckets that a run of the range has written to.
         length, conns = table.metadata.bucket_ns, self._latched[table.name]
         robots = tuple({node for node, _ in sources})
         buckets = self._keyspace.directory.buckets(
@@ -212,12 +213,12 @@ class LatchedFinder:
     def _last_of_all(
         self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
     ) -> Iterator[StoredRow]:
-        """Look through the keys of a topic whose key is not the time of reception."""
+        """Search all rows of a topic whose key is not the receive time."""
         last: Dict[Publisher, StoredRow] = {}
         conns, every = self._latched[table.name], TimeRange()
         for row in self._rows(table, every, Whose(self._nodes, self._writers)):
             source, conn = publisher = publisher_of(row)
-            # Equal messages of key format hash have one row, which names no writer.
+            # Equal messages of key format hash are one row, which has no writer.
             if not since <= row.received < t or conn not in conns:
                 continue
             if source[1] and source not in sources:
@@ -235,7 +236,7 @@ class LatchedFinder:
         reverse: bool = False,
         wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
-        # Of most rows the keys are enough; a condition looks into the messages.
+        # The keys of rows are enough, unless there is a condition for the messages.
         columns = None if table.metadata.topic in self._tests else lambda table: ()
         read = partial(self._keyspace.rows.read, [table], time_range, whose=whose, columns=columns)
         return read(reverse=reverse, wanted=wanted)
@@ -246,12 +247,12 @@ class LatchedFinder:
 
 
 def publisher_of(row: StoredRow) -> Publisher:
-    """Return who sent a message: its run, and the number of its connection in the table."""
+    """Return the publisher of a message: its run, and the number of its connection in the table."""
     return (row.node, split_seq(row.seq)[0]), row.conn
 
 
 def is_latched(connection: Connection) -> bool:
-    """Say whether a connection's header has latching=1; one that is no header has not."""
+    """Return whether a connection's header has latching=1; False if the header is damaged."""
     try:
         return connection.latching
     except CorruptMessage as exc:

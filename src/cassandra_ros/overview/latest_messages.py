@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What was sent last: all that somebody has to be shown who begins to look at a moment."""
+"""The last messages before a moment: everything that a view of this moment has to show."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 TRANSFORMS = frozenset({"tf2_msgs/TFMessage", "tf/tfMessage"})
-"""Types whose single message tells of some frames only."""
+"""Types with a single message that holds only some of the frames."""
 TRANSFORMS_NS = SECOND_NS
-"""So far back lies, of whoever publishes one steadily, a transform of each frame."""
+"""How far back to look for transforms, ns. A node that publishes /tf steadily sends every frame at
+least once in this time."""
 AROUND_NS = 60 * SECOND_NS
-"""Whose messages lie so near to the moment, they are the runs whose latched messages hold then."""
+"""Maximum distance between the moment and messages of a run whose latched messages hold then,
+ns."""
 
 
 class Latest:
-    """Finds the last messages of some topics before a moment; keeps what it knows of latched ones.
+    """Finds the last messages of some topics before a moment; caches the latched connections.
 
     Args:
-        keyspace: Where they lie.
-        tables: Their tables. Of those with key format hash, whose messages have no place in time,
-            nothing is found.
-        whose: Whose messages. What is kept under names, as a map is, is no part of a recording: of
-            that all runs count, and what nobody's nodeID is said of.
+        keyspace: Keyspace of the tables.
+        tables: Tables of the topics. Tables of key format hash, whose messages have no time, are
+            ignored.
+        whose: Robots and runs whose messages count. Messages with names, such as maps, are not part
+            of a recording: they count for every run, and also those without a nodeID count.
     """
 
     def __init__(
@@ -45,15 +47,16 @@ class Latest:
         self._latched = LatchedFinder(keyspace, timed, whose.nodes, whose.writers)
 
     def before(self, t: int, since: int = 0) -> List[StoredRow]:
-        """Find what was sent last on each topic, in the order of time.
+        """Return the last messages of each topic, in order of time.
 
-        That is the last message; of transforms those of the last second; of what is latched the
-        last of each publisher, whenever it was sent; of what is kept under names each name's
-        newest, or the first where all were stored later.
+        They are: the last message; for transforms all messages of the last second; for latched
+        topics
+        the last message of each publisher, however old; for topics with names the newest message of
+        each name, or its first one if all were stored later.
 
         Args:
             t: The moment, ns; a message at t itself counts.
-            since: What is not latched counts from here on, ns.
+            since: Minimum time of messages that are not latched, ns.
         """
         found: Dict[Tuple[object, ...], StoredRow] = {}
         for rows in (self._last(t, since), self._latched_before(t, since)):
@@ -98,6 +101,6 @@ class Latest:
         finder = self._latched
         if not finder.latches:
             return []
-        # In a gap the runs of what came before it.
+        # If there are no runs around t, those before it.
         runs = finder.sources(max(0, t - AROUND_NS), t + AROUND_NS) or finder.sources(since, t)
         return finder.of_sources(runs, t + 1)

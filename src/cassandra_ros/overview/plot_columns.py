@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which columns of a statement can be drawn over time: its numbers, one a message."""
+"""Columns of a statement that can be drawn over time: one number per message."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cassandra_ros.query.tree.syntax import (
 from cassandra_ros.query.tree.units import SECONDS, unit_of
 
 MAX_COLUMNS = 24
-"""So many lines are drawn of a statement."""
+"""Maximum number of lines drawn for one statement."""
 
 
 class Column(NamedTuple):
@@ -36,29 +36,29 @@ class Column(NamedTuple):
 
     name: str
     unit: str
-    """'' = none is known."""
+    """Unit of its values; '' = unknown."""
     what: Union[Term, Aggregate]
 
 
 class Undrawn(NamedTuple):
-    """A column that is not drawn."""
+    """A column that is not drawn, and the reason."""
 
     name: str
     reason: str
 
 
 class Drawn(NamedTuple):
-    """The columns of a statement."""
+    """The columns of a statement, divided into those that are drawn and those that are not."""
 
     columns: Tuple[Column, ...]
     left_out: Tuple[Undrawn, ...]
 
 
 def drawn_columns(select: Select, tables: Sequence[Table]) -> Drawn:
-    """Divide the columns that a statement shows, but for KEY: those that are numbers, and others.
+    """Divide the columns of a statement, without KEY, into those that can be drawn and others.
 
     Raises:
-        InvalidQuery: The statement names what the topic has not.
+        InvalidQuery: The statement names a field that the topic does not have.
     """
     columns: list[Column] = []
     left_out: list[Undrawn] = []
@@ -80,10 +80,10 @@ _Found = Tuple[Output, ArrayType, Table, Optional[Selected]]
 
 
 def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
-    """Return, by its name, each column as the first table has it that does."""
+    """Return each column by its name, as it is in the first table that has it."""
     found: dict[str, _Found] = {}
     projections = Projections(replace(select, hidden=()), tables)
-    # By what is selected first, for the tables may have fields that others lack.
+    # In the order of the selection, because a table may have fields that others lack.
     for n, selected in enumerate(select.visible):
         if selected is not None and isinstance(selected.what, KeyOperand):
             continue
@@ -96,7 +96,7 @@ def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
 
 
 def _what(output: Output, selected: Optional[Selected]) -> Union[Term, Aggregate]:
-    """Return what gives one column: of a message the one field."""
+    """Return the term of one column; of SELECT * the path of its field."""
     if selected is not None and not selected.is_path:
         return selected.what
     if output.ref is None:
@@ -112,7 +112,7 @@ def path_of(ref: FieldRef) -> Path:
 
 
 def _reason(kind: ArrayType) -> str:
-    """Say why a column cannot be drawn; '' = it can."""
+    """Return the reason for which a column cannot be drawn; '' = it can."""
     if kind.depth:
         return "an array: name one of its elements, or min, max, avg or len of it"
     if kind.kind == "time":
@@ -121,7 +121,7 @@ def _reason(kind: ArrayType) -> str:
 
 
 def as_floats(found: Values, kind: ArrayType) -> AnyArray:
-    """Return the values of a column as float64; NaN where one is missing, or no number."""
+    """Return the values of a column as float64; NaN for missing values and for other types."""
     values, missing = found
     if values.dtype.kind == "O":
         floats = np.fromiter(map(as_float, values.tolist()), np.float64, len(values))
@@ -135,11 +135,11 @@ def as_floats(found: Values, kind: ArrayType) -> AnyArray:
 
 
 def as_float(value: object) -> float:
-    """Return a value of a result as a number, of a duration its seconds; NaN where it is none."""
+    """Return a result value as a number, a duration in seconds; NaN for any other type."""
     if isinstance(value, (int, float)):
         try:
             return float(value)
-        except OverflowError:  # an integer beyond all floats
+        except OverflowError:  # an integer larger than any float
             return float("inf") if value > 0 else float("-inf")
     to_nsec = getattr(value, "to_nsec", None)
     return float("nan") if to_nsec is None else float(to_nsec()) / SECOND_NS

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Numbers of a statement over time, as a plot shows them: of each pixel the least and greatest.
+"""Numbers of a statement over time for a plot: the minimum and the maximum in each pixel.
 
-The messages of a plain statement are looked at bucket by bucket (see envelopes.py), as many as
-there is time for. Groups, distinct rows and those of a LIMIT are made first, all of them.
+The messages of a plain statement are read bucket by bucket (see envelopes.py), as many as there is
+time for. For statements with groups, DISTINCT or LIMIT all result rows are made first.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ from cassandra_ros.topics.topic_table import TopicTable
 PIXELS = 1000
 MOST_PIXELS = 20_000
 MOST_ROWS = 2_000_000
-"""So many rows are made for a plot that has to have all of them."""
+"""Maximum number of result rows for a plot that needs all of them."""
 NEAR_KEPT_SEC = 60
-"""So long it is believed what a robot's poses said."""
+"""How long cached conditions on places stay valid, s. Later poses may change them."""
 _CHUNK_ROWS = 4096
 
 
 class Window(NamedTuple):
-    """What of the time is drawn, and how closely."""
+    """Time range that is drawn, and its resolution."""
 
     low: Optional[int] = None
     """First time, ns; None = that of the first message."""
     high: Optional[int] = None
-    """Last time, included; None = that of the last message."""
+    """Last time, included, ns; None = that of the last message."""
     pixels: int = PIXELS
-    """At most so many, 1 to MOST_PIXELS."""
+    """Maximum number of pixels, 1 to MOST_PIXELS."""
     seconds: Optional[float] = None
-    """Stop about then with what is known; None = read all."""
+    """Time limit after which the result so far is returned, s; None = no limit."""
 
 
 WHOLE = Window()
@@ -61,12 +61,12 @@ WHOLE = Window()
 
 @dataclass(frozen=True)
 class Asker:
-    """Who asks for a series, and how.
+    """Restrictions of a request for a series, and its cache.
 
     Attributes:
-        node, writers: Only messages of these; None = of all.
-        cache: Keeps what was read for the next time, whole pixels also at the ends of the window;
-            None = nothing does, and nothing is read beside the window.
+        node, writers: nodeID and writer ids whose messages are read; None = all.
+        cache: Cache of what was read, with whole pixels also at the ends of the window; None = no
+            cache, and no message outside of the window is read.
         watch: See Watch.
     """
 
@@ -85,14 +85,16 @@ class Series:
     left_out: Tuple[Undrawn, ...]
     """Columns that cannot be drawn."""
     grid: Grid
-    """Its pixels: somewhat more than was asked for, whole ones."""
+    """Pixels of the plot: whole ones, so they cover slightly more than the window."""
     points: Points
     share: float = 1.0
-    """How much of what there is to read was read: below 1.0 points are missing, and others lack
-    a part."""
+    """Share of the messages that was read, 0 to 1. Below 1.0 points are missing, or lack some of
+    their
+    values."""
     edges: int = 0
-    """Blocks that lie in two pixels or more, and of which only the bounds were read: both of these
-    seem to hold all of their numbers."""
+    """Number of blocks in two or more pixels of which only the zones were read. Each of these
+    pixels
+    shows the values of the whole block."""
 
     @property
     def complete(self) -> bool:
@@ -101,9 +103,9 @@ class Series:
 
     @property
     def breaks(self) -> AnyArray:
-        """Places of the points behind which lines are broken.
+        """Indexes of the points after which lines are interrupted.
 
-        Empty while not all is read: what was not read yet is no pause.
+        Empty while not all messages were read: a gap between the others is not a pause.
         """
         return self.points.breaks if self.share == 1.0 else np.zeros(0, np.int64)
 
@@ -117,10 +119,10 @@ def read_series(
 ) -> Series:
     """Read the numbers that a statement gives over time.
 
-    Where there is no time to draw them over, each column is left out.
+    If the rows have no time over which to draw them, all columns are in ``left_out``.
 
     Raises:
-        InvalidQuery: The statement names what the topic has not.
+        InvalidQuery: The statement names a field that the topic does not have.
     """
     tables = topic.tables
     plain = settle(select, tables)
@@ -152,10 +154,10 @@ def read_series(
 
 
 def _key(select: Select, bounds: Bounds, drawn: Drawn, near: bool) -> str:
-    """Return what tells a question from all others, where it is asked of the same messages."""
-    # The trees, for the values of its parameters are in no text.
+    """Return a text that identifies a request among all requests for the same messages."""
+    # The trees, because the values of bound parameters are not in the text.
     key = repr(([column.what for column in drawn.columns], select.condition, bounds))
-    # Poses may come later than what was recorded there.
+    # Poses may be stored later than the messages recorded there.
     return f"{key} {time.time() // NEAR_KEPT_SEC}" if near else key
 
 
@@ -165,13 +167,13 @@ def _nothing(topic: CassandraTopic, drawn: Drawn) -> Series:
 
 
 def _without(drawn: Drawn, reason: str) -> Drawn:
-    """Leave out every column, for one reason."""
+    """Move every column to those left out, with one reason."""
     left_out = (Undrawn(column.name, reason) for column in drawn.columns)
     return Drawn((), (*left_out, *drawn.left_out))
 
 
 def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[Tuple[int, int]]:
-    """Return the first and the last time that is drawn; None: there is none."""
+    """Return the first and the last time to be drawn; None if there is no message."""
     low, high = window.low, window.high
     if not topic.tables or bounds.empty:
         return None
@@ -203,7 +205,7 @@ def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> Optional[in
 def _of_rows(
     topic: CassandraTopic, select: Select, drawn: Drawn, window: Window, asker: Asker
 ) -> Series:
-    """Draw the rows of a result: all of them are made."""
+    """Draw the rows of a result, which are all made."""
     if select.columns is not None and not (select.aggregates or select.group or select.distinct):
         select = replace(select, columns=(Selected(KeyOperand(0)), *select.columns))
     kinds = column_types(select, topic.tables)
@@ -230,7 +232,7 @@ def _of_rows(
 def _arrays(
     select: Select, rows: Iterator[ResultRow], over: int, places: Sequence[int]
 ) -> Tuple[AnyArray, AnyArray]:
-    """Return times and numbers of rows; those without a time are left out."""
+    """Return times and numbers of rows; rows without a time are left out."""
     times, numbers, count = [np.zeros(0, np.int64)], [np.zeros((len(places), 0))], 0
     while True:
         chunk = list(islice(rows, _CHUNK_ROWS))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Some messages of a topic, evenly spaced in time, without reading those between them."""
+"""Messages of a topic that are evenly spaced in time, without reading those between them."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from cassandra_ros.topics.stored_row import StoredRow
 
 @dataclass(frozen=True)
 class Chosen:
-    """Of which messages of a topic some are wanted."""
+    """The messages of a topic from which a sample is taken."""
 
     start: Optional[Time] = None
     end: Optional[Time] = None
-    """Key times, both included; None = open."""
+    """Key times of the first and the last message, both included; None = open."""
     node: Optional[str] = None
-    """Of this nodeID; None = of all."""
+    """nodeID; None = all."""
     writers: Writers = None
-    """Of these writer ids; None = of all."""
+    """Writer ids; None = all."""
     where: Optional[Where] = None
-    """That satisfy this condition; None = all."""
+    """Condition that the messages satisfy; None = all messages."""
 
     def rows(self, catalog: Catalog, topic: CassandraTopic) -> Iterator[StoredRow]:
-        """Walk through them in order of time; what lies in the messages is read when asked for."""
+        """Yield the rows in order of time; their messages are read when they are accessed."""
         if self.where is None:
             return topic.rows(
                 self.start,
@@ -51,7 +51,7 @@ class Chosen:
         )
 
     def last(self, topic: CassandraTopic) -> int:
-        """Return the time of the last of them, of which there is one, ns."""
+        """Return the key time of the last message, ns; there must be one."""
         newest = topic.items(
             self.start,
             self.end,
@@ -68,23 +68,25 @@ class Chosen:
 def spaced_rows(
     catalog: Catalog, name: str, chosen: Chosen, count: int, every_ns: int = 0
 ) -> Iterator[StoredRow]:
-    """Choose messages of a topic that lie evenly in time between its first and last.
+    """Choose messages of a topic that are evenly spaced between its first and last message.
 
-    Where there are no more than are wanted, all of them are chosen. Else each is the nearest to one
-    of the times, found by that time; with a condition all that satisfy it are read, once, and where
-    keys are names the keys of all.
+    If there are at most ``count`` messages, all are chosen. Otherwise each is the nearest to one of
+    the times and is found by this time. With a condition all messages that satisfy it are read
+    once,
+    and in topics with names the keys of all messages.
 
     Args:
-        name: The topic.
-        chosen: Of which of its messages.
-        count: How many are wanted at most, at least 1.
-        every_ns: So far they lie apart, from the first on; 0 = as many as wanted, up to the last.
+        name: Name of the topic.
+        chosen: Messages to choose from.
+        count: Maximum number of messages, at least 1.
+        every_ns: Distance between two times, from the first message on, ns; 0 = such that ``count``
+            times reach to the last message.
 
     Yields:
-        Rows in the order of time, each once.
+        Rows in order of time, each once.
 
     Raises:
-        MessageNotFound: There is none.
+        MessageNotFound: There is no such message.
         TopicNotFound, InvalidQuery: As readMessages.
     """
     topic = catalog.get(name)
@@ -95,7 +97,7 @@ def spaced_rows(
         )
     if len(few) <= count and not every_ns:
         found = (topic.getRow(key) for _, key in few)
-        yield from (row for row in found if row is not None)  # else it was deleted meanwhile
+        yield from (row for row in found if row is not None)  # None if it was deleted meanwhile
         return
     times = _times(few[0][0], chosen.last(topic), count, every_ns)
     if chosen.where is None and not isinstance(few[0][1], RowName):
@@ -105,7 +107,7 @@ def spaced_rows(
 
 
 def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:
-    """List the times for which messages are looked for, both ends included, ns."""
+    """Return the times for which messages are looked for, both ends included, ns."""
     if every_ns:
         return range(first, last + 1, every_ns)[:count]
     gaps = max(1, count - 1)
@@ -122,11 +124,11 @@ def _looked_up(topic: CassandraTopic, chosen: Chosen, times: Sequence[int]) -> I
 
 
 def nearest_rows(rows: Iterable[StoredRow], times: Sequence[int]) -> Iterator[StoredRow]:
-    """Yield for each of some times, in their order, the nearest row; of two the earlier.
+    """Yield the nearest row for each of some times, in their order; of two the earlier one.
 
     Args:
-        rows: In the order of time; all are read.
-        times: ns.
+        rows: Rows in order of time; all are read.
+        times: Ascending times, ns.
     """
     before: Optional[StoredRow] = None
     wanted = iter(times)

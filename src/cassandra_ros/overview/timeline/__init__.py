@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is stored when, as counts in equal cells of time: for pictures."""
+"""Timelines of stored messages, as counts in equal cells of time, for pictures."""

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""When messages came within their buckets: by keys and by headers of blocks, up to a bound.
+"""Times of messages within their buckets, by keys and headers of blocks, up to a limit.
 
-Pieces of which there is least to be read come first, so that most of them are told exactly.
+Pieces with the fewest messages to read come first, so that most pieces become exact.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from cassandra_ros.store.row_counts import scan_keys
 from cassandra_ros.topics.key_selection import Whose
 
 MAX_KEYS = 30_000
-"""Messages whose keys are read for one picture."""
+"""Maximum number of messages whose keys are read for one picture."""
 MAX_BLOCKS = 5000
-"""Headers of blocks that are read for one picture."""
+"""Maximum number of headers of blocks that are read for one picture."""
 _BLOCK_MESSAGES = 256
-"""A block holds as many, or more, or not much longer than half a second."""
+"""Assumed minimum number of messages in a block, except for blocks of about half a second."""
 
 
 class _Budget:
-    """What may still be read."""
+    """Numbers of keys and headers that may still be read."""
 
     def __init__(self) -> None:
         self.keys, self.blocks = MAX_KEYS, MAX_BLOCKS
@@ -38,10 +38,10 @@ class _Budget:
 def refined(
     pieces: Sequence[Piece], scale: Scale, whose: Whose, gone: threading.Event
 ) -> List[Piece]:
-    """Return pieces of which more is known, where buckets cover several cells or have no count.
+    """Return pieces in more detail, where buckets cover several cells or have no counts.
 
     Args:
-        gone: Once it is set nothing more is read.
+        gone: If it is set, no more keys are read.
     """
     found, budget = list(pieces), _Budget()
     coarse = [_coarse(piece, scale) for piece in pieces]
@@ -61,7 +61,7 @@ def refined(
 
 
 def _coarse(piece: Piece, scale: Scale) -> Bools:
-    """Tell which stretches are worth a closer look."""
+    """Return which time ranges are worth reading in detail."""
     each = piece.time_ranges
     near = (each.first <= scale.end) & (each.last >= scale.start)
     spans = scale.cells_of(each.last) - scale.cells_of(each.first)
@@ -73,7 +73,7 @@ def _coarse(piece: Piece, scale: Scale) -> Bools:
 def _better(
     piece: Piece, coarse: Bools, cost: float, scale: Scale, whose: Whose, budget: _Budget
 ) -> Optional[Piece]:
-    """Return a piece with what was read of its buckets; None where that would be too much."""
+    """Return a piece with its buckets read in detail; None if that would be too much to read."""
     buckets = np.unique(piece.buckets[coarse])
     left = ~np.isin(piece.buckets, buckets)
     rest = piece._replace(time_ranges=piece.time_ranges.where(left), buckets=piece.buckets[left])
@@ -99,7 +99,7 @@ def _keys(
         scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
         some = [(t, writer_of(seq), size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
         budget.keys -= len(some)
-        if budget.keys < 0:  # more than the directory knew of
+        if budget.keys < 0:  # the bucket has more messages than the directory says
             budget.keys = 0
             return None
         rows += [row for row in some if whose.writers is None or row[1] in whose.writers]

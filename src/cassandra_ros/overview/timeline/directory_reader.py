@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the directory says of a time range, as much of it as a picture needs, and kept a while.
+"""What the directory says about a time range, as much as a picture needs, cached for some seconds.
 
-Where there are more buckets than that a sample of them stands for the others: so what it costs is
-bounded, however long was recorded.
+If there are more buckets than that, a sample of them stands for the others, so the cost is limited
+however long the recordings are.
 """
 
 from __future__ import annotations
@@ -25,49 +25,50 @@ from cassandra_ros.topics.key_selection import LAST_NS, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_PARTITIONS = 2000
-"""Partitions of the directory that one picture reads, or one of each table and node."""
+"""Maximum number of partitions of the directory read for one picture, but at least one for each
+table and node."""
 MAX_BUCKETS = 200_000
-"""Rows of the directory that one picture reads, about."""
+"""Approximate maximum number of rows of the directory read for one picture."""
 LEAST_BUCKETS = 128
-"""Of each partition so many at least."""
+"""Minimum number of buckets read from each partition."""
 MAX_RECOUNTS = 10_000
-"""Buckets whose messages one picture counts itself, for some were deleted."""
+"""Maximum number of buckets with deleted messages that are counted again for one picture."""
 KEEP_SEC = 5.0
-"""So long what was read is taken for what it is: a person who zooms asks often."""
+"""How long cached rows are used, s. A user who zooms asks often."""
 KEPT_BUCKETS = 400_000
-"""Rows of the directory that are kept, 80 bytes each."""
+"""Maximum number of cached rows of the directory, 80 bytes each."""
 _EVER = (-(2**63), 2**63 - 1)
 _EVER_NS = (0, LAST_NS)
 _SPREAD = 2_654_435_761
-"""2**32 by the golden ratio: multiples of it are spread evenly, and follow no other pattern."""
+"""2**32 divided by the golden ratio: its multiples are spread evenly without any other pattern."""
 _WRITERS = 8
-"""So many are looked at of the first bucket and of the last."""
+"""Number of writers read for the first and for the last bucket."""
 
 Ends = Tuple[int, int]
-"""Of a time range, ns, or of buckets; both included."""
+"""First and last time, ns, or first and last bucket, both included."""
 Listed = List[Tuple[int, str]]
-"""Slots of a table and the nodes that have buckets in them, in their order."""
+"""Slots of a table and the nodes that have buckets in them, in order."""
 
 
 Part = Tuple[TopicTable, Place, Ends]
-"""A partition of the directory, and which of its buckets are wanted."""
+"""A partition of the directory, and the range of its buckets to read."""
 
 
 class _Kept(NamedTuple):
     until: float
     ends: Ends
-    """The buckets that were asked for."""
+    """The requested buckets."""
     columns: BucketColumns
     stride: int
-    """Each of them stands for so many."""
+    """Number of buckets for which each one in the columns stands."""
 
 
 class Reader:
-    """Reads what timelines need of the directory, and keeps some of it. Thread-safe.
+    """Reads the directory for timelines, with a cache. Thread-safe.
 
     Args:
-        directory: Of the keyspace.
-        clock: Seconds that only grow.
+        directory: Directory of the keyspace.
+        clock: Returns monotonic seconds.
     """
 
     def __init__(self, directory: Directory, clock: Callable[[], float] = time.monotonic) -> None:
@@ -79,7 +80,7 @@ class Reader:
         self._mutex = threading.Lock()
 
     def slots(self, tables: Sequence[TopicTable]) -> Dict[str, Listed]:
-        """List the slots and nodes of tables whose messages lie by time, by the tables' names."""
+        """Return the slots and nodes of the tables with a time key, by name of table."""
         now = self._clock()
         with self._mutex:
             known = {name: slots for name, (until, slots) in self._slots.items() if until > now}
@@ -94,9 +95,9 @@ class Reader:
         return {table.name: known[table.name] for table in tables if not table.named}
 
     def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Optional[Ends]:
-        """Tell when the first and the last message of some tables come; None: there is none.
+        """Return the first and the last time of messages in some tables; None if there are none.
 
-        Of single writers it is told by what pieces gives.
+        For single writers the times come from ``pieces``.
         """
         if whose.writers is not None:
             every = self.extent(tables, whose._replace(writers=None))
@@ -112,7 +113,7 @@ class Reader:
                 ends += times
                 if not times:
                     emptied[table.name] = table
-        # Where all is gone from the outmost buckets, what is left lies anywhere between.
+        # If all messages of the outmost buckets were deleted, the others may be anywhere between.
         for piece in self.pieces(list(emptied.values()), _EVER_NS, whose) if emptied else ():
             if len(piece.time_ranges.first):
                 ends += [int(piece.time_ranges.first.min()), int(piece.time_ranges.last.max())]
@@ -121,9 +122,9 @@ class Reader:
     def _outmost(
         self, tables: Sequence[TopicTable], whose: Whose, reverse: bool
     ) -> Iterator[Tuple[TopicTable, List[int]]]:
-        """Yield the times in the first bucket of each table and node, or in the last.
+        """Yield the times in the first (reverse: last) bucket of each table and node.
 
-        A bucket in which messages were deleted gives no times: the directory does not know them.
+        A bucket with deleted messages gives no times, because the directory does not know them.
         """
         slots = self.slots(tables)
         wanted = [
@@ -141,14 +142,14 @@ class Reader:
             for row in [] if any(row.cut for row in rows) else rows:
                 if row.rows:
                     times += (row.t_min, row.t_max)
-                elif not row.closed:  # nothing is known of it yet
+                elif not row.closed:  # its counts are not known yet
                     times += (row.bucket * length, (row.bucket + 1) * length - 1)
             yield table, times
 
     def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> List[Piece]:
-        """Tell what tables hold in the buckets that touch a time range.
+        """Return what tables hold in the buckets that meet a time range.
 
-        Tables whose messages lie under names are left out.
+        Tables whose messages have names are left out.
         """
         found: List[Piece] = []
         parts = list(self._parts(tables, ends, whose))
@@ -161,7 +162,7 @@ class Reader:
         return [*found, *_rest(left, found)]
 
     def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[Part]:
-        """Yield the partitions that hold buckets in a time range, and which of them may."""
+        """Yield the partitions with buckets in a time range, and the range of these buckets."""
         slots = self.slots(tables)
         for table in tables:
             listed = slots.get(table.name, [])
@@ -174,7 +175,7 @@ class Reader:
                     yield table, (table.name, node, slot), inside
 
     def _columns(self, parts: Sequence[Part], limit: int) -> List[Tuple[BucketColumns, int]]:
-        """Return the buckets of partitions, and for how many each of these stands."""
+        """Return the buckets of partitions, and the number of buckets for which each one stands."""
         until, left = self._clock() + KEEP_SEC, MAX_RECOUNTS
         tables = {place: table for table, place, _ in parts}
         found = {place: self._get(place, ends, limit) for _, place, ends in parts}
@@ -186,7 +187,7 @@ class Reader:
             left -= done
             found[place] = self._keep(place, _Kept(until, ends, columns, stride))
 
-        # One more tells that there are too many.
+        # One row more than the limit shows that there are too many.
         wanted: List[Wanted] = [(place, ends, limit + 1) for place, ends in missing]
         many: List[Tuple[Place, Ends, int]] = []
         for (place, ends), columns in zip(missing, self._directory.columns(wanted)):
@@ -205,10 +206,10 @@ class Reader:
     def _recounted(
         self, table: TopicTable, node: str, columns: BucketColumns, most: int
     ) -> Tuple[BucketColumns, int]:
-        """Count the messages of buckets in which some were deleted; return of how many.
+        """Count the messages of buckets with deleted messages; return columns and number counted.
 
         Args:
-            most: Of so many at the most; of the others the directory is believed.
+            most: Maximum number of buckets to count. The others keep the counts of the directory.
         """
         buckets = np.unique(columns.bucket[columns.cut])[:most].tolist()
         if not buckets:
@@ -226,7 +227,10 @@ class Reader:
         return columns, len(buckets)
 
     def _get(self, place: Place, ends: Ends, limit: int) -> Optional[Tuple[BucketColumns, int]]:
-        """Return what is kept of a partition; None where that is too little, too coarse, or old."""
+        """Return the cached rows of a partition.
+
+        None if they are too few, too coarse or too old.
+        """
         with self._mutex:
             kept = self._kept.get(place)
         if kept is None or kept.until < self._clock():
@@ -251,19 +255,19 @@ class Reader:
 
 
 def _sample(ends: Ends, stride: int) -> List[int]:
-    """Choose one of each ``stride`` buckets, not always the same: recordings may be regular."""
+    """Choose one of each ``stride`` buckets, at changing places: recordings may be regular."""
     cells = range(ends[0] // stride, ends[1] // stride + 1)
     return [cell * stride + (cell * _SPREAD % 2**32 * stride >> 32) for cell in cells]
 
 
 def _outmost_slots(slots: Listed, reverse: bool) -> Dict[str, int]:
-    """Return the first slot of each node, or the last."""
+    """Return the first (reverse: last) slot of each node."""
     ordered = slots if reverse else reversed(slots)
-    return {node: slot for slot, node in ordered}  # the one that comes last stays
+    return {node: slot for slot, node in ordered}  # of equal keys the last one stays
 
 
 def _thinned(parts: Sequence[Part], stride: int) -> Tuple[List[Part], List[Part]]:
-    """Choose every so manieth partition of each table and node, the first one always."""
+    """Choose one in ``stride`` partitions of each table and node, always with the first one."""
     met: Counter[Tuple[str, str]] = Counter()
     chosen: List[Part] = []
     left: List[Part] = []
@@ -275,7 +279,7 @@ def _thinned(parts: Sequence[Part], stride: int) -> Tuple[List[Part], List[Part]
 
 
 def _rest(parts: Sequence[Part], read: Sequence[Piece]) -> Iterator[Piece]:
-    """Yield what is probably in partitions that nobody read."""
+    """Yield estimates for the partitions that were not read."""
     left: Dict[Tuple[str, str], Tuple[TopicTable, List[Ends]]] = {}
     for table, (_, node, _), inside in parts:
         left.setdefault((table.name, node), (table, []))[1].append(inside)

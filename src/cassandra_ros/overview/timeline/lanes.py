@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A timeline: of each topic and node how many messages lie in which cells, its gaps, its runs.
+"""Timelines: for each topic and robot the numbers of messages in cells of time, gaps, and runs.
 
-It is drawn of the directory, so it takes as long for a thousand million messages as for a thousand.
-Where a bucket covers several cells its messages are spread evenly over them; who wants to know more
-asks for detail, and as many keys of messages are read as a bound allows.
+A timeline is drawn from the directory, so it takes as long for a thousand million messages as for a
+thousand. If a bucket covers several cells, its messages are spread over them evenly. A request for
+detail also reads keys of messages, up to a limit.
 """
 
 from __future__ import annotations
@@ -34,33 +34,33 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_RUNS = 2000
 ERA_GAP_NS = 10 * 365 * 86_400 * SECOND_NS
-"""Shortest time without a message that divides two eras, ns: ten years."""
+"""Minimum time without a message between two eras, ns: ten years."""
 
 
 @dataclass(frozen=True)
 class View:
-    """What is to be drawn."""
+    """Time range, topics and resolution of a timeline."""
 
     start: Optional[int] = None
-    """ns since 1970, included; None = of the first message."""
+    """First time, ns since 1970, included; None = that of the first message."""
     end: Optional[int] = None
-    """ns since 1970, included; None = of the last message."""
+    """Last time, ns since 1970, included; None = that of the last message."""
     cells: int = 1000
-    """At most so many, 1 to MAX_CELLS."""
+    """Maximum number of cells, 1 to MAX_CELLS."""
     topics: Optional[Sequence[str]] = None
-    """None = all."""
+    """Names of topics; None = all."""
     whose: Whose = EVERYBODY
     detail: bool = False
-    """Read keys where buckets are longer than cells."""
+    """Whether keys are read if buckets are longer than cells."""
 
 
 class Lane:
-    """What is stored of a topic by a node, as far as it touches a window.
+    """What is stored of one topic by one robot in a time range.
 
     Args:
-        tables: In which it lies.
-        pieces: What is known of it.
-        ends: Of the window, ns.
+        tables: Tables of the topic.
+        pieces: Counts of the messages in these tables.
+        ends: First and last time of the range, ns.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Lane:
 
     @property
     def times(self) -> Tuple[Optional[int], Optional[int]]:
-        """When the first and the last message come that touch the window; None: there is none."""
+        """Times of the first and the last message, ns; None if there is no message."""
         firsts = [
             int(each.min()) for each in (self.time_ranges.first, self.keys.times) if len(each)
         ]
@@ -92,29 +92,32 @@ class Lane:
 
     @property
     def parts(self) -> List[Tuple[Longs, Longs]]:
-        """When stretches and single messages that touch the window begin and end, ns."""
+        """First and last times of the time ranges and single messages of the lane, ns."""
         every = (self.time_ranges.first, self.time_ranges.last), (self.keys.times, self.keys.times)
         return [part for part in every if len(part[0])]
 
     @property
     def messages(self) -> int:
-        """How many lie in the window; see exact."""
+        """Number of messages in the range; see ``exact``."""
         return self._sum(self.time_ranges.messages) + len(self.keys.times)
 
     @property
     def bytes(self) -> int:
-        """Serialised bytes of these."""
+        """Number of serialised bytes of these messages."""
         return self._sum(self.time_ranges.bytes) + int(self.keys.sizes.sum())
 
     @property
     def exact(self) -> bool:
-        """Whether these are no estimates."""
+        """Whether messages and bytes are exact; otherwise they are estimates."""
         whole = (self.time_ranges.shares(*self._ends) == 1.0) & self.time_ranges.sure
         return bool(whole.all()) and not self.sampled
 
     @property
     def rate_hz(self) -> Optional[float]:
-        """Mean rate while messages came, a writer's: pauses between its buckets do not count."""
+        """Mean rate of a writer while it was sending, Hz.
+
+        Pauses between its buckets do not count.
+        """
         each = self.time_ranges
         covered_ns = int((each.last - each.first)[each.messages > 1].sum())
         steps = int(np.maximum(each.messages - 1, 0).sum())
@@ -127,14 +130,14 @@ class Lane:
         return round(float((counts * self.time_ranges.shares(*self._ends)).sum()))
 
     def cells(self, scale: Scale) -> Cells:
-        """Return how many messages lie in each cell."""
+        """Return the number of messages in each cell."""
         cells = Cells(scale)
         cells.add(self.time_ranges)
         cells.add_times(self.keys.times)
         return cells
 
     def gaps(self, scale: Scale) -> List[Tuple[int, int]]:
-        """Return between which times a run had no message, where that is unusual."""
+        """Return first and last times of the unusual pauses of runs, ns."""
         found = [] if self.sampled else gaps_between(self.time_ranges, scale)
         for writer in np.unique(self.keys.writers):
             found += gaps_in(self.keys.times[self.keys.writers == writer], scale)
@@ -142,7 +145,7 @@ class Lane:
 
 
 class RunSpan(NamedTuple):
-    """What a run stored that touches the window, by the times of its messages, ns."""
+    """The messages of a run in a lane, by their first and last time, ns."""
 
     writer: int
     node: str
@@ -152,21 +155,21 @@ class RunSpan(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """What is to be seen in a window."""
+    """A timeline that was drawn."""
 
     extent: Optional[Ends]
-    """When the first and the last message come of all that is chosen; None: there is none. Of what
-    lies under names it is told only where nothing else is chosen."""
+    """Times of the first and the last of all selected messages, ns; None = there are none. Messages
+    with names count only if no others are selected."""
     scale: Optional[Scale]
-    """None: there is no window."""
+    """Cells of the time range; None = there is no time range."""
     lanes: List[Lane]
-    """By node and topic, also of what has nothing in the window."""
+    """Lanes by robot and topic, including those without messages in the range."""
 
     @property
     def eras(self) -> List[Ends]:
-        """The times in which messages lie, in their order, with ten years or more between two.
+        """Time ranges of messages, in order, with ten years or more between two of them.
 
-        A clock that was not set makes two of them: it begins in 1970.
+        A clock that was not set begins in 1970, which makes two eras.
         """
         parts = [part for lane in self.lanes for part in lane.parts]
         if not parts:
@@ -175,14 +178,14 @@ class Picture(NamedTuple):
         order = np.argsort(firsts)
         firsts, reached = firsts[order], np.maximum.accumulate(lasts[order])
         later = np.flatnonzero(firsts[1:] - reached[:-1] >= ERA_GAP_NS) + 1
-        if self.scale is not None:  # a stretch may begin before the window, or end after it
+        if self.scale is not None:  # a time range may begin before the window or end after it
             firsts, reached = (np.clip(t, *self.scale[:2]) for t in (firsts, reached))
         starts, ends = [0, *later.tolist()], [*(later - 1).tolist(), len(firsts) - 1]
         return [(int(firsts[low]), int(reached[high])) for low, high in zip(starts, ends)]
 
     @property
     def runs(self) -> List[RunSpan]:
-        """Whatever stored messages in the window, by their first; at most MAX_RUNS, the longest."""
+        """Runs with messages in the range, by their first; at most the MAX_RUNS longest."""
         found: Dict[Tuple[str, int], RunSpan] = {}
         for lane in self.lanes:
             for span in _spans(lane):
@@ -205,7 +208,7 @@ def _spans(lane: Lane) -> List[RunSpan]:
     np.maximum.at(highs, place, last)
     counts = np.bincount(place, messages, len(every))
     rows = zip(every.tolist(), lows.tolist(), highs.tolist(), counts.tolist())
-    # Of what stands for others, which were not read, the writer is unknown: 0.
+    # Estimates for partitions that were not read have no writer: 0.
     return [RunSpan(w, lane.node, low, high, int(n)) for w, low, high, n in rows if w]
 
 
@@ -215,10 +218,10 @@ def _joined(one: RunSpan, other: RunSpan) -> RunSpan:
 
 
 class Timeline:
-    """Draws what is stored of one keyspace. Thread-safe.
+    """Draws timelines of one keyspace. Thread-safe.
 
     Args:
-        catalog: The topics of the keyspace; only read.
+        catalog: Topics of the keyspace; it is only read.
     """
 
     def __init__(self, catalog: Catalog) -> None:
@@ -226,14 +229,14 @@ class Timeline:
         self._reader = Reader(catalog.keyspace.directory)
 
     def picture(self, view: View, gone: Optional[threading.Event] = None) -> Picture:
-        """Draw what is to be seen.
+        """Draw a timeline.
 
         Args:
-            gone: Once it is set nobody waits for the answer: no further keys are read.
+            gone: Set when the client has gone; then no more keys are read.
 
         Raises:
             TopicNotFound: A topic is not stored.
-            InvalidOption: There are too many cells, or none; start lies behind end.
+            InvalidOption: The number of cells is 0 or too large, or start is later than end.
         """
         names = view.topics
         topics = self._catalog.all(None) if names is None else map(self._catalog.get, names)
@@ -245,7 +248,8 @@ class Timeline:
         named = [
             piece for table in tables if table.named for piece in named_pieces(table, view.whose)
         ]
-        # A map that is stored today of a recording of last year would leave little to be seen.
+        # Maps with names do not count: one stored today for a recording of last year would leave
+        # the recording a single pixel.
         extent = self._reader.extent(tables, view.whose) or _extent(named)
         ends = _window(view, extent)
         if ends is None:
@@ -259,7 +263,7 @@ class Timeline:
     def _lanes(
         self, tables: Sequence[TopicTable], pieces: Sequence[Piece], whose: Whose, ends: Ends
     ) -> List[Lane]:
-        """Make the lanes of tables: of the nodes that have messages in them, now or ever."""
+        """Return the lanes of tables, one for each robot that has messages in them, now or ever."""
         slots = self._reader.slots(tables)
         of_table: Dict[str, List[Piece]] = {}
         for piece in pieces:
@@ -282,13 +286,13 @@ class Timeline:
 
 
 def _extent(named: Sequence[Piece]) -> Optional[Ends]:
-    """Tell when the first and the last message under a name was stored; None: there is none."""
+    """Return the first and the last time of messages with names, ns; None if there are none."""
     times = Keys.joined([piece.keys for piece in named]).times
     return (int(times.min()), int(times.max())) if len(times) else None
 
 
 def _window(view: View, extent: Optional[Ends]) -> Optional[Ends]:
-    """Return what is to be seen; where one end is open it is never before the other one."""
+    """Return the range to draw; an open end is never on the wrong side of the other end."""
     start, end = view.start, view.end
     if start is None:
         low = extent[0] if extent else end

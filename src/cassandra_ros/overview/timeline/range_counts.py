@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is known of the messages of a table and a node in some time ranges."""
+"""Numbers of messages of a table and a robot in some time ranges."""
 
 from __future__ import annotations
 
@@ -22,53 +22,53 @@ from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_NAMES = 1000
-"""Of a table whose messages lie under names so many are shown."""
+"""Maximum number of messages shown of a table whose messages have names."""
 _SECOND_MS = 1000
 
 
 class Keys(NamedTuple):
-    """Single messages of which the time is known."""
+    """Single messages with known times."""
 
     times: Longs
     writers: Longs
     sizes: Longs
-    """Serialised, bytes."""
+    """Sizes of the serialised messages, bytes."""
 
     def where(self, chosen: Bools) -> Keys:
-        """Return those of which ``chosen`` says so."""
+        """Return the messages for which ``chosen`` is true."""
         return Keys(self.times[chosen], self.writers[chosen], self.sizes[chosen])
 
     @classmethod
     def joined(cls, parts: Sequence[Keys]) -> Keys:
-        """Return the messages of some."""
+        """Return the messages of several objects."""
         none = np.zeros(0, np.int64)
         return cls(*map(np.concatenate, zip((none, none, none), *parts)))
 
 
 class Piece(NamedTuple):
-    """What is known of a table and a node."""
+    """What is known about the messages of one table and one robot."""
 
     table: TopicTable
     node: str
     time_ranges: TimeRanges
     buckets: Longs
-    """In which bucket each stretch lies; what is of no bucket has none of them."""
+    """Bucket of each time range; -1 = an estimate for buckets that were not read."""
     sampled: bool = False
-    """Some stand for others, which were not read."""
+    """Whether some time ranges are estimates for buckets that were not read."""
     writing: bool = False
-    """Somebody writes there now."""
+    """Whether a writer is writing now."""
     keys: Keys = Keys.joined([])
-    """Messages that are not among the stretches."""
+    """Messages that are not in the time ranges."""
 
 
 def piece_of(
     table: TopicTable, node: str, columns: BucketColumns, stride: int, whose: Whose
 ) -> Piece:
-    """Make a piece of buckets.
+    """Return the piece of some buckets.
 
     Args:
-        stride: Each of them stands for so many.
-        whose: Whose entries are meant; its nodes were looked at.
+        stride: Number of buckets for which each one stands.
+        whose: Writers whose buckets count; its nodes were considered before.
     """
     chosen = _living(columns, table.metadata.ttl)
     if whose.writers is not None:
@@ -89,9 +89,9 @@ def piece_of(
 
 
 def _living(columns: BucketColumns, ttl: int) -> Bools:
-    """Tell of which buckets not all messages have expired; ttl of their table, seconds, 0 = none.
+    """Return which buckets have messages; ttl of their table in seconds, 0 = no expiry.
 
-    Those of which all were deleted are left out, too.
+    Buckets whose messages have all expired or were all deleted are left out.
     """
     there = (columns.rows > 0) | ~columns.closed
     margin = np.where(columns.closed, CLOCKS_SEC, TTL_MARGIN_SEC)
@@ -105,11 +105,11 @@ def _end_of_slot(buckets: Longs, length: int) -> Longs:
 def unread(
     table: TopicTable, node: str, ends: Sequence[Tuple[int, int]], read: Sequence[Piece]
 ) -> Piece:
-    """Make a piece of buckets that nobody read: each part holds what others hold on average.
+    """Return estimates for buckets that were not read: each part has the average of those read.
 
     Args:
         ends: The first and the last bucket of each part.
-        read: What is known of others.
+        read: Pieces that were read.
     """
     length = table.metadata.bucket_ns
     first, last = (np.array(buckets, np.int64) * length for buckets in zip(*ends))
@@ -125,7 +125,7 @@ def unread(
 
 
 def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
-    """Make pieces of messages that lie under names, by node; of MAX_NAMES at the most."""
+    """Return the pieces of messages with names, by robot; at most MAX_NAMES messages."""
     keys, every = some_names(table, MAX_NAMES)
     by_node: dict[str, List[Tuple[int, int, int]]] = {}
     for (t, node, seq, _, _), size, *_ in keys:
@@ -140,5 +140,5 @@ def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
 
 
 def slots_between(table: TopicTable, ends: Tuple[int, int]) -> Tuple[int, int]:
-    """Return the slots of a table in which the ends of a time range lie."""
+    """Return the slots of a table in which the ends of a time range are."""
     return slot_of(table.bucket_of(ends[0])), slot_of(table.bucket_of(ends[1]))

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How many messages lie in each of many equal time ranges: cells, as a picture needs them.
+"""Numbers of messages in many time ranges of equal length: the cells of a picture.
 
-Counts are known of longer or shorter stretches (buckets, blocks, single messages). What lies
-across several cells is spread over them evenly, and these are told to be so if they are many.
+The counts belong to time ranges of any length (buckets, blocks, single messages). A time range
+across several cells is spread over them evenly, and marked as such if it covers many cells.
 """
 
 from __future__ import annotations
@@ -21,21 +21,22 @@ Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 MAX_CELLS = 10_000
 USUAL_TIMES = 10
-"""A gap is so many times as long as the usual time from one message to the next."""
+"""Minimum ratio of a gap to the usual time between two messages."""
 LEAST_CELLS = 2
-"""A gap covers so many cells at least: shorter ones are not seen."""
+"""Minimum length of a gap, cells. Shorter ones cannot be seen."""
 MAX_GAPS = 500
 WIDE_CELLS = 3
-"""Over so many cells what is spread evenly is told to be: on the border of two it shows nothing."""
+"""Minimum number of cells of a time range that is marked as spread evenly. Across the border of two
+cells spreading makes no visible difference."""
 
 
 class Scale(NamedTuple):
     """Cells of equal length, the first of which begins at start."""
 
     start: int
-    """ns since 1970, included."""
+    """First time, ns since 1970, included."""
     end: int
-    """ns since 1970, included; the last cell may reach beyond."""
+    """Last time, ns since 1970, included; the last cell may end later."""
     step: int
     """Length of a cell, ns, at least 1."""
 
@@ -44,7 +45,7 @@ class Scale(NamedTuple):
         """Return the shortest cells of which ``most`` cover [start, end].
 
         Raises:
-            InvalidOption: There are none, or start lies behind end.
+            InvalidOption: The number of cells is out of range, or start is later than end.
         """
         if not 1 <= most <= MAX_CELLS:
             raise InvalidOption(f"pixels {most}: give 1 to {MAX_CELLS}")
@@ -54,47 +55,47 @@ class Scale(NamedTuple):
 
     @property
     def cells(self) -> int:
-        """How many cells there are."""
+        """Number of cells."""
         return -(-(self.end - self.start + 1) // self.step)
 
     def cells_of(self, times: Longs) -> Longs:
-        """Return the cells in which times lie; of those outside a number that no cell has."""
+        """Return the cells of times; for times outside of the scale a number without a cell."""
         return np.asarray((times - self.start) // self.step)
 
 
 class TimeRanges(NamedTuple):
-    """Messages of which is known between which times they lie, ns, and how many they are.
+    """Time ranges with known numbers of messages, ns.
 
-    There is one at each end, and the others lie anywhere between.
+    One message is at each end of a time range, the others are anywhere between.
     """
 
     first: Longs
     last: Longs
     messages: Longs
-    """0 = nobody knows."""
+    """Number of messages; 0 = unknown."""
     bytes: Longs
     writer: Longs
     sure: Bools
-    """The counts hold; else they are estimates."""
+    """Whether the counts are final; otherwise they are estimates."""
 
     def where(self, chosen: Bools) -> TimeRanges:
-        """Return those of which ``chosen`` says so."""
+        """Return the time ranges for which ``chosen`` is true."""
         return TimeRanges._make(column[chosen] for column in self)
 
     @classmethod
     def joined(cls, parts: Sequence[TimeRanges]) -> TimeRanges:
-        """Return all stretches of some."""
+        """Return the time ranges of several objects."""
         if not parts:
             none = np.zeros(0, np.int64)
             return cls(none, none, none, none, none, none.astype(bool))
         return cls(*map(np.concatenate, zip(*parts)))
 
     def within(self, start: int, end: int) -> TimeRanges:
-        """Return those that touch [start, end]."""
+        """Return the time ranges that meet [start, end]."""
         return self.where((self.first <= end) & (self.last >= start))
 
     def shares(self, start: int, end: int) -> Floats:
-        """Return how much of each lies in [start, end], from 0 to 1, were it spread evenly."""
+        """Return the share of each, 0 to 1, that is in [start, end] if it is spread evenly."""
         length = (self.last - self.first + 1).astype(np.float64)
         low, high = np.maximum(self.first, start), np.minimum(self.last, end)
         return np.asarray(np.clip((high - low + 1) / length, 0.0, 1.0))
@@ -102,45 +103,45 @@ class TimeRanges(NamedTuple):
 
 @dataclass
 class Cells:
-    """Counts of messages in the cells of a scale, to which stretches and messages are added."""
+    """Counts of messages in the cells of a scale, to which time ranges and messages are added."""
 
     scale: Scale
 
     def __post_init__(self) -> None:
         count = self.scale.cells
         self._counts = np.zeros(count + 1)
-        """Of what lies in one cell, and at the ends of what lies in more."""
+        """Messages in one cell, and those at the ends of time ranges in several cells."""
         self._rises = np.zeros(count + 1)
-        """By how much what is spread evenly, several in a cell, rises at each cell."""
+        """Change of the messages per cell at each cell, for time ranges that are spread evenly."""
         self._dense = np.zeros(count + 1, np.int64)
         self._even = np.zeros(count + 1, np.int64)
         self._unknown = np.zeros(count + 1, np.int64)
 
     @property
     def counts(self) -> Floats:
-        """Messages by cell; fractions where they are spread evenly."""
-        # The sum of what rose and fell again is not quite nothing.
+        """Number of messages in each cell; fractions if they are spread evenly."""
+        # The sum of floats that rise and fall again is not exactly 0.
         spread = np.where(np.cumsum(self._dense) > 0, np.cumsum(self._rises), 0.0)
         return np.asarray((self._counts + np.maximum(spread, 0.0))[:-1])
 
     @property
     def even(self) -> Bools:
-        """The cells of WIDE_CELLS and more over which messages are spread: where is not known."""
+        """Cells of time ranges with at least WIDE_CELLS cells, over which messages are spread."""
         return np.asarray(np.cumsum(self._even)[:-1] > 0)
 
     @property
     def unknown(self) -> Bools:
-        """The cells in which messages may lie that nobody has counted."""
+        """Cells of time ranges with an unknown number of messages."""
         return np.asarray(np.cumsum(self._unknown)[:-1] > 0)
 
     def add_times(self, times: Longs) -> None:
-        """Add single messages, by their times."""
+        """Add single messages by their times."""
         cells = self.scale.cells_of(times)
         inside = cells[(cells >= 0) & (cells < self.scale.cells)]
         self._counts += np.bincount(inside, minlength=self.scale.cells + 1)
 
     def add(self, time_ranges: TimeRanges) -> None:
-        """Add what touches the scale of some stretches."""
+        """Add the time ranges that meet the scale."""
         near = time_ranges.within(self.scale.start, self.scale.end)
         counted = near.messages > 0
         self._mark(self._unknown, near.where(~counted))
@@ -155,24 +156,24 @@ class Cells:
         self._mark(self._even, near.where((spans >= WIDE_CELLS - 1) & (near.messages > 2)))
 
     def _mark(self, rises: Longs, time_ranges: TimeRanges) -> None:
-        """Count the stretches over each cell, as rises."""
+        """Count the time ranges over each cell, as changes from cell to cell."""
         count = self.scale.cells
         np.add.at(rises, np.clip(self.scale.cells_of(time_ranges.first), 0, count), 1)
         np.add.at(rises, np.clip(self.scale.cells_of(time_ranges.last) + 1, 0, count), -1)
 
     def _add_sparse(self, time_ranges: TimeRanges) -> None:
-        """Add messages at equal distances, the first and last of each at its ends."""
+        """Add messages at equal distances, the first and last of each time range at its ends."""
         start, end = self.scale.start, self.scale.end
         for first, last, messages in zip(*time_ranges[:3]):
             gaps, length = max(1, int(messages) - 1), int(last - first)
             low = max(0, -((int(first) - start) * gaps // length))
             high = min(int(messages) - 1, (end - int(first)) * gaps // length)
             steps = np.arange(low, high + 1)
-            # Without a product beyond 64 bits.
+            # Written without a product of more than 64 bits.
             self.add_times(first + steps * (length // gaps) + steps * (length % gaps) // gaps)
 
     def _add_dense(self, time_ranges: TimeRanges) -> None:
-        """Add messages of which there are several in each cell, by their share of its time."""
+        """Add time ranges with several messages per cell, by each cell's share of their time."""
         (start, _, step), count = self.scale, self.scale.cells
         self._mark(self._dense, time_ranges)
         first, last = self.scale.cells_of(time_ranges.first), self.scale.cells_of(time_ranges.last)
@@ -187,13 +188,14 @@ class Cells:
 
 
 def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[Tuple[int, int]]:
-    """Find where the messages of one writer paused: much longer than usual, and to be seen.
+    """Find the visible pauses of each writer that are much longer than usual.
 
     Args:
-        stretches: Those of some writers, of one topic.
+        time_ranges: Time ranges of some writers of one topic.
 
     Returns:
-        Times of the message before and of the one behind, ns; at most MAX_GAPS, the longest.
+        Times of the message before and the message after each pause, ns; at most the MAX_GAPS
+        longest.
     """
     order = np.lexsort((time_ranges.first, time_ranges.writer))
     writer, first, last = (
@@ -201,7 +203,7 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[Tuple[int, int]]
     )
     seen = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
     found: list[Tuple[int, int]] = []
-    for one in np.unique(writer[1:][seen]):  # of thousands of runs few have any
+    for one in np.unique(writer[1:][seen]):  # of thousands of runs few have a pause
         own = order[writer == one]
         columns = time_ranges.first[own], time_ranges.last[own], time_ranges.messages[own]
         found += _gaps(*columns, scale)
@@ -211,7 +213,7 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[Tuple[int, int]]
 def _gaps(first: Longs, last: Longs, messages: Longs, scale: Scale) -> list[Tuple[int, int]]:
     steps = np.maximum(messages - 1, 0).sum()
     if len(first) < 2 or not steps:
-        return []  # nobody knows what is usual
+        return []  # the usual time between messages is unknown
     usual = int((last - first).sum() // steps)
     pause = first[1:] - np.maximum.accumulate(last)[:-1]
     wide = (pause > USUAL_TIMES * usual) & (pause >= LEAST_CELLS * scale.step)
@@ -220,7 +222,7 @@ def _gaps(first: Longs, last: Longs, messages: Longs, scale: Scale) -> list[Tupl
 
 
 def gaps_in(times: Longs, scale: Scale) -> list[Tuple[int, int]]:
-    """Find where single messages of one writer paused, as gaps_between does."""
+    """Find the pauses of single messages of one writer, like gaps_between."""
     if len(times) < 3:
         return []
     times = np.sort(times)
@@ -234,9 +236,9 @@ def _longest(gaps: Iterable[Tuple[int, int]]) -> list[Tuple[int, int]]:
 
 
 def runs_of_cells(counts: Floats) -> list[list[int]]:
-    """Write counts as runs without an empty cell: the first cell of each, then its counts.
+    """Return counts as runs of cells that are not empty: the first cell of each, then its counts.
 
-    Counts are rounded, but none that is more than nothing to nothing.
+    Counts are rounded, but not to 0.
     """
     filled = np.flatnonzero(counts > 1e-9)
     if not len(filled):
@@ -247,7 +249,7 @@ def runs_of_cells(counts: Floats) -> list[list[int]]:
 
 
 def time_ranges_of_cells(marked: Bools) -> list[list[int]]:
-    """Write marked cells as pairs: the first and the last of each run."""
+    """Return marked cells as pairs: the first and the last cell of each run."""
     filled = np.flatnonzero(marked)
     if not len(filled):
         return []
