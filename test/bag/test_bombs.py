@@ -277,7 +277,7 @@ def test_a_process_of_an_import_reads_as_the_import_does():
 
 
 def changed(path, begin, found, new):
-    """Write a number of four bytes behind some bytes of a file, first met after a byte."""
+    """Replace four bytes of a file, after the first occurrence of a marker, by a number."""
     whole = bytearray(path.read_bytes())
     at = whole.index(found, begin) + len(found)
     whole[at : at + 4] = new.to_bytes(4, "little")

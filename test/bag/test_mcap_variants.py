@@ -39,7 +39,7 @@ def by_us(path, salvage=False):
     found = []
     with McapReader(path, salvage) as reader:
         for chunk in range(reader.chunk_count):
-            sent = reader.chunk_sent(chunk)
+            sent = reader.chunk_publish_times(chunk)
             for n, message in enumerate(reader.chunk_messages(chunk)):
                 connection = reader.connections[message.number]
                 delay = 0 if sent is None else int(sent.delays[n])

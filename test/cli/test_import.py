@@ -83,7 +83,7 @@ def test_salvage_of_a_bag_that_is_cut_short(call, tmp_path):
     with BagReader(bad, salvage=True) as reader:
         count, lost = reader.message_count, reader.salvaged.lost_bytes
     assert 10 < count < 30
-    told = f"{count} messages up to there are read, at most {lost} bytes behind them are lost"
+    told = f"{count} messages up to there are read, at most {lost} bytes after them are lost"
     assert told in err
     assert f"{count} messages of 2 topics are in keyspace" in out
     # Again, and in other processes, it ends in the same messages.

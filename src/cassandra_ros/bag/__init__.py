@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Bags and MCAP files: read, import, export and verify them; no rospy here.
 
-The reader and the writer of bag format 2.0 are our own: chunk by chunk in bounded memory, without
-generated classes (a definition in a bag is text from outside), every connection byte for byte. MCAP
-files go the same way, their records by the mcap library.
+We read and write bag format 2.0 ourselves: chunk by chunk in bounded memory, without generated
+classes (a definition in a bag is text from outside), and with all connections byte for byte. MCAP
+files are read and written in the same way; the mcap library parses and writes their records.
 """

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How much a file may unpack to: a small file can be made that fills the memory and the disk.
+"""Limits for the unpacked size of files: a small file can be made that fills memory and disk.
 
 Repeated bytes pack to almost nothing, so a bag of some kilobytes may hold gigabytes of messages.
 """
@@ -23,7 +23,7 @@ larger size."""
 
 
 class Allowance:
-    """How much of a file has been unpacked, and how much may still be.
+    """Counts how much of a file has been unpacked, and refuses chunks above the limits.
 
     Args:
         file_bytes: Size of the file.
@@ -37,16 +37,16 @@ class Allowance:
         self._taken = 0
 
     def take(self, compression: str, size: int, packed: int, where: str) -> None:
-        """Count a chunk before it is unpacked. It must not be unpacked to more than ``size``.
+        """Count a chunk before it is unpacked. The caller unpacks at most ``size`` bytes of it.
 
         Args:
-            compression: As the chunk names it.
-            size: Bytes of content that the chunk states.
-            packed: Bytes of the chunk in the file.
-            where: The chunk, in the error text.
+            compression: Name of the compression that the chunk states.
+            size: Size of the content that the chunk states, bytes.
+            packed: Size of the chunk in the file, bytes.
+            where: Name of the chunk in the error text.
 
         Raises:
-            BagTooLarge: The chunk, or the file up to and with it, is larger than is allowed.
+            BagTooLarge: The chunk is too large, or all chunks up to this one are.
         """
         largest, most = max(size, packed), self.most(compression)
         if largest > most:

@@ -14,40 +14,42 @@ from cassandra_ros.errors import BagError, BagUnindexed
 from cassandra_ros.messages.connection_header import Connection
 
 _LONGEST_MAGIC = 32
+"""Maximum length of the first line of a bag, bytes."""
 _PER_CHUNK = 5
+"""Number of integers that BagIndex keeps for each chunk."""
 
 
 class ChunkInfo(NamedTuple):
-    """What the index says about one chunk."""
+    """The entry of the index for one chunk."""
 
     position: int
-    """Byte of the file at which the record of the chunk begins."""
+    """Offset in the file at which the record of the chunk begins, bytes."""
     start_ns: int
     end_ns: int
     counts: dict[int, int]
-    """Messages by number of the connection; none is 0."""
+    """Number of messages in the chunk by connection number; every value is at least 1."""
     first: int
-    """Messages in the chunks before it."""
+    """Number of messages in all chunks before this one."""
 
 
 class IndexPlace(NamedTuple):
-    """Where the records of an index lie."""
+    """The position of the index records in a file, and their number."""
 
     file: BinaryIO
     position: int
     data_end: int
-    """Byte of the bag before which all its chunks begin."""
+    """Offset in the bag before which all its chunks begin, bytes."""
     connections: int
     chunks: int
 
 
 class BagIndex:
-    """The index of a bag that is open: its connections, and where its chunks lie; see BagReader.
+    """The index of an open bag: its connections and the positions of its chunks; see BagReader.
 
     Args:
         file: The bag.
-        path: What error texts call it.
-        place: Where the records of the index lie; None = where the bag's header says.
+        path: Name of the bag in error texts.
+        place: Position of the index records; None = the position that the bag's header states.
     """
 
     def __init__(self, file: BinaryIO, path: str, place: IndexPlace | None = None) -> None:
@@ -56,8 +58,9 @@ class BagIndex:
         self.counts: Counter[int] = Counter()
         self._file = file
         self.numbers: dict[int, int] = {}
-        """Id of a connection in the file -> its number here."""
-        # Position, start_ns, end_ns, position of the chunk info, messages before; of each chunk.
+        """Connection id in the file -> connection number in this object."""
+        # For each chunk: position, start_ns, end_ns, position of its chunk info record, number of
+        # messages in the chunks before it.
         self._chunks = array("Q")
         place = place or _find_index(file, path)
         self._index, self.chunk_count = place.file, place.chunks
@@ -80,14 +83,14 @@ class BagIndex:
         return self._chunks[place::_PER_CHUNK]
 
     def chunk_info(self, chunk: int) -> ChunkInfo:
-        """Read what the index says about a chunk, in [0, chunk_count), in the file's order."""
+        """Read the index entry of a chunk. Chunks are numbered from 0 in the order of the file."""
         info_pos, before = self._chunk(chunk)[3:]
         self._index.seek(info_pos)
         info = self._read_chunk_info(f"{self.path}: the chunk info of chunk {chunk + 1}")
         return info._replace(first=before)
 
     def chunk_times(self, chunk: int) -> tuple[int, int]:
-        """Return the first and last time in a chunk as the index has them, ns."""
+        """Return the first and the last time in a chunk that the index states, ns."""
         start_ns, end_ns = self._chunk(chunk)[1:3]
         return start_ns, end_ns
 
@@ -101,8 +104,9 @@ class BagIndex:
             topic = check_connection(record.fields, number, header, self.path)
             if found.setdefault(number, (topic, header)) != (topic, header):
                 raise BagError(f"{self.path} is damaged: it has two different connections {number}")
-        # Number decides between equal times. Where the records stand in another order, that is
-        # the one in which rosbag reads, so the place in it is taken for the number.
+        # rosbag reads messages of equal times in the order of the connection records. We order
+        # them by connection number. If the records are not in the order of their ids, the
+        # position of the record becomes the number.
         ascending = list(found) == sorted(found)
         for place, (number, (topic, header)) in enumerate(found.items()):
             kept = self.numbers[number] = number if ascending else place
@@ -113,13 +117,13 @@ class BagIndex:
             info_pos = self._index.tell()
             info = self._read_chunk_info(f"{self.path}: a chunk info in the index")
             self.counts.update(info.counts)
-            # The sum stands here until the chunks are in order.
+            # _sort_chunks replaces this number by the number of messages in all chunks before.
             before = sum(info.counts.values())
             self._chunks.extend((info.position, info.start_ns, info.end_ns, info_pos, before))
         self.connections = {n: c for n, c in self.connections.items() if n in self.counts}
 
     def _read_chunk_info(self, where: str) -> ChunkInfo:
-        """Read the chunk info record at the file's position; its ``first`` is 0."""
+        """Read the chunk info record at the current file position; its ``first`` is 0."""
         fields, _, data_bytes = bagformat.read_record(self._index, bagformat.OP_CHUNK_INFO, where)
         version = bagformat.number(fields, b"ver", where)
         if version != bagformat.INDEX_VERSION:
@@ -140,7 +144,7 @@ class BagIndex:
         return ChunkInfo(position, start_ns, end_ns, counts, 0)
 
     def _data(self, data_bytes: int, where: str) -> bytes:
-        """Read the data of a record of the index."""
+        """Read the data of an index record."""
         if data_bytes > bagformat.MAX_CONNECTION_BYTES:
             raise BagError(
                 f"{where} is damaged: it has {data_bytes} bytes, of which at most "
@@ -162,7 +166,7 @@ class BagIndex:
 
 
 def _find_index(file: BinaryIO, name: str) -> IndexPlace:
-    """Return where the header of a bag says that its index lies."""
+    """Return the position of the index that the header of a bag states."""
     record, file_bytes = read_start(file, name), os.fstat(file.fileno()).st_size
     where = f"{name}: the header"
     index_pos, connections, chunks = (
@@ -181,11 +185,11 @@ def _find_index(file: BinaryIO, name: str) -> IndexPlace:
 
 
 def read_start(file: BinaryIO, name: str) -> bagformat.Record:
-    """Read the first record of a file, which tells a bag of format 2.0 that we can read.
+    """Read the first record of a bag of format 2.0, and check that we can read the bag.
 
     Raises:
-        BagUnindexed: The file ends within it.
-        BagError: The file is no such bag, or encrypted.
+        BagUnindexed: The file ends inside this record.
+        BagError: The file is not a bag of format 2.0, or it is encrypted.
     """
     file.seek(0)
     file_bytes = os.fstat(file.fileno()).st_size
@@ -226,7 +230,11 @@ def _unindexed(name: str, what: str) -> BagUnindexed:
 
 
 def check_connection(fields: bagformat.Fields, number: int, header: bytes, name: str) -> str:
-    """Return the topic of a connection record; BagError where it or the header is unusable."""
+    """Return the topic of a connection record.
+
+    Raises:
+        BagError: The topic or the connection header is missing, damaged or not UTF-8.
+    """
     topic = _topic(fields, number, name)
     check_header(header, f"{name}: connection {number} (topic {topic})")
     return topic
@@ -243,7 +251,11 @@ def _topic(fields: bagformat.Fields, number: int, name: str) -> str:
 
 
 def check_header(header: bytes, where: str) -> None:
-    """Check that a connection's header is one, and states type and md5sum; else BagError."""
+    """Check that a connection header can be parsed and states type and md5sum.
+
+    Raises:
+        BagError: The header is damaged, or one of the two fields is missing or not UTF-8.
+    """
     fields = bagformat.split_fields(header, where)
     for name in (b"type", b"md5sum"):
         try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The order in which rosbag reads a bag: by time of reception, connection, place in the bag."""
+"""The order in which rosbag reads a bag: receive time, connection number, position in the bag."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from cassandra_ros.messages.stamps import Stamp, Time
 from cassandra_ros.topics.stored_row import StoredRow
 
 HELD_BYTES = 32 << 20
-"""Most bytes of messages of one time that are held to be sorted; more are read once more."""
+"""Maximum size of the messages of one receive time that are sorted in memory, bytes. If there are
+more, they are read again, once for each connection."""
 _ROW_BYTES = 1000
-"""About what a row takes beside its message."""
+"""Approximate memory that a row needs in addition to its message, bytes."""
 
 Read = Callable[["Time | None", "Time | None"], Iterator[StoredRow]]
-"""Reads the rows between two times, both included, in the order of their reception."""
+"""Function that reads the rows of a time range (ends included) in the order of receive time."""
 
 
 def in_bag_order(read: Read, start: Time | None, end: Time | None) -> Iterator[StoredRow]:
-    """Yield the rows that ``read`` reads, those of equal times by number of their connection.
+    """Yield the rows that ``read`` returns; rows of equal time are sorted by connection number.
 
-    Memory: the messages of one time, up to HELD_BYTES and one message. Where there are more, those
-    of the time are read anew for each connection.
+    Memory: the messages of one receive time, at most HELD_BYTES and one message. Above that limit
+    the messages of this time are read again, once for each connection.
     """
     for t_ns, same in groupby(read(start, end), attrgetter("received")):
         rows: list[StoredRow] = []

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Reads a bag on a thread of its own, some messages ahead of who stores them.
+"""Read a bag on a separate thread while the caller stores the messages that were read before.
 
-Neither unpacking a chunk nor packing a block holds Python's lock for long: they go on side by side.
+Unpacking a chunk and packing a block both release Python's lock, so they run at the same time.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from typing import Iterator, Optional
 from cassandra_ros.bag.message_file import MessageBatch
 
 AHEAD_BYTES = 8 * 1024 * 1024
-"""Of messages that are read and not taken; one batch always may be."""
+"""Maximum size of the messages that wait for the caller, bytes. One batch may always wait."""
 
 
 class ReadAhead:
-    """Stretches in the order in which they are read; a context manager, which ends the reading.
+    """An iterator over batches that a separate thread reads; a context manager that stops it.
 
-    What the reading raises is raised where the next batch would come.
+    An error of the reading thread is raised after the last batch that was read before it.
 
     Args:
-        batches: Nobody else uses the file that they are read from until this has ended.
+        batches: The batches to read. No other code may use their file until the context is left.
     """
 
     def __init__(self, batches: Iterator[MessageBatch]) -> None:
         self._batches = batches
         self._read: deque[tuple[MessageBatch, int]] = deque()
         self._held = 0
-        self._ended = self._unwanted = False
+        self._ended = self._stopped = False
         self._error: Optional[BaseException] = None
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, daemon=True, name="cassandra_ros-bag")
@@ -47,12 +47,12 @@ class ReadAhead:
         where: Optional[TracebackType],
     ) -> None:
         with self._changed:
-            self._unwanted = True
+            self._stopped = True
             self._changed.notify_all()
         self._thread.join()
 
     def __iter__(self) -> Iterator[tuple[MessageBatch, int]]:
-        """Yield each batch, and its serialised bytes."""
+        """Yield each batch and the size of its serialised messages, bytes."""
         while True:
             with self._changed:
                 while not (self._read or self._ended):
@@ -72,19 +72,19 @@ class ReadAhead:
             for batch in self._batches:
                 if not self._put(batch):
                     break
-        except BaseException as exc:  # noqa: BLE001 - raised by who takes
+        except BaseException as exc:  # noqa: BLE001 - __iter__ raises it again
             error = exc
         with self._changed:
             self._error, self._ended = error, True
             self._changed.notify_all()
 
     def _put(self, batch: MessageBatch) -> bool:
-        """Keep a batch, as soon as there is room; False: nobody wants it any more."""
+        """Wait for room, then add a batch. Return False when the caller has left the context."""
         size = sum(map(len, batch.wires))
         with self._changed:
-            while self._read and self._held + size > AHEAD_BYTES and not self._unwanted:
+            while self._read and self._held + size > AHEAD_BYTES and not self._stopped:
                 self._changed.wait()
             self._read.append((batch, size))
             self._held += size
             self._changed.notify_all()
-            return not self._unwanted
+            return not self._stopped

@@ -23,42 +23,43 @@ from cassandra_ros.bag.chunk import (
     unpack_part,
 )
 from cassandra_ros.bag.message_file import MessageFile
-from cassandra_ros.bag.salvage import Salvaged, read_salvage
+from cassandra_ros.bag.salvage import SalvageReport, read_salvage
 from cassandra_ros.errors import BagError
 
 
 class BagReader(BagIndex, MessageFile):
     """A bag that is open for reading; also a context manager.
 
-    Memory: 40 bytes for each chunk of the bag, and while reading the largest chunk, packed and
-    unpacked, with about 200 bytes for each of its messages.
+    Memory: 40 bytes for each chunk of the bag. While a chunk is read, also the chunk packed and
+    unpacked, and about 200 bytes for each of its messages.
 
     Attributes:
-        connections: By number, in the order of the index. Like rosbag, we leave out those that
-            no message refers to.
-        counts: Messages of each connection, by number.
-        message_count, chunk_count: Of the whole bag.
+        connections: Connections by number, in the order of the index. Like rosbag, we leave out
+            connections without messages.
+        counts: Number of messages by connection number.
+        message_count: Number of messages in the bag.
+        chunk_count: Number of chunks in the bag.
         start_ns, end_ns: Times of the first and the last message, ns; 0 in an empty bag.
-
-        salvaged: Where the bag was opened with salvage: what was damaged, if anything.
+        salvaged: The damage that was found when the bag was opened with ``salvage``, if any.
 
     Args:
-        salvage: Of a bag that is cut short, damaged or was not closed, read the messages up to the
-            damage: all chunks are read to find them. Of a sound bag nothing changes.
-        large_chunks: Read also chunks and bags that an Allowance refuses by default: a bag that
-            was made for it can fill the memory then.
+        salvage: If the bag is cut short, damaged or was not closed, read the messages before the
+            damage. All chunks are read to find it. An undamaged bag is read as usual.
+        large_chunks: Also read chunks and bags that an Allowance refuses by default. A bag that
+            was made to do harm can then fill the memory.
 
     Raises:
         BagUnindexed: The bag was not closed properly, or is cut short.
-        BagTooLarge: When a chunk is read: it would unpack to more than is allowed.
-        BagError: The file cannot be opened, is no bag of format 2.0, is encrypted, or its index
+        BagTooLarge: A chunk would unpack to more bytes than the Allowance permits (raised when the
+            chunk is read).
+        BagError: The file cannot be opened, is not a bag of format 2.0, is encrypted, or its index
             is damaged; with salvage: no message can be read.
     """
 
     def __init__(
         self, path: str | os.PathLike[str], salvage: bool = False, large_chunks: bool = False
     ) -> None:
-        name, self.salvaged = os.fspath(path), Salvaged()
+        name, self.salvaged = os.fspath(path), SalvageReport()
         try:
             with ExitStack() as opened:
                 file = opened.enter_context(open(name, "rb"))
@@ -70,13 +71,13 @@ class BagReader(BagIndex, MessageFile):
                 super().__init__(file, name, place)
                 self._allowance = Allowance(file_bytes, large_chunks)
                 self._counted = bytearray(self.chunk_count)
-                """A byte for each chunk: 1 = the allowance has counted it, if it is read again."""
+                """One byte per chunk: 1 = the allowance has counted it, so not counted again."""
                 opened.pop_all()
         except OSError as exc:
             raise BagError(f"{name} cannot be read: {exc.strerror}") from exc
 
     def _salvage(self, file: BinaryIO, name: str, allowance: Allowance) -> IndexPlace | None:
-        """Find the damage; return an index made anew, or None where the bag's own is sound."""
+        """Return a rebuilt index of a damaged bag, or None if the bag's own index is valid."""
         found, place = read_salvage(file, name, allowance)
         if not found.why:
             try:
@@ -89,19 +90,16 @@ class BagReader(BagIndex, MessageFile):
         return place
 
     def close(self) -> None:
-        """Close the file; twice is harmless."""
+        """Close the file. A second call does nothing."""
         self._file.close()
         self._index.close()
 
     def compressions(self) -> dict[str, int]:
-        """Count the chunks of each compression (reads the header of every chunk)."""
+        """Return the number of chunks by compression. This reads the header of every chunk."""
         return dict(Counter(self._chunk_header(i)[0] for i in range(self.chunk_count)))
 
     def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
-        """Read what a chunk holds, and where its messages lie in it; see messages.
-
-        Their ids are those of ``connections``.
-        """
+        """Read a chunk. Return its content and the list of its messages, see MessageFile."""
         where, counts = self._where(chunk), self.chunk_info(chunk).counts
         compression, size, data_bytes = self._chunk_header(chunk)
         if compression == "none" and size != data_bytes:
@@ -120,8 +118,8 @@ class BagReader(BagIndex, MessageFile):
         else:
             content = decompress_chunk(compression, data, size, where)
             offsets = self._offsets(counts)
-        places = find_messages(content, where, offsets)
-        present, inverse, each = np.unique(places.ids, return_inverse=True, return_counts=True)
+        messages = find_messages(content, where, offsets)
+        present, inverse, each = np.unique(messages.ids, return_inverse=True, return_counts=True)
         numbers = [self.numbers.get(file_id, -1) for file_id in present.tolist()]
         ids = np.array(numbers, np.int64)[inverse]
         if dict(zip(numbers, each.tolist())) != counts:
@@ -129,12 +127,13 @@ class BagReader(BagIndex, MessageFile):
                 f"{where} is damaged: its {len(ids)} messages are not those that the index "
                 f"lists; repair it with: rosbag reindex {self.path}"
             )
-        return content, places._replace(ids=ids)
+        return content, messages._replace(ids=ids)
 
     def _offsets(self, counts: Mapping[int, int]) -> Longs | None:
-        """Read where the index of the chunk before the file's position says that messages begin.
+        """Read the offsets of messages from the index records at the current file position.
 
-        None: it does not say so of all, or it takes longer than to look for them.
+        Return None if they do not list all messages of the chunk, or if searching the chunk for
+        its messages is faster.
         """
         count = sum(counts.values())
         if count < MIN_AT_ONCE * max(1, len(counts)):

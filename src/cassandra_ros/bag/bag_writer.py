@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Write bags of format 2.0, any number of connections on a topic, each byte for byte."""
+"""Write bags of format 2.0. A topic may have any number of connections, kept byte for byte."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from cassandra_ros.errors import BagError
 from cassandra_ros.keys import SECOND_NS
 
 CHUNK_BYTES = 768 * 1024
-"""A chunk is closed when its content has grown over this, as in rosbag."""
+"""Size of a chunk's content above which the chunk is closed, bytes; the default of rosbag."""
 _ENTRY = Struct("<III")
 _SPOOL_BYTES = 1 << 20
 
 
 class BagWriter(FileWriter):
-    """A bag that is being written, see FileWriter. Memory: one chunk and the connections.
+    """A bag that is being written, see FileWriter. Memory: one chunk and all connections.
 
     Args:
-        path: The bag to make; an existing one is replaced at the end.
+        path: The bag to write; an existing file is replaced when the bag is closed.
         compression: 'none', 'bz2' or 'lz4'.
-        chunk_bytes: Content of a chunk at which it is closed, uncompressed bytes.
+        chunk_bytes: Size of a chunk's content above which the chunk is closed, uncompressed bytes.
 
     Raises:
         BagError: The compression is unknown, or the file cannot be made.
@@ -49,7 +49,7 @@ class BagWriter(FileWriter):
         self._chunk_bytes = chunk_bytes
         self._used: set[int] = set()
         self._chunk = bytearray()
-        # Per connection of the open chunk: time and offset of each message, for its index record.
+        # Connection number -> time and offset of each message in the open chunk, for its index.
         self._entries: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
         self._chunk_count = 0
         spool = tempfile.SpooledTemporaryFile(_SPOOL_BYTES)
@@ -59,7 +59,7 @@ class BagWriter(FileWriter):
     def write(
         self, number: int, t_ns: int, data: bytes, delay_ns: int = 0, sequence: int = 0
     ) -> None:
-        """Append a message, see FileWriter; a bag does not say when it was sent."""
+        """Append a message, see FileWriter. A bag cannot store delay_ns and sequence."""
         if number not in self._used:
             self._chunk += self._connection_record(number)
             self._used.add(number)
@@ -135,8 +135,8 @@ def _index_record(number: int, entries: list[tuple[int, int]]) -> bytes:
         (b"ver", bagformat.INDEX_VERSION),
         (b"count", len(entries)),
     )
-    # rosbag merges these lists without sorting them. The sort is stable: equal times stay
-    # in the order in which they were written.
+    # rosbag merges these lists without sorting them. The sort is stable: messages of equal time
+    # keep the order in which they were written.
     entries.sort(key=itemgetter(0))
     data = [_ENTRY.pack(*divmod(t_ns, SECOND_NS), offset) for t_ns, offset in entries]
     return bagformat.pack_record(fields, b"".join(data))

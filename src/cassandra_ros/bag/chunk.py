@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Chunks: their compression (none, bz2, lz4 in the framing of ROS), and the messages inside."""
+"""Chunks of a bag: their compression (none, bz2, lz4 as ROS frames it) and the messages inside."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 COMPRESSIONS = ("none", "bz2", "lz4")
 _FEED_BYTES = 1 << 16
-"""Compressed bytes that are handed over at once."""
+"""Number of compressed bytes given to the decompressor at once."""
 _PIECE_BYTES = 1 << 24
 """Maximum number of bytes that bz2 unpacks at once."""
 
@@ -37,9 +37,12 @@ def compress_chunk(name: str, data: bytes) -> bytes:
 
 
 def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
-    """Give back the content of a chunk, which has ``size`` bytes; never more are unpacked.
+    """Return the unpacked content of a chunk. At most ``size`` bytes are unpacked.
 
-    The caller has asked an Allowance whether the size is allowed.
+    The caller has checked the size with an Allowance.
+
+    Raises:
+        BagError: The compression is unknown, or the content is damaged or not ``size`` bytes long.
     """
     if name == "none":
         content = data
@@ -53,7 +56,7 @@ def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
 
 
 def _unpack(name: str, data: bytes, size: int, where: str) -> bytes:
-    content = BytesIO()  # it grows in place, so that nothing is there twice
+    content = BytesIO()  # it grows in place, so the content is never in memory twice
     try:
         for piece in _pieces(name, data):
             content.write(piece)
@@ -67,10 +70,10 @@ def _unpack(name: str, data: bytes, size: int, where: str) -> bytes:
 
 
 def _pieces(name: str, data: bytes) -> Iterator[bytes]:
-    """Unpack a chunk piece by piece, so that a bomb is noticed before it fills the memory."""
+    """Unpack a chunk in pieces, so that the caller can stop before it fills the memory."""
     parts = (data[n : n + _FEED_BYTES] for n in range(0, len(data), _FEED_BYTES))
     if name == "lz4":
-        # At most one block of 4 MiB and 255 times the input comes out, whatever is declared.
+        # The output of one call is at most one block of 4 MiB and 255 times the input.
         yield from map(_roslz4().LZ4Decompressor().decompress, parts)
         return
     unpacker = bz2.BZ2Decompressor()
@@ -81,10 +84,10 @@ def _pieces(name: str, data: bytes) -> Iterator[bytes]:
 
 
 def unpack_part(name: str, data: bytes, most: int) -> bytes:
-    """Unpack what still can be of a chunk that is cut or damaged: its content up to there.
+    """Unpack the beginning of a chunk that is cut short or damaged, up to the damage.
 
     Args:
-        most: Bytes of content after which it ends.
+        most: Maximum size of the result, bytes.
     """
     if name not in ("bz2", "lz4"):
         return data if name == "none" else b""
@@ -109,29 +112,31 @@ def _roslz4() -> ModuleType:
 
 
 Longs = NDArray[np.int64]
+"""An array of 64-bit integers."""
 
 
 class ChunkMessages(NamedTuple):
-    """Where the messages of a chunk lie in its content, in its order; a number of each."""
+    """The messages of a chunk in the order of the chunk: one array element per message."""
 
     ids: Longs
-    """Of their connections, as the file has them."""
+    """Connection id of each message."""
     times: Longs
-    """ns."""
+    """Time of each message, ns."""
     starts: Longs
+    """Offset in the content at which the serialised message begins, bytes."""
     stops: Longs
-    """Of the serialised message."""
+    """Offset in the content at which the serialised message ends (not included), bytes."""
 
     @property
     def sizes(self) -> Longs:
-        """Serialised bytes of each."""
+        """Size of each serialised message, bytes."""
         return self.stops - self.starts
 
 
 _COLUMNS = 4
 
-# Both known writers of bags give the header of a message always the same layout, so one unpack
-# and two comparisons read it; every other order of the fields is read field by field.
+# Each of the two known writers of bags (C++ and Python) always writes the header of a message in
+# the same layout, so one unpack and two comparisons read it. Other orders are read by field.
 _CPP = (
     Struct("<13sI17sIII").unpack_from,
     b"\x26\0\0\0\x09\0\0\0conn=",
@@ -147,13 +152,13 @@ _FIXED_BYTES = _MESSAGE_HEAD.size
 
 
 class _Layout(NamedTuple):
-    """What stands before the bytes of a message, its fields in some order."""
+    """The bytes before a serialised message, for one order of the header fields."""
 
     head: NDArray[np.uint8]
     mask: NDArray[np.uint8]
-    """0 at its numbers."""
+    """0 for the bytes of head that are numbers, else 255."""
     numbers: list[slice]
-    """Where those are: of the connection, seconds and nanoseconds, the size."""
+    """Positions of the numbers in head: connection id, seconds and nanoseconds, message size."""
 
 
 def _layout(order: Sequence[bytes]) -> _Layout:
@@ -168,26 +173,29 @@ def _layout(order: Sequence[bytes]) -> _Layout:
 
 
 _LAYOUTS = [_layout(order) for order in permutations((b"op", b"conn", b"time"))]
-"""All there are: Python 2 wrote another one than the two above."""
+"""All orders of the three header fields; Python 2 wrote another order than the two above."""
 MIN_AT_ONCE = 16
-"""Minimum number of messages that are read all at once; fewer are read one by one."""
+"""Minimum number of messages that are read with numpy at once; fewer are read one by one."""
 MAX_AT_ONCE = 2**20
-"""Maximum number of messages that are read all at once, which takes some hundred bytes for each."""
+"""Maximum number of messages that are read with numpy at once. Each needs some 100 bytes."""
 _NOTHING = np.zeros((_COLUMNS, 0), np.int64)
 
 
 def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -> ChunkMessages:
-    """List the messages of a chunk's unpacked content, which its records must fill exactly.
+    """List the messages in the unpacked content of a chunk. Its records must fill it exactly.
 
     Args:
-        offsets: Where the index says that records of messages begin, ascending. It is believed
-            where the records there fill the content; then they are read all at once.
+        offsets: Ascending offsets of the message records that the index states. They are used,
+            and all records are read at once, if the records at these offsets fill the content.
+
+    Raises:
+        BagError: A record is damaged.
     """
     if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
-        places = _messages_at(content, where, offsets)
-        if places is not None:
-            return places
-    found = array("q")  # a chunk may hold millions: four numbers of each, one after the other
+        messages = _messages_at(content, where, offsets)
+        if messages is not None:
+            return messages
+    found = array("q")  # four numbers for each message; a chunk may hold millions of messages
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
     (read, head, middle), other = _PYTHON, _CPP
@@ -213,7 +221,7 @@ def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -
 
 
 def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[ChunkMessages]:
-    """Read the messages whose records begin at some bytes; None: that is not all there is."""
+    """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
     if offsets[0] < 0 or offsets[-1] > len(content) - _FIXED_BYTES:
         return None
     heads = sliding_window_view(np.frombuffer(content, np.uint8), _FIXED_BYTES)[offsets]
@@ -231,7 +239,7 @@ def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[ChunkMe
 
 
 def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
-    """Say whether records from some bytes to some others, and connections, fill a content."""
+    """Say whether the given records, with connection records in the gaps, fill the content."""
     begins, ends = np.append(begins, len(content)), np.insert(ends, 0, 0)
     more = array("q")
     for gap in np.flatnonzero(begins != ends).tolist():
@@ -244,22 +252,25 @@ def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
 
 
 def _other_record(content: bytes, position: int, where: str, found: array[int]) -> int:
-    """Read a connection record, or a message in another layout; return where it ends."""
+    """Read a connection record, or a message in another layout; return the offset of its end."""
     op, fields, start, stop = record_at(content, position, where)
     if op == bagformat.OP_MESSAGE:
         found.extend((*message_of(fields, where), start, stop))
     elif op != bagformat.OP_CONNECTION:
-        # The index at the end holds the connections; their copies in the chunks repeat it.
+        # Connection records are skipped: the index at the end of the bag repeats them.
         place = f"{where} (byte {position} of its content)"
         raise BagError(f"{place} is damaged: a record of kind {op}")
     return stop
 
 
 def record_at(content: bytes, position: int, where: str) -> Tuple[int, bagformat.Fields, int, int]:
-    """Read the record at a byte of a chunk's content: kind, header, begin and end of its data.
+    """Read the record at an offset of a chunk's content.
+
+    Returns:
+        Kind of the record, its header fields, and the offsets of the begin and end of its data.
 
     Raises:
-        BagError: There is none, or it runs over the end of the content.
+        BagError: The record is damaged or runs over the end of the content.
     """
     place = f"{where} (byte {position} of its content)"
     try:
@@ -277,12 +288,12 @@ def record_at(content: bytes, position: int, where: str) -> Tuple[int, bagformat
 
 
 def message_of(fields: bagformat.Fields, where: str) -> Tuple[int, int]:
-    """Read the header of a message: the connection's id in the file, and the time, ns."""
+    """Return the connection id and the time, ns, in the header of a message record."""
     return bagformat.number(fields, b"conn", where), bagformat.time_ns(fields, b"time", where)
 
 
 def message_head(number: int, t_ns: int, size: int) -> bytes:
-    """Build what stands before the bytes of a message in a chunk."""
+    """Return the bytes that precede a serialised message of ``size`` bytes in a chunk."""
     secs, nsecs = divmod(t_ns, SECOND_NS)
     _, head, middle = _PYTHON
     return _MESSAGE_HEAD.pack(head, number, middle, secs, nsecs, size)

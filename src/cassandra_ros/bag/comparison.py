@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compare a bag with the store: the messages of both, side by side in their order."""
+"""Compare the messages of a bag with those of the store, one by one in their order."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.message_file import (
     MessageFile,
     MessageProgress,
-    chosen_connections,
+    connections_of_topics,
     read_in_order,
 )
-from cassandra_ros.bag.publish_times import count_differing
+from cassandra_ros.bag.publish_times import count_other_publish_times
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
@@ -31,15 +31,17 @@ from cassandra_ros.topics.run_finder import RunName, Writers
 from cassandra_ros.topics.stored_row import StoredRow
 
 SHOWN = 10
-"""Differences that are kept in words; all are counted."""
+"""Maximum number of differences that a report describes. All differences are counted."""
 WINDOW = 50
-"""Messages ahead, on either side, among which a counterpart is looked for."""
+"""Number of following messages, in bag and store, that are searched for an equal message."""
 
 _SIZE_BYTES = 8
+"""Number of bytes of a fingerprint that hold the size of the message."""
 _FOREIGN = 1 << 32
-"""Rank of stored messages whose connection is none of the bag's."""
+"""Rank of stored messages whose connection is not in the bag."""
 
-# How much of an entry's time, rank and place must agree before two messages are compared.
+# How many of the first fields of Entry (time, rank, position) must be equal before the content of
+# two messages is compared.
 _NO_ORDER = 0
 _BY_CONNECTION = 2
 _BY_POSITION = 3
@@ -47,29 +49,29 @@ _BY_POSITION = 3
 
 @dataclass
 class VerifyReport:
-    """Outcome of a comparison."""
+    """The result of a comparison."""
 
     path: str
     scope: str
-    """Which stored messages were compared, in words."""
+    """Description of the stored messages that were compared."""
     equal_messages: int = 0
     differences: int = 0
-    """Messages that are missing, superfluous or different."""
+    """Number of messages that are missing, superfluous or different."""
     missing: int = 0
-    """Those of them that the store lacks; the others are rows that are not of this bag."""
+    """Number of messages of the bag that the store does not have; part of ``differences``."""
     left_out: int = 0
-    """Messages of the bag that are not compared: they were latched before the window of which it
-    is an export, see export_bag."""
+    """Number of messages of the bag that were not compared, because an export added them as latched
+    before its time range, see export_bag."""
     first: list[str] = field(default_factory=list)
-    """The first differences, a line each."""
+    """The first differences, one line each; at most SHOWN."""
 
     @property
     def equal(self) -> bool:
-        """Whether bag and store hold the same."""
+        """Whether bag and store hold the same messages."""
         return not self.differences
 
     def add(self, text: str, messages: int = 1) -> None:
-        """Note a difference: a line that says which message, and in what it differs."""
+        """Count a difference of some messages, and keep its description: one line of text."""
         self.differences += messages
         if len(self.first) < SHOWN:
             self.first.append(text)
@@ -88,30 +90,30 @@ def verify_bag(
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
-    Equal means: the same messages with the same topic, time, type, md5sum, bytes and connection
-    (header byte for byte), in the same order. Where the store holds rows of an import of this
-    very bag only those are compared, so that a keyspace may hold other bags and recordings on
-    the same topics; else all rows of the bag's topics are. Then messages that an export marked as
-    latched before its window are left out: the store holds them at another time. Of the import of
-    an MCAP also publish_time and sequence are compared.
+    Bag and store are equal if they have the same messages in the same order, with equal topic,
+    time, type, md5sum, bytes and connection (header byte for byte). If the store holds an import of
+    this bag, only the rows of that import are compared, so the keyspace may hold other bags and
+    recordings of the same topics. Otherwise all rows of the bag's topics are compared, and messages
+    that an export added as latched before its time range are left out, because the store holds them
+    at another time. For the import of an MCAP publish_time and sequence are compared, too.
 
     Args:
-        topics: Only these; None = all of the bag.
-        nodeID: Compare what is stored for this node; None = whichever node it is.
-        progress: Told which messages of the bag were compared.
-        reading: Told how far the pass over the bag is that finds its import.
-        run: Compare what this recording or import stored, by its name or writer id.
-        salvage: Compare what can be read of a damaged bag, as import_bag stores it.
-        large_chunks: As import_bag takes it.
+        topics: Topics to compare; None = all topics of the bag.
+        nodeID: Robot whose stored messages are compared; None = all robots.
+        progress: Callback for the messages that were compared, see MessageProgress.
+        reading: Callback for the first pass over the bag, which finds its import.
+        run: Name or writer id of the recording or import to compare with; None = all.
+        salvage: Compare the messages before the damage of a damaged bag, as import_bag stores them.
+        large_chunks: As in import_bag.
 
     Raises:
         BagError: The bag cannot be read to its end.
         TopicNotFound: The bag has no such topic.
         RunNotFound: The store has no such run.
-        InvalidKey: The bag was imported for several nodes, and nodeID does not choose.
+        InvalidKey: The bag was imported for several robots, and nodeID does not choose one.
     """
     with open_file(path, salvage, large_chunks) as reader:
-        numbers = chosen_connections(reader, topics)
+        numbers = connections_of_topics(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
         catalog = ros_cas.catalog
         stored = _stored_topics(catalog, chosen.values())
@@ -133,9 +135,9 @@ def verify_bag(
             numbers -= gone
         comparison = _by_place(catalog, reader, stored, found, nodeID, report, writers)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
-        late = (
-            count_differing(catalog.keyspace.side_tables, reader, found) if found is not None else 0
-        )
+        late = 0
+        if found is not None:
+            late = count_other_publish_times(catalog.keyspace.side_tables, reader, found)
         if late:
             report.add(f"publish_time or sequence of {late} messages are stored otherwise", late)
     return report
@@ -154,32 +156,34 @@ def verify_content(
     salvage: bool = False,
     large_chunks: bool = False,
 ) -> VerifyReport:
-    """Compare each topic's messages in their order by type, md5sum and bytes alone.
+    """Compare the messages of each topic in their order, by type, md5sum and bytes only.
 
-    Times and connections are not compared: they differ when a bag was played and recorded live.
-    Of a stretch that begins no later than the bag, messages that an export marked as latched
-    before its window are left out; where the bag was played they are among what was recorded.
-    Memory: two pages of rows for each topic, and what read_in_order needs; of a topic whose key is
-    a time in the message, all keys.
+    Times and connections are not compared: they differ when the bag was played and recorded again.
+    If ``start`` is not after the first message of the bag, messages that an export added as latched
+    before its time range are left out. Without ``start`` they are compared, because a player
+    publishes them, so a recording of it has them.
+
+    Memory: two pages of rows for each topic and the memory of read_in_order. For a topic whose key
+    is a time in the message, also the keys of all its messages.
 
     Args:
-        topics: Only these topics of the bag; None = all.
-        nodeID: Only what this node recorded; None = all nodes.
+        topics: Topics of the bag to compare; None = all.
+        nodeID: Robot whose stored messages are compared; None = all robots.
         mapping: Topic of the bag -> topic under which it was recorded.
-        start: First time of reception (genpy.Time, int ns, float s, text); None = open.
-        end: Last time, included; None = open.
-        progress: Told which messages of the bag were compared.
-        run: Only what this recording or import stored, by its name or writer id.
-        salvage, large_chunks: As verify_bag takes them.
+        start: First receive time, included (genpy.Time, int ns, float s, text); None = open.
+        end: Last receive time, included; None = open.
+        progress: Callback for the messages that were compared, see MessageProgress.
+        run: Name or writer id of the recording or import to compare with; None = all.
+        salvage, large_chunks: As in verify_bag.
 
     Raises:
-        BagError, TopicNotFound, RunNotFound: As of verify_bag.
+        BagError, TopicNotFound, RunNotFound: As in verify_bag.
     """
     renamed = dict(mapping or {})
     catalog = ros_cas.catalog
     writers = catalog.keyspace.runs.writers(run)
     with open_file(path, salvage, large_chunks) as reader:
-        numbers = chosen_connections(reader, topics)
+        numbers = connections_of_topics(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
         if start is not None and to_ns(start) <= reader.start_ns:
             numbers -= _leave_out(reader, numbers, report)
@@ -197,7 +201,7 @@ def verify_content(
 
 
 def _leave_out(reader: MessageFile, numbers: AbstractSet[int], report: VerifyReport) -> set[int]:
-    """Return the connections of messages from before the window of a bag, and count these."""
+    """Return the connections that hold messages latched before an export, and count these."""
     early = {n for n in numbers if reader.connections[n].from_before}
     report.left_out = sum(reader.counts[n] for n in early)
     return early
@@ -215,9 +219,10 @@ def _find_import(
     reading: MessageProgress | None,
     among: Writers,
 ) -> Run | None:
-    """Find the import of this bag whose rows are to be compared, by the directory's writer ids.
+    """Return the import of this bag whose rows are to be compared; None = there is no import.
 
-    Those of tables whose keys are not the times of the bag are looked for at all times.
+    Only runs whose writer id is in the directory, for the bag's time range, are considered; for
+    tables whose keys are not the times of the bag the time range is unlimited.
     """
     keyspace = catalog.keyspace
     nodes = None if node is None else (node,)
@@ -252,36 +257,36 @@ def _by_place(
     report: VerifyReport,
     writers: Writers = None,
 ) -> Comparison:
-    """Compare the rows of an import, or all rows of the topics, by time and connection."""
+    """Return a comparison with the rows of an import, or with all rows of the topics."""
     ranks = _Ranks(reader.connections.values(), positions=found is not None)
     if found is None:
         rows = catalog.read(topics, node=node, received=True, run=writers)
         return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
-    # As stamps: an int near 0, a simulation's time, might be refused as seconds.
+    # As stamps: a small integer (the time of a simulation) might be refused as a time in seconds.
     ends = map(Stamp.from_ns, (reader.start_ns, reader.end_ns))
     own = frozenset([found.writer])
     rows = catalog.read(topics, *ends, node=found.node, received=True, run=own)
-    # These rows know their positions, so that one which is missing shifts no others.
+    # The rows of an import hold their positions in the bag, so a missing row shifts no other.
     return Comparison(_in_order(rows, ranks), report, _BY_POSITION)
 
 
 class Entry(NamedTuple):
-    """A message of the bag, or a stored one; entries sort in the order in which rosbag reads."""
+    """A message of the bag or of the store. Entries sort in the order in which rosbag reads."""
 
     t_ns: int
     rank: int
-    """Place of its connection in the bag's index, or _FOREIGN."""
-    place: int
-    """Its position in the bag, or its seq where that is not known."""
+    """Position of the message's connection in the bag's index, or _FOREIGN."""
+    position: int
+    """Position of the message in the bag, or its ``_seq`` if the position is unknown."""
     type: str
     md5sum: str
     value: bytes
-    """Its fingerprint."""
+    """Fingerprint of the serialised message; b'' = the stored message cannot be read."""
     topic: str
 
     @property
     def content(self) -> tuple[str, str, bytes]:
-        """What must be equal, wherever the messages stand."""
+        """Type, md5sum and fingerprint: the fields that are equal in equal messages."""
         return self[3:6]
 
     def __str__(self) -> str:
@@ -289,18 +294,23 @@ class Entry(NamedTuple):
 
 
 def fingerprint(wire: bytes) -> bytes:
-    """Shorten a message to 24 bytes that differ when the messages differ."""
+    """Return 24 bytes that identify a serialised message: its size and a hash."""
     digest = hashlib.blake2b(wire, digest_size=16).digest()
     return len(wire).to_bytes(_SIZE_BYTES, "little") + digest
 
 
 class _Ranks:
-    """Finds the connections of rows among those of the bag, and shortens the rows to entries."""
+    """Converts stored rows to entries; finds the rank of each row's connection in the bag.
+
+    Args:
+        connections: Connections of the bag, in the order of its index.
+        positions: Whether the counter in ``_seq`` is the message's position in the bag.
+    """
 
     def __init__(self, connections: Iterable[Connection], positions: bool) -> None:
         self._positions = positions
         self._exact: dict[tuple[str, bytes, int], int] = {}
-        # The number is lost where the messages did not come from this very bag.
+        # Connections without their number, for messages that were not imported from this bag.
         self._alike: dict[tuple[str, bytes], int] = {}
         for rank, c in enumerate(connections):
             self._exact[c.topic, c.header, c.number] = rank
@@ -308,23 +318,23 @@ class _Ranks:
         self._known: dict[tuple[str, int], tuple[int, str]] = {}
 
     def see(self, row: StoredRow) -> Entry:
-        """Shorten a row to what is compared; one that cannot be read back equals no message."""
+        """Return the entry of a row. A row that cannot be read is unequal to every message."""
         key = (row.table.name, row.conn)
         if key not in self._known:
             c = row.connection
             alike = self._alike.get((c.topic, c.header), _FOREIGN)
             self._known[key] = (self._exact.get((c.topic, c.header, c.number), alike), c.type)
         rank, msg_type = self._known[key]
-        place = split_seq(row.seq)[1] if self._positions else row.seq
+        position = split_seq(row.seq)[1] if self._positions else row.seq
         try:
             value = fingerprint(row.wire)
         except CorruptMessage:
             value = b""
-        return Entry(row.received, rank, place, msg_type, row.md5sum, value, row.topic)
+        return Entry(row.received, rank, position, msg_type, row.md5sum, value, row.topic)
 
 
 def _in_order(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
-    """Put rows of equal time in the order of their connections."""
+    """Yield the entries of rows; rows of equal time are sorted by connection."""
     for _, group in groupby(rows, lambda row: row.received):
         yield from sorted(map(ranks.see, group))
 
@@ -335,7 +345,7 @@ def _compare(
     comparisons: Mapping[str, Comparison],
     progress: MessageProgress | None,
 ) -> None:
-    """Walk through a bag in the order of rosbag, each topic against its stored messages."""
+    """Read a bag in the order of rosbag and compare each topic with its stored messages."""
     connections = list(reader.connections.values())
     messages = read_in_order(reader, lambda message: fingerprint(message.data), numbers)
     for t_ns, rank, position, value in messages:
@@ -348,10 +358,15 @@ def _compare(
 
 
 class Comparison:
-    """Compares messages of a bag with stored ones so that a lost one does not make others differ.
+    """Compares two sequences of messages. A missing message does not make the next ones different.
 
-    Messages at different places are missing on one side; at one place, the next equal one decides.
-    ``order`` is how many of (time, rank, place) say where a message stands; 0 = only its turn does.
+    Two messages that differ in time, rank or position are reported as missing from one side each.
+    Messages that agree in these but not in content are matched with the next equal message.
+
+    Args:
+        store: The stored messages, in their order.
+        report: Report to which the differences are added.
+        order: Number of fields of (time, rank, position) that place a message; 0 = only its order.
     """
 
     def __init__(self, store: Iterator[Entry], report: VerifyReport, order: int) -> None:
@@ -367,7 +382,7 @@ class Comparison:
         self._advance(WINDOW)
 
     def finish(self) -> None:
-        """Compare what is left; there are no more messages in the bag."""
+        """Compare the remaining messages, after the last message of the bag."""
         self._advance(1)
         while self._seen or self._fill():
             self._superfluous(1)
@@ -376,8 +391,8 @@ class Comparison:
         self._seen.extend(islice(self._store, WINDOW - len(self._seen)))
         return bool(self._seen)
 
-    def _advance(self, wanted: int) -> None:
-        """Compare while at least so many messages of the bag wait, or the next two are equal."""
+    def _advance(self, minimum: int) -> None:
+        """Compare while the bag has ``minimum`` messages waiting, or the next two are equal."""
         bag, seen, order = self._bag, self._seen, self._order
         while bag:
             if not (seen or self._fill()) or bag[0][:order] < seen[0][:order]:
@@ -388,13 +403,13 @@ class Comparison:
                 self._report.equal_messages += 1
                 bag.popleft()
                 seen.popleft()
-            elif len(bag) < wanted:
+            elif len(bag) < minimum:
                 return
             else:
                 self._resolve()
 
     def _resolve(self) -> None:
-        """Decide what the first difference at one place is, and step behind it."""
+        """Report the next difference as missing, superfluous or different messages, and skip it."""
         self._fill()
         further = self._ahead(self._bag[0], self._seen)
         missing = self._ahead(self._seen[0], self._bag)
@@ -406,7 +421,7 @@ class Comparison:
             self._different(self._bag.popleft(), self._seen.popleft())
 
     def _ahead(self, message: Entry, others: Iterable[Entry]) -> int:
-        """Return how many messages at its place come before an equal one; 0 = there is none."""
+        """Return how many messages of equal order precede an equal one; 0 = no message is equal."""
         for count, other in enumerate(others):
             if other[: self._order] != message[: self._order]:
                 return 0
@@ -419,8 +434,8 @@ class Comparison:
         why = "is not in the store" if known else "has no counterpart: the store has fewer messages"
         self._report.missing += count
         for _ in range(count):
-            wanted = self._bag.popleft()
-            self._report.add(f"{wanted}: message {wanted.place} of the bag {why}")
+            entry = self._bag.popleft()
+            self._report.add(f"{entry}: message {entry.position} of the bag {why}")
 
     def _superfluous(self, count: int) -> None:
         for _ in range(count):
@@ -429,17 +444,17 @@ class Comparison:
                 why = " over this connection"
             self._report.add(f"{seen}: the bag has no such message{why}")
 
-    def _different(self, wanted: Entry, seen: Entry) -> None:
+    def _different(self, expected: Entry, seen: Entry) -> None:
         reasons = []
-        types = [f"{entry.type} [{entry.md5sum}]" for entry in (wanted, seen)]
+        types = [f"{entry.type} [{entry.md5sum}]" for entry in (expected, seen)]
         if types[0] != types[1]:
             reasons.append(f"type {types[0]} in the bag, {types[1]} in the store")
         if not seen.value:
             reasons.append("the stored message is damaged")
-        elif wanted.value != seen.value:
-            sizes = [int.from_bytes(e.value[:_SIZE_BYTES], "little") for e in (wanted, seen)]
+        elif expected.value != seen.value:
+            sizes = [int.from_bytes(e.value[:_SIZE_BYTES], "little") for e in (expected, seen)]
             text = f"{sizes[0]} bytes in the bag, {sizes[1]} in the store"
             reasons.append(text if sizes[0] != sizes[1] else f"its {sizes[0]} bytes differ")
-        stored = "" if str(wanted) == str(seen) else f" (stored as {seen})"
-        where = f"{wanted}: message {wanted.place} of the bag"
+        stored = "" if str(expected) == str(seen) else f" (stored as {seen})"
+        where = f"{expected}: message {expected.position} of the bag"
         self._report.add(f"{where}: {'; '.join(reasons)}{stored}")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From the store into a bag or an MCAP, which holds the messages as they were recorded."""
+"""Export stored messages into a bag or an MCAP, as they were recorded."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Iterable, Iterator, Sequence
 from cassandra_ros.bag.file_formats import make_file
 from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.bag.message_file import MessageProgress
-from cassandra_ros.bag.publish_times import SentFinder
+from cassandra_ros.bag.publish_times import PublishTimeFinder
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
@@ -25,23 +25,23 @@ from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
 _RUN_NUMBERS = 1 << 16
-"""Connection numbers that are set aside for each recording or import."""
+"""Number of connection numbers that are reserved for each recording or import."""
 
 
 @dataclass
 class ExportReport:
-    """What an export wrote."""
+    """The result of an export: what was written."""
 
     path: str
     messages: dict[str, int] = field(default_factory=dict)
     """Number of messages by topic."""
     bytes: int = 0
-    """Serialised bytes."""
+    """Size of the serialised messages, bytes."""
     latched: dict[str, int] = field(default_factory=dict)
-    """How many messages by topic were latched before the start; they are counted above, too."""
+    """Number of messages by topic that were latched before the start; part of ``messages``."""
 
     def add(self, topic: str, size: int, early: bool) -> None:
-        """Count a message of so many bytes; early: it was latched before the start."""
+        """Count a message of ``size`` bytes; ``early`` = it was latched before the start."""
         self.bytes += size
         for counts in (self.messages, self.latched) if early else (self.messages,):
             counts[topic] = counts.get(topic, 0) + 1
@@ -64,42 +64,41 @@ def export_bag(
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0, or into an MCAP.
 
-    The messages are written in the order in which they were received. Connections keep topic,
-    header and number, so rosbag gives back the messages of an imported bag in their order: by
-    time, connection, position. In an MCAP they are the channels; publish_time and sequence are
-    those of the MCAP from which a message came, else log_time and 0.
+    The messages are written in the order of their receive times. Connections keep topic, header
+    and number, so rosbag reads the messages of an imported bag in their original order: by time,
+    connection, position. In an MCAP each connection is a channel. publish_time and sequence are
+    those of the MCAP from which a message was imported; for other messages they are log_time and 0.
 
     Args:
-        path: The file to make, an MCAP where it ends with .mcap, else a bag; it has the name
-            PATH.active until it is complete.
-        topics: Only these; None = all.
-        start: First time of reception (genpy.Time, int ns, float s or text); None = open.
-        end: Last time, included; None = open.
-        nodeID: Only what this node recorded; None = all nodes.
-        compression: 'none', 'lz4', of a bag also 'bz2', of an MCAP 'zstd'; None = 'none' in a
-            bag, 'zstd' in an MCAP.
-        force: Replace a file that exists.
-        progress: Told what was written.
-        where: Topic -> condition, as readMessages takes it: of these topics only the messages
-            that satisfy it; the others are written whole.
-        empty: Write a bag also where there is no message for it.
-        run: Only what the recordings or imports of this name, or of a writer id, stored.
-        latched: Where there is a start, begin with what was latched before it: for each publisher
-            of the runs that the bag shows its last message (of /tf_static, say). These stand at
-            the time of the start, each with a connection of its own, in whose header the field
-            ``latched_from`` says when it was received, ns.
+        path: The file to write: an MCAP if it ends with .mcap, else a bag. Its name is PATH.active
+            until it is complete.
+        topics: Topics to export; None = all.
+        start: First receive time, included (genpy.Time, int ns, float s or text); None = open.
+        end: Last receive time, included; None = open.
+        nodeID: Robot whose messages are exported; None = all robots.
+        compression: 'none' or 'lz4', for a bag also 'bz2', for an MCAP also 'zstd'; None = 'none'
+            for a bag, 'zstd' for an MCAP.
+        force: Replace an existing file.
+        progress: Callback for the messages that were written, see MessageProgress.
+        where: Topic -> condition, as in readMessages. For these topics only messages that satisfy
+            the condition are exported; for all other topics, all messages.
+        empty: Write a file even if there are no messages for it.
+        run: Name or writer id of the recordings or imports to export; None = all.
+        latched: If there is a start, begin the file with the messages that were latched before it:
+            the last message of each latching publisher (of /tf_static, say) in the runs that the
+            file shows. Their time in the file is the start. Each has a connection of its own, in
+            whose header the field ``latched_from`` is the time at which it was received, ns.
 
     Raises:
-        MessageNotFound: There is no message for it; a file that was there before stays, and none
-            is begun, of which somebody who follows it would get a part.
+        MessageNotFound: There are no messages to export. No file is created or replaced.
         BagError: The file exists, or cannot be written.
         TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
-        InvalidOption, InvalidQuery: where is none.
-        StoreUnavailable: The store stopped answering; no bag is left behind.
+        InvalidOption, InvalidQuery: A condition in ``where`` cannot be parsed or evaluated.
+        StoreUnavailable: The store stopped answering; the incomplete file is deleted.
     """
     if os.path.exists(path) and not force:
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
-    # One topic may have been asked for in two spellings.
+    # The caller may have named one topic in two spellings.
     catalog = ros_cas.catalog
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
     rows = catalog.read(names, start, end, node=nodeID, received=True, where=where, run=run)
@@ -113,7 +112,7 @@ def export_bag(
         raise _not_written(report.path, why_empty(catalog, names, nodeID, run))
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
-        sent = SentFinder(catalog.keyspace.side_tables, writer.keeps_sent)
+        sent = PublishTimeFinder(catalog.keyspace.side_tables, writer.keeps_publish_times)
         for number, t_ns, row in _numbered(numbers, low, before, chain(first, rows)):
             wire = row.wire
             writer.write(number, t_ns, wire, *sent.of(row, t_ns))
@@ -126,7 +125,7 @@ def export_bag(
 def _numbered(
     numbers: ConnectionNumbers, low: int, before: Iterable[StoredRow], rows: Iterable[StoredRow]
 ) -> Iterator[tuple[int, int, StoredRow]]:
-    """Yield rows with their connection's number and their time; what was latched before first."""
+    """Yield (connection number, time, row) of each message, beginning with the latched ones."""
     for row in before:
         yield numbers.latched(row), low, row
     for row in rows:
@@ -143,7 +142,13 @@ def why_empty(
     node: str | None = None,
     run: RunName = None,
 ) -> str:
-    """Say why some topics, None = all, have no message of a node and run in some window."""
+    """Return the reason why a selection has no messages, in words.
+
+    Args:
+        topics: Topics of the selection; None = all.
+        node: Robot of the selection; None = all.
+        run: Run of the selection; None = all.
+    """
     infos = catalog.infos(topics)
     if not infos:
         return f"keyspace {catalog.keyspace.name} holds none of these topics"
@@ -162,12 +167,12 @@ def why_empty(
 
 
 class ConnectionNumbers:
-    """Gives the connections of stored rows their numbers in a bag that is written.
+    """Assigns numbers to the connections of stored rows in a bag that is being written.
 
-    Between equal times rosbag reads the connection of the lower number first, so those of an
-    imported bag keep their numbers among each other: the first import its own, each further one
-    shifted as a whole. What was never in a bag is numbered as it appears. The writer gets each
-    connection when it appears.
+    rosbag reads messages of equal time in the order of their connection numbers. So the connections
+    of an imported bag keep their order: the first import keeps its numbers, all numbers of each
+    further import are shifted by a constant. Connections that never were in a bag get the next free
+    number. A connection is added to the writer with its first row.
     """
 
     def __init__(self, writer: FileWriter) -> None:
@@ -186,16 +191,16 @@ class ConnectionNumbers:
         return number
 
     def latched(self, row: StoredRow) -> int:
-        """Return the number of a connection for a row from before the bag alone.
+        """Return the number of a new connection that holds only this message, latched before.
 
-        Between equal times it is read before all that ask for theirs later.
+        It is lower than all numbers that are assigned later, so it is read before them.
         """
         return self._next(_connection(row).latched_from(row.received))
 
     def _add(self, row: StoredRow, run: int) -> int:
         connection = _connection(row)
         if connection.number < 0:
-            shared = (0, row.table.name, row.conn)  # 0 is nobody's writer id
+            shared = (0, row.table.name, row.conn)  # 0 is not the id of any writer
             if shared not in self._numbers:
                 self._numbers[shared] = self._next(connection)
             return self._numbers[shared]
@@ -203,17 +208,17 @@ class ConnectionNumbers:
             self._bases[run] = -(-self._free // _RUN_NUMBERS) * _RUN_NUMBERS
         return self._next(connection, self._bases[run] + connection.number)
 
-    def _next(self, connection: Connection, wanted: int | None = None) -> int:
+    def _next(self, connection: Connection, preferred: int | None = None) -> int:
         try:
-            number = self._writer.connection(connection, wanted)
+            number = self._writer.connection(connection, preferred)
         except BagError:
-            # A connection kept in two formats, or a bag with over 65,535 of them beside another.
+            # The topic is stored in two formats, or another bag has over 65,535 connections.
             number = self._writer.connection(connection)
         self._free = max(self._free, number + 1)
         return number
 
 
 def _connection(row: StoredRow) -> Connection:
-    """Return the connection of a row, of the topic as it is called now."""
+    """Return the connection of a row, with the current name of its topic."""
     connection = row.connection
     return connection if connection.topic == row.topic else replace(connection, topic=row.topic)

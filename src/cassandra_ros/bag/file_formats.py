@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which reader a file needs, by its first bytes, and which writer, by its name."""
+"""Open a bag or an MCAP: the reader follows from the first bytes, the writer from the file name."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _UNFINISHED = ".active"
 
 
 def files_of(path: str, recursive: bool = False, unfinished: bool = False) -> list[str]:
-    """List the bags and MCAP files of a folder, sorted; of anything else return the path itself.
+    """Return the bags and MCAP files of a folder, sorted. For any other path, return the path.
 
     Args:
-        recursive: Look into its subfolders, too; links to folders are not followed.
-        unfinished: Also those that a recorder has not closed, called *.active.
+        recursive: Also list the files of subfolders; links to folders are not followed.
+        unfinished: Also list files named *.active, which a recorder has not closed.
 
     Raises:
         BagError: The folder holds no bag or MCAP file.
@@ -37,32 +37,32 @@ def files_of(path: str, recursive: bool = False, unfinished: bool = False) -> li
     endings = tuple(
         ending + more for ending in _ENDINGS for more in ("", _UNFINISHED)[: 1 + unfinished]
     )
-    found = [
+    files = [
         os.path.join(folder, name)
         for folder, _, names in itertools.islice(os.walk(path), None if recursive else 1)
         for name in names
         if name.lower().endswith(endings)
     ]
-    if not found:
+    if not files:
         hint = "" if recursive else "; --recursive looks into its subfolders"
         raise BagError(f"folder {path} holds no bag or MCAP file ({', '.join(endings)}){hint}")
-    return sorted(found)
+    return sorted(files)
 
 
 def open_file(
     path: str | os.PathLike[str], salvage: bool = False, large_chunks: bool = False
 ) -> MessageFile:
-    """Open a bag or an MCAP for reading, whatever its name.
+    """Open a bag or an MCAP for reading. The name of the file does not matter.
 
     Args:
-        salvage: Read a damaged file up to the damage.
-        large_chunks: Read also chunks of more than 256 MiB of content, and files that unpack to
-            more than 1000 times their size. Only for files that you trust: one that was made for
-            it can fill the memory and the disk.
+        salvage: Read the messages before the damage of a damaged file.
+        large_chunks: Also read chunks of more than 256 MiB of content, and files that unpack to
+            more than 1000 times their size. Only for files that you trust: a file that was made
+            to do harm can fill the memory and the disk.
 
     Raises:
-        BagError: It is none of both, as what rosbag2 records, or cannot be read; see BagReader
-            and McapReader.
+        BagError: The file is neither a bag nor an MCAP (for example a recording of rosbag2), or it
+            cannot be read; see BagReader and McapReader.
     """
     name = os.fspath(path)
     if os.path.exists(os.path.join(name, METADATA)):
@@ -80,14 +80,14 @@ def open_file(
 
 
 def make_file(path: str | os.PathLike[str], compression: str | None = None) -> FileWriter:
-    """Begin to write an MCAP where the name ends with .mcap, else a bag.
+    """Create an MCAP if the name ends with .mcap, else a bag.
 
     Args:
-        compression: 'none', 'lz4', of a bag also 'bz2' and of an MCAP also 'zstd'; None = as
-            rosbag and mcap do: 'none' in a bag, 'zstd' in an MCAP.
+        compression: 'none' or 'lz4', for a bag also 'bz2', for an MCAP also 'zstd'. None = the
+            default of rosbag and mcap: 'none' for a bag, 'zstd' for an MCAP.
 
     Raises:
-        BagError: The file cannot be made, or there is no such compression for it.
+        BagError: The file cannot be created, or the format does not have this compression.
     """
     if os.fspath(path).lower().endswith(MCAP_ENDING):
         return McapWriter(path, compression or "zstd")

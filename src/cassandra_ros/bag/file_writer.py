@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A file of messages that is being written, whatever its format."""
+"""Common part of the writers of bags and MCAP files."""
 
 from __future__ import annotations
 
@@ -14,32 +14,33 @@ from cassandra_ros.errors import BagError
 from cassandra_ros.messages.connection_header import Connection
 
 _BUFFER_BYTES = 1 << 16
-"""More than the header, so that its writing cannot fail before there is something to clean up."""
+"""Size of the write buffer, bytes. It is larger than the header of a bag, so writing the header
+cannot fail before the object is complete."""
 Self = TypeVar("Self", bound="FileWriter")
 
 
 class FileWriter(ABC):
     """A bag or an MCAP that is being written; also a context manager.
 
-    The file is OUT.active until close() renames it, as with ``rosbag record``; leaving the
-    context by an exception removes it.
+    The file is named OUT.active until close() renames it to OUT, as ``rosbag record`` does. If the
+    context is left by an exception, the file is deleted.
 
     Args:
-        path: The file to make; an existing one is replaced at the end.
+        path: The file to write; close() replaces an existing file.
 
     Raises:
         BagError: The file cannot be made.
     """
 
-    keeps_sent = False
-    """Whether write keeps delay_ns and sequence."""
+    keeps_publish_times = False
+    """Whether the file format stores delay_ns and sequence, see write."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(path)
         self._active = self.path + ".active"
         self._connections: dict[int, Connection] = {}
         self._resources = ExitStack()
-        """What is closed with the file."""
+        """Further files that are closed together with this one."""
         self._closed = False
         try:
             self._file: IO[bytes] = open(self._active, "wb", _BUFFER_BYTES)
@@ -47,15 +48,15 @@ class FileWriter(ABC):
             raise self._failure(exc) from exc
 
     def connection(self, connection: Connection, number: int | None = None) -> int:
-        """Add a connection, written as it is before its first message; return its number.
+        """Add a connection; return its number. It is written before its first message.
 
         Args:
-            number: Its number in this file, unique, in [0, 2**32 - 1]; None = the next free one,
-                behind all others while there is one. Between equal times the lower number is read
-                first.
+            number: Unique number of the connection in this file, 0 to 2**32 - 1. None = one more
+                than the highest number, or if that is too large, the lowest free one. rosbag reads
+                messages of equal time in the order of these numbers.
 
         Raises:
-            BagError: The number is taken.
+            BagError: The number is taken or out of range.
         """
         if number is None:
             number = max(self._connections, default=-1) + 1
@@ -73,8 +74,8 @@ class FileWriter(ABC):
         """Append a serialised message of a connection, received at t_ns, ns since 1970.
 
         Args:
-            delay_ns: An MCAP says also when it was sent: so much later, ns; < 0 = earlier.
-            sequence: And as which message of its publisher; 0 = it is not known.
+            delay_ns: publish_time minus t_ns, ns; may be negative. Only an MCAP stores it.
+            sequence: Sequence number that the publisher gave, 0 = unknown. Only an MCAP stores it.
 
         Raises:
             BagError: The disk is full or fails.
@@ -82,13 +83,17 @@ class FileWriter(ABC):
 
     @abstractmethod
     def _finish(self) -> None:
-        """Write what stands at the end of the file; OSError or BagError where that fails."""
-
-    def close(self) -> None:
-        """Write the index and give the file its name; twice is harmless.
+        """Write the end of the file: its index.
 
         Raises:
-            BagError: The disk is full or fails; the unfinished file is removed.
+            OSError, BagError: The disk is full or fails.
+        """
+
+    def close(self) -> None:
+        """Write the index and give the file its final name. A second call does nothing.
+
+        Raises:
+            BagError: The disk is full or fails; the unfinished file is deleted.
         """
         if self._closed:
             return
@@ -108,12 +113,12 @@ class FileWriter(ABC):
         self._resources.close()
 
     def discard(self) -> None:
-        """Close and remove the unfinished file; a file that was there before stays."""
+        """Close and delete the unfinished file. An existing file of the final name is kept."""
         if self._closed:
             return
         self._closed = True
         self._resources.close()
-        # Closing writes what is buffered, which fails once more where the disk is full.
+        # Closing writes the buffer, which fails again if the disk is full.
         with suppress(OSError):
             self._file.close()
         with suppress(OSError):

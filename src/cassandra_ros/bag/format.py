@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Records of the bag format 2.0: magic line, op codes, header fields and their packing.
 
-A record is: length of the header, header, length of the data, data. A header is a sequence of
-fields: length, name, '=', value. All numbers are little endian.
+A record consists of: length of the header, header, length of the data, data. A header is a sequence
+of fields: length, name, '=', value. All numbers are little endian.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 MAGIC = b"#ROSBAG V2.0\n"
 FILE_HEADER_BYTES = 4096
-"""Header and padding of the first record, together; written again in place at the end."""
+"""Size of the first record including its padding, bytes. It is overwritten when the bag closes."""
 INDEX_VERSION = 1
+"""Version of the index records that we read and write."""
 
 OP_MESSAGE = 2
 OP_FILE_HEADER = 3
@@ -28,29 +29,31 @@ OP_CHUNK_INFO = 6
 OP_CONNECTION = 7
 
 MAX_HEADER_BYTES = 1 << 20
-"""Longest header of a record that is believed; real ones have tens of bytes."""
+"""Maximum size of a record's header, bytes. Real headers have tens of bytes."""
 
 MAX_CONNECTION_BYTES = 1 << 24
-"""Maximum size of the data of a record in the index, bytes: the header of a connection, whose
-longest part is the definition (some 100 KB in real bags), or the counts of one chunk."""
+"""Maximum size of the data of an index record, bytes: a connection header, whose longest part is
+the message definition (some 100 KB in real bags), or the message counts of one chunk."""
 
 U32 = Struct("<I")
 COUNT = Struct("<II")
-"""Number of a connection, and its messages in a chunk."""
+"""Connection id, and number of its messages in a chunk."""
 _TIME = Struct("<II")
 _WIDTHS = {
     **dict.fromkeys((b"conn", b"ver", b"count", b"size", b"conn_count", b"chunk_count"), 4),
     **dict.fromkeys((b"index_pos", b"chunk_pos", b"time", b"start_time", b"end_time"), 8),
     b"op": 1,
 }
-"""Bytes of the fields that are numbers; a time is one with its seconds in the lower half."""
+"""Sizes of the header fields that are numbers, bytes; a time has its seconds in the lower half."""
 
 Fields = Dict[bytes, bytes]
+"""Name -> value of the fields of a header."""
 NewFields = Iterable[Tuple[bytes, Union[bytes, int]]]
+"""Names and values of the fields of a header that is to be written."""
 
 
 class Record(NamedTuple):
-    """Header of a record in a file, and where its data lies."""
+    """The header of a record in a file, and the position and size of its data, bytes."""
 
     fields: Fields
     data_pos: int
@@ -58,7 +61,7 @@ class Record(NamedTuple):
 
 
 def split_fields(header: bytes, where: str) -> Fields:
-    """Take a header (without its own length) apart; of equal names the last one counts."""
+    """Parse a header (without its length). If a name occurs twice, the last value counts."""
     fields: Fields = {}
     position, end = 0, len(header)
     while position < end:
@@ -73,7 +76,7 @@ def split_fields(header: bytes, where: str) -> Fields:
 
 
 def pack_fields(fields: NewFields) -> bytes:
-    """Build a header (without its own length) from names and values."""
+    """Return a header (without its length) with these fields."""
     parts = []
     for name, value in fields:
         raw = value.to_bytes(_WIDTHS[name], "little") if isinstance(value, int) else value
@@ -82,13 +85,17 @@ def pack_fields(fields: NewFields) -> bytes:
 
 
 def pack_record(fields: NewFields, data: bytes) -> bytes:
-    """Build a whole record."""
+    """Return a complete record with these header fields and data."""
     header = pack_fields(fields)
     return b"".join((U32.pack(len(header)), header, U32.pack(len(data)), data))
 
 
 def number(fields: Fields, name: bytes, where: str) -> int:
-    """Read a number out of a header; BagError where it is missing or of another size."""
+    """Return a number from a header.
+
+    Raises:
+        BagError: The field is missing or has the wrong size.
+    """
     value = fields.get(name, b"")
     if len(value) != _WIDTHS[name]:
         raise BagError(f"{where} is damaged: its header has no valid field '{name.decode()}'")
@@ -96,7 +103,11 @@ def number(fields: Fields, name: bytes, where: str) -> int:
 
 
 def time_ns(fields: Fields, name: bytes, where: str) -> int:
-    """Read a time out of a header, as nanoseconds; BagError also where no ROS stamp holds it."""
+    """Return a time from a header, ns.
+
+    Raises:
+        BagError: The field is missing, has the wrong size, or its time is too large for ROS 1.
+    """
     nsecs, secs = divmod(number(fields, name, where), 1 << 32)
     t_ns = secs * SECOND_NS + nsecs
     if t_ns > MAX_NS:
@@ -105,16 +116,16 @@ def time_ns(fields: Fields, name: bytes, where: str) -> int:
 
 
 def pack_time(t_ns: int) -> bytes:
-    """Write nanoseconds as the seconds and nanoseconds of a ROS time."""
+    """Return the 8 bytes of a ROS time (seconds, nanoseconds) for a time in ns."""
     return _TIME.pack(*divmod(t_ns, SECOND_NS))
 
 
 def read_record(file: BinaryIO, op: int, where: str) -> Record:
-    """Read the header of the record at the file's position, and stop before its data.
+    """Read the header of the record at the current file position, and stop before its data.
 
     Raises:
-        BagUnindexed: The file ends within the record.
-        BagError: It is not a record of this kind.
+        BagUnindexed: The file ends inside the record.
+        BagError: The record is not of the kind ``op``.
     """
     start = file.tell()
     fields = read_header(file, where)
@@ -126,12 +137,12 @@ def read_record(file: BinaryIO, op: int, where: str) -> Record:
 
 
 def read_header(file: BinaryIO, where: str) -> Fields:
-    """Read the header of the record at the file's position; raises as read_record does."""
+    """Read the header of the record at the current file position; errors as in read_record."""
     return split_fields(file.read(_length(file, where, MAX_HEADER_BYTES)), where)
 
 
 def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
-    """Read how many bytes follow; so many are in the file."""
+    """Read the length of the header or data that follows, and check that the file is so long."""
     raw, file_bytes = file.read(4), os.fstat(file.fileno()).st_size
     length = U32.unpack(raw)[0] if len(raw) == 4 else 0
     if length > most:

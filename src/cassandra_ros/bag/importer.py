@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From a bag or an MCAP into the store. Repeating an import, or a part of it, changes nothing."""
+"""Import a bag or an MCAP into the store. Repeating an import, or a part of it, changes nothing."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.file_runs import source_of
 from cassandra_ros.bag.identity import BagContent
 from cassandra_ros.bag.job_process import ImportTask, bag_writer, connect, read_batches
-from cassandra_ros.bag.jobs import MAX_JOBS, run_parts, spans_of_jobs
-from cassandra_ros.bag.message_file import MessageFile, MessageProgress, chosen_connections
-from cassandra_ros.bag.publish_times import store_sent
-from cassandra_ros.bag.salvage import Salvaged
+from cassandra_ros.bag.jobs import MAX_JOBS, run_tasks, spans_of_jobs
+from cassandra_ros.bag.message_file import MessageFile, MessageProgress, connections_of_topics
+from cassandra_ros.bag.publish_times import store_publish_times
+from cassandra_ros.bag.salvage import SalvageReport
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -39,6 +39,7 @@ from cassandra_ros.topics.stored_totals import holds_any
 _log = logging.getLogger(__name__)
 
 _WINDOW_NS = 10 * SECOND_NS
+"""Minimum length of the windows over which the rate of a topic is measured, ns."""
 _REPAIRED = (
     "A repaired copy counts as another bag: import it into another keyspace, or remove these "
     "topics first"
@@ -47,33 +48,33 @@ _REPAIRED = (
 
 @dataclass
 class ImportedTopic:
-    """What became of one topic."""
+    """The result of an import for one topic."""
 
     format: str
-    """Format of its table, 'binary' where the definition cannot be used."""
+    """Storage format of the topic's table; 'binary' if the message definition cannot be used."""
     messages: int = 0
     bytes: int = 0
-    """Serialised bytes."""
+    """Size of the serialised messages, bytes."""
 
 
 @dataclass
 class ImportReport:
-    """What an import stored; everything in it is acknowledged by the store."""
+    """The result of an import. The store has acknowledged all messages that it counts."""
 
     path: str
     writer_id: int
-    """Upper half of the _seq of every row."""
+    """Writer id of all rows of the import: the upper half of ``_seq``."""
     nodeID: str
     topics: dict[str, ImportedTopic] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     lost: dict[str, int] = field(default_factory=dict)
-    """Messages that are not stored, by topic: its name cannot be kept. A warning says why."""
-    salvaged: Salvaged = field(default_factory=Salvaged)
-    """With salvage: what of the bag was damaged, if anything."""
+    """Number of messages that cannot be stored, by topic. A warning gives the reason."""
+    salvaged: SalvageReport = field(default_factory=SalvageReport)
+    """The damage that was found with ``salvage``, if any."""
 
     @property
     def messages(self) -> int:
-        """Messages of all topics."""
+        """Number of messages of all topics."""
         return sum(topic.messages for topic in self.topics.values())
 
 
@@ -91,45 +92,46 @@ def import_bag(
 ) -> ImportReport:
     """Store the messages of a bag of format 2.0, or of an MCAP with messages of ROS 1.
 
-    The bag is read twice, for each row's key follows from the content of the whole bag: an import
-    that is repeated, or was interrupted and is started again, ends in the same rows. What it had
-    stored in a topic that was converted to packed since, or removed meanwhile, is removed before it
-    is stored anew.
-    Of an MCAP publish_time and sequence of each message are stored, too, and come back in an MCAP.
-    Memory does not depend on the size of the bag (see BagReader for its share).
+    The bag is read twice, because the key of each row depends on the content of the whole bag. So
+    an import that is repeated, or was interrupted and is started again, writes the same rows. If a
+    topic was converted to packed or removed after an earlier import, the rows of that import are
+    deleted before the messages are stored again.
+
+    For an MCAP publish_time and sequence of each message are stored, too; an export into an MCAP
+    writes them back. Memory does not depend on the size of the bag, except for BagReader's index.
 
     Args:
-        format: As addTopic takes it, for all topics.
-        topics: Only these, with or without leading slash; None = all.
-        nodeID: The robot that recorded the bag; '' = nobody says.
-        progress: Told how far the storing is.
-        reading: Told how far the first pass over the bag is.
-        salvage: Of a bag that is cut short, damaged or was not closed, store what stands before the
-            damage; a warning says what that is. Of a sound bag nothing changes.
-        large_chunks: Read also chunks of more than 256 MiB of content, and files that unpack to
-            more than 1000 times their size. Only for files that you trust: one that was made for
-            it can fill the memory and the disk.
-        jobs: So many processes store the messages, 1 to 64; the rows are the same. It pays where
-            cores are free beside those that Cassandra keeps busy.
+        format: Storage format of all topics, as in addTopic.
+        topics: Topics to import, with or without leading slash; None = all.
+        nodeID: Robot that recorded the bag; '' = unknown.
+        progress: Callback for the messages that were stored, see MessageProgress.
+        reading: Callback for the first pass over the bag, see MessageProgress.
+        salvage: If the bag is cut short, damaged or was not closed, store the messages before the
+            damage; a warning describes the damage. An undamaged bag is imported as usual.
+        large_chunks: Also read chunks of more than 256 MiB of content, and files that unpack to
+            more than 1000 times their size. Only for files that you trust: a file that was made
+            to do harm can fill the memory and the disk.
+        jobs: Number of processes that store the messages, 1 to 64; the rows are the same. More
+            processes help if there are cores that Cassandra does not need.
 
     Returns:
-        What was stored. A topic whose definition is empty, broken or hostile is kept as binary,
-        with a warning; the others go on. So they do beside a topic whose name cannot be kept: it
-        is left out, with a warning, and its messages are counted as lost.
+        What was stored. A topic whose message definition is empty, broken or hostile is stored as
+        binary, with a warning. A topic whose name cannot be stored is left out, with a warning, and
+        its messages are counted as lost. All other topics are stored.
 
     Raises:
-        BagError: The bag cannot be read to its end. What stands before the damage is stored then;
-            the error says how much that is, and where the damage is.
-        BagTooLarge: The bag would unpack to more than is allowed; nothing of it is stored.
-        TopicExists: This bag is stored already in another format than the one that is named.
+        BagError: The bag cannot be read to its end. The messages before the damage are stored; the
+            text gives their number and the position of the damage.
+        BagTooLarge: The bag would unpack to more bytes than is permitted; nothing of it is stored.
+        TopicExists: The bag is stored already, in another format than ``format``.
         TopicNotFound: The bag has no such topic.
-        WriteFailed, StoreUnavailable: The store did not take all of it.
+        WriteFailed, StoreUnavailable: The store did not acknowledge all messages.
     """
     jobs = check_integer("jobs", jobs, 1, MAX_JOBS)
     keyspace = ros_cas.catalog.keyspace
     store = {**ros_cas.cassandra.arguments(), "keyspace": ros_cas.keyspace} if jobs > 1 else {}
     with open_file(path, salvage, large_chunks) as reader:
-        numbers = chosen_connections(reader, topics)
+        numbers = connections_of_topics(reader, topics)
         content = identity.read_content(reader, reading)
         writer_id = _writer_id(keyspace, reader, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID, salvaged=reader.salvaged)
@@ -147,18 +149,18 @@ def import_bag(
             }
             _name_topics(handles, report)
             _remove_other_blocks(keyspace, handles, run)
-            store_sent(keyspace.side_tables, reader, run)
+            store_publish_times(keyspace.side_tables, reader, run)
             opening = reader.path, salvage, large_chunks
             task = partial(ImportTask, opening, formats, lengths, writer_id, nodeID, store)
-            parts = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
-            if not _write_parts(reader, writer, handles, report, progress, parts):
+            tasks = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
+            if not _write_tasks(reader, writer, handles, report, progress, tasks):
                 _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
 
 
 def _name_topics(handles: Mapping[int, Handle], report: ImportReport) -> None:
-    """Note which topics are stored, in which formats, and what is to be said of them."""
+    """Add the stored topics, their formats and warnings to the report."""
     for handle in handles.values():
         report.topics.setdefault(handle.topic, ImportedTopic(handle.format))
         if handle.warning and handle.warning not in report.warnings:
@@ -168,7 +170,7 @@ def _name_topics(handles: Mapping[int, Handle], report: ImportReport) -> None:
 def _run(
     reader: MessageFile, node: str, writer_id: int, format: str | None, content: BagContent
 ) -> Run:
-    """Describe the import for the list of runs."""
+    """Return the entry of the import in the list of runs."""
     path = source_of(reader.path)
     labels = {identity.CONTENT: content.digest}
     name = os.path.basename(path)
@@ -182,7 +184,7 @@ def _tell_damage(report: ImportReport) -> None:
 
 
 def _refuse_names(reader: MessageFile, numbers: AbstractSet[int], report: ImportReport) -> set[int]:
-    """Note the topics whose names cannot be kept; return the other connections."""
+    """Report the topics whose names cannot be stored; return the numbers of other connections."""
     kept: set[int] = set()
     for number in sorted(numbers):
         topic = reader.connections[number].topic
@@ -201,7 +203,7 @@ def _refuse_names(reader: MessageFile, numbers: AbstractSet[int], report: Import
 
 
 def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: ImportReport) -> None:
-    """Note what an MCAP holds beside messages of ROS 1, where the whole of it is wanted."""
+    """Report what else than ROS 1 messages an MCAP holds, if all its topics are imported."""
     for topic, (count, why) in reader.left_out.items() if topics is None else ():
         report.lost[topic] = report.lost.get(topic, 0) + count
         report.warnings.append(
@@ -215,13 +217,13 @@ def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: Im
 
 
 def _writer_id(keyspace: Keyspace, reader: MessageFile, node: str, content: BagContent) -> int:
-    """Return the writer id of this bag's import: that of an earlier one where there is one."""
+    """Return the writer id of this bag's import: that of its earlier import, if there is one."""
     runs = {run.writer: run for run in keyspace.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)
     if known is not None:
         return known.writer
     writer_id = content.writer_id(node)
-    while writer_id in runs:  # of another bag: 31 bits may agree by chance
+    while writer_id in runs:  # 31 bits may agree with those of another bag by chance
         writer_id = writer_id % MAX_WRITER + 1
     return writer_id
 
@@ -229,45 +231,47 @@ def _writer_id(keyspace: Keyspace, reader: MessageFile, node: str, content: BagC
 def _formats(
     keyspace: Keyspace, reader: MessageFile, numbers: AbstractSet[int], run: Run
 ) -> dict[int, str]:
-    """Return in which format the messages of each connection are kept.
+    """Return the storage format of each connection, by number.
 
-    An import that is repeated goes where its rows lie, whatever its topics have become since.
+    A repeated import writes to the tables that hold its rows, even if the topic has changed since.
 
     Raises:
-        TopicExists: They lie in tables of another format than is asked for: all would be double.
+        TopicExists: The rows are stored in another format than the one that the caller gave; every
+            message would be stored twice.
     """
-    found: dict[int, str] = {}
+    formats: dict[int, str] = {}
     for number in sorted(numbers):
-        connection, kept = reader.connections[number], set()
+        connection, stored = reader.connections[number], set()
         for table in keyspace.tables.of_topic(connection.topic):
             first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
             if table.metadata.md5sum == connection.md5sum:
                 rows = keyspace.directory.buckets(table.name, first, last, (run.node,))
                 if any(row.writer == run.writer for row in rows):
-                    kept.add(table.metadata.format)
-        wanted = keyspace.format_for(connection.topic, connection.md5sum, run.format)
-        usable, _ = usable_definition(connection, wanted)
-        if run.format and kept - {wanted if usable is not None else FALLBACK_FORMAT}:
+                    stored.add(table.metadata.format)
+        new = keyspace.format_for(connection.topic, connection.md5sum, run.format)
+        usable, _ = usable_definition(connection, new)
+        if run.format and stored - {new if usable is not None else FALLBACK_FORMAT}:
             raise TopicExists(
                 f"{reader.path} is stored in keyspace {keyspace.name} already, topic "
-                f"{connection.topic} in format {', '.join(sorted(kept))}; in format {wanted} "
+                f"{connection.topic} in format {', '.join(sorted(stored))}; in format {new} "
                 f"every message would be there twice: 'cassandra_bag convert {connection.topic} "
-                f"--format {wanted}' changes the format of what is stored; or import it into "
+                f"--format {new}' changes the format of what is stored; or import it into "
                 "another keyspace"
             )
-        found[number] = min(kept, default=wanted)
-    return found
+        formats[number] = min(stored, default=new)
+    return formats
 
 
 def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run: Run) -> None:
-    """Remove what an earlier import of the bag stored in blocks that begin elsewhere than ours.
+    """Delete the blocks of an earlier import of the bag that begin at other messages than ours.
 
-    A conversion has made them, or the topic was removed meanwhile: what both hold would be double.
+    They exist after a conversion, or if the topic was removed during the import. Their messages
+    would be stored twice.
     """
     whose = Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
     for table in tables.values():
-        # What was deleted of it since comes back between what is noted.
+        # Messages that were deleted since are stored again, but the index does not cover them.
         keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
         other = table.packed and (table.metadata.replaces or table.metadata.cut)
         if other and holds_any(keyspace.directory, [table], whose):
@@ -300,20 +304,20 @@ def _write_messages(
     writer.flush()
 
 
-def _write_parts(
+def _write_tasks(
     reader: MessageFile,
     writer: MessageWriter,
     handles: dict[int, Handle],
     report: ImportReport,
     progress: MessageProgress | None,
-    parts: Sequence[ImportTask],
+    tasks: Sequence[ImportTask],
 ) -> bool:
-    """Store the messages by processes; say whether that was all of them."""
+    """Store the messages by several processes. Return whether all messages were stored."""
     counts: dict[int, list[int]] = {}
-    if len(parts) < 2:
-        return False  # one process is there already
+    if len(tasks) < 2:
+        return False  # one task needs no further process
     try:
-        run_parts(parts, progress, counts)
+        run_tasks(tasks, progress, counts)
     except BagError as exc:
         messages = sum(count for count, _ in counts.values())
         raise BagError(f"{exc}; {messages} messages beside it are stored. {_REPAIRED}") from exc
@@ -322,7 +326,7 @@ def _write_parts(
             name = handles[number].topic
             writer.elsewhere.setdefault(name, WriteStats()).store(messages, size)
     if {n: count for n, (count, _) in counts.items()} != {n: reader.counts[n] for n in handles}:
-        # The index denies the times of some messages, by which they were divided.
+        # Some messages are outside the time ranges of the index, by which the work was divided.
         writer.elsewhere.clear()
         return False
     for name, stats in writer.elsewhere.items():
@@ -341,14 +345,14 @@ class _Rate:
     connections: int = 0
 
     def lengths(self) -> Lengths:
-        """Choose how much time buckets and blocks cover."""
+        """Choose the lengths of buckets and blocks."""
         per = max(self.connections, 1)
         bucket_ns = bucket_for(self.peak_hz, self.peak_bytes)
         span_ns = span_for(self.peak_hz / per, self.peak_bytes / per)
         return Lengths(bucket_ns, span_ns, self.peak_bytes > CHUNK_BYTES * self.peak_hz)
 
     def finish(self, start_ns: int, last: bool = False) -> None:
-        """End a window; a short one at the end counts only where it is the only one."""
+        """End a window. The last window, which may be short, counts only if it is the only one."""
         if not last or not self.peak_hz:
             seconds = max(1.0, (self.end_ns - self.start_ns) / SECOND_NS)
             self.peak_hz = max(self.peak_hz, self.count / seconds)
@@ -357,13 +361,16 @@ class _Rate:
 
 
 def table_lengths(reader: MessageFile, sizes: Mapping[int, int]) -> dict[int, Lengths]:
-    """Choose the lengths of each connection's table, equal for those that share one.
+    """Choose the lengths of buckets and blocks in each connection's table, by connection number.
 
-    The highest rate over stretches of at least 10 s decides, as the counts of the chunks and the
-    sizes of the connections show it: a single stray stamp stretches the whole bag, but not all of
-    its parts.
+    They follow from the highest rate over windows of at least 10 s, which is computed from the
+    message counts of the chunks and the mean message size of each connection. Windows are used
+    because a single wrong stamp can make the whole bag, but not every window of it, too long.
+
+    Args:
+        sizes: Size of the serialised messages by connection number, bytes.
     """
-    # Topic and kind: what shares one table.
+    # Connections of equal topic and kind share a table.
     rates: dict[tuple[str, tuple[str, str]], _Rate] = {}
     means = {number: sizes[number] / count for number, count in reader.counts.items()}
     keys = {n: (c.topic, message_kind(c.md5sum, c.type)) for n, c in reader.connections.items()}

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One part of an import, in a process of its own: what cuts it, and the process itself.
+"""A process that stores a part of a bag for ``import --jobs``.
 
-It is told its task in a line of JSON, and answers with one for what it has handed over since the
-last, and at its end one for what the store has acknowledged.
+It reads its task as one line of JSON from standard input. It writes lines of JSON: regularly the
+numbers of messages and bytes handled since the last line, at its end the result.
 """
 
 from __future__ import annotations
@@ -31,36 +31,37 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 
 TELL_SEC = 0.1
-"""How often a process says how far it is."""
+"""Minimum interval between two lines of progress, s."""
 
 Span = Tuple[int, int]
-"""From this time on and before that one, ns."""
+"""A time range, ns; its end is not included."""
 
 
 @dataclass
 class ImportTask:
-    """What one process stores of a bag: of some connections the messages of a batch of time."""
+    """The part of a bag that one process stores: some connections, each in a time range."""
 
     opening: Tuple[str, bool, bool]
     """Arguments of open_file."""
     formats: Dict[int, str]
-    """By number of the connection, as all of these."""
+    """Storage format by connection number."""
     lengths: Dict[int, Lengths]
-    """Of buckets and blocks, where a table must be made anew: another client dropped it."""
+    """Lengths of buckets and blocks by connection number. They are needed if another client drops
+    the table during the import, so that it must be made again."""
     writer_id: int
     node: str
     store: Dict[str, object]
     """Arguments of RosCassandra."""
     spans: Dict[int, Span]
-    """Which connections, and of which times."""
+    """Time range to store by connection number; other connections are not stored."""
 
     def to_line(self) -> str:
-        """Return it as a line of JSON."""
+        """Return the task as a line of JSON."""
         return json.dumps(asdict(self)) + "\n"
 
     @staticmethod
     def from_line(line: str) -> ImportTask:
-        """Read back what to_line wrote."""
+        """Return the task that to_line wrote."""
         values = json.loads(line)
         for name in ("spans", "formats", "lengths"):  # JSON has only texts as keys
             values[name] = {int(number): value for number, value in values[name].items()}
@@ -69,30 +70,36 @@ class ImportTask:
 
 
 @dataclass
-class Stored:
-    """What became of a part: by connection, messages and bytes that are acknowledged."""
+class TaskResult:
+    """The result of a task."""
 
     counts: Dict[int, List[int]]
+    """Number and size (bytes) of the acknowledged messages by connection number."""
     error: str = ""
-    """Name of the error that ended it."""
+    """Class name of the error that ended the process; '' = no error."""
     text: str = ""
+    """Text of that error."""
 
     def to_line(self) -> str:
-        """Return it as a line of JSON."""
+        """Return the result as a line of JSON."""
         return json.dumps(asdict(self)) + "\n"
 
     @staticmethod
-    def from_line(line: str) -> Stored:
-        """Read back what to_line wrote."""
+    def from_line(line: str) -> TaskResult:
+        """Return the result that to_line wrote."""
         values = json.loads(line)
         counts = {int(number): count for number, count in values.pop("counts").items()}
-        return Stored(counts, **values)
+        return TaskResult(counts, **values)
 
 
 def read_batches(reader: MessageFile, spans: Dict[int, Span]) -> Iterator[MessageBatch]:
-    """Read the messages of some connections and times; chunks without any are not unpacked.
+    """Read the messages of some connections and time ranges, chunk by chunk.
 
-    Which they are is told by the index: where it is wrong messages are missed.
+    Chunks that hold none of them according to the index are not unpacked. If the index is wrong,
+    messages are missed.
+
+    Args:
+        spans: Time range by connection number.
     """
     for chunk in range(reader.chunk_count):
         info = reader.chunk_info(chunk)
@@ -114,8 +121,8 @@ def bag_writer(
     format: Optional[str] = None,
     run: Optional[Run] = None,
 ) -> MessageWriter:
-    """Make the writer for a bag or for a part of it."""
-    # Blocks are not sealed by time, nor do they depend on the topics that are chosen.
+    """Return the writer for a bag, or for a part of it."""
+    # The limits of blocks depend neither on the current time nor on the topics that are imported.
     limits, node = limits_for(len(reader.connections)), check_new_node(node)
     return MessageWriter(keyspace, writer_id, format=format, node=node, run=run, limits=limits)
 
@@ -123,13 +130,13 @@ def bag_writer(
 def connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, format_name: str
 ) -> Handle:
-    """Make ready for the messages of a connection of the bag."""
+    """Return the handle with which the writer writes messages of a connection of the bag."""
     bucket_ns, span_ns, large = lengths
     return writer.connect(connection, bucket_ns, span_ns=span_ns, large=large, format=format_name)
 
 
-class _Teller:
-    """Says on standard output how far the process is, and whether it is to end early."""
+class _ProgressReporter:
+    """Counts messages, reports progress on standard output, and handles the signal to stop."""
 
     def __init__(self) -> None:
         self.counts: Dict[int, List[int]] = {}
@@ -137,7 +144,7 @@ class _Teller:
         self._told = time.monotonic()
         self.ended = False
         self.hurry: Callable[[], None] = lambda: None
-        """Lets waits for the store end."""
+        """Function that ends all waits for the store; replaced when there is a connection."""
 
     def end(self, _number: int, _frame: Optional[FrameType]) -> None:
         """Handle a signal: stop before the next message."""
@@ -145,7 +152,7 @@ class _Teller:
         self.hurry()
 
     def add(self, number: int, messages: int, nbytes: int) -> None:
-        """Count messages of a connection that were handed over."""
+        """Count messages that were given to the writer."""
         count = self.counts.setdefault(number, [0, 0])
         count[0] += messages
         count[1] += nbytes
@@ -155,7 +162,7 @@ class _Teller:
             self.tell()
 
     def tell(self) -> None:
-        """Say what came since the last time."""
+        """Report the messages and bytes counted since the last report."""
         _say(json.dumps([self._messages, self._bytes]) + "\n")
         self._messages = self._bytes = 0
         self._told = time.monotonic()
@@ -166,41 +173,42 @@ def _say(line: str) -> None:
     sys.stdout.flush()
 
 
-def _write(part: ImportTask, teller: _Teller) -> None:
-    """Store the messages of a part; those that the teller has counted are acknowledged then."""
-    reader = open_file(*part.opening)
-    with RosCassandra(**part.store) as ros_cas, reader:  # type: ignore[arg-type]
-        teller.hurry = ros_cas.cassandra.outage.hurry
-        # The import's run, its heartbeat and its tables are those of the process that started us.
-        with bag_writer(ros_cas.catalog.keyspace, reader, part.writer_id, part.node) as writer:
+def _write(task: ImportTask, reporter: _ProgressReporter) -> None:
+    """Store the messages of a task. On return the store has acknowledged all counted messages."""
+    reader = open_file(*task.opening)
+    with RosCassandra(**task.store) as ros_cas, reader:  # type: ignore[arg-type]
+        reporter.hurry = ros_cas.cassandra.outage.hurry
+        # The process that started us keeps the run and its heartbeat, and has made the tables.
+        with bag_writer(ros_cas.catalog.keyspace, reader, task.writer_id, task.node) as writer:
             handles = {
-                n: connect(writer, reader.connections[n], part.lengths[n], part.formats[n])
-                for n in part.spans
+                n: connect(writer, reader.connections[n], task.lengths[n], task.formats[n])
+                for n in task.spans
             }
-            with ReadAhead(read_batches(reader, part.spans)) as ahead:
+            with ReadAhead(read_batches(reader, task.spans)) as ahead:
                 for (number, positions, times, wires), size in ahead:
-                    if teller.ended:
+                    if reporter.ended:
                         break
                     writer.write_run(handles[number], times, positions, wires)
-                    teller.add(number, len(wires), size)
-            teller.tell()
+                    reporter.add(number, len(wires), size)
+            reporter.tell()
 
 
 def main() -> int:
-    """Do what the line on standard input asks for; return the exit status."""
-    teller = _Teller()
-    # A Ctrl-C reaches all processes of the terminal; ours are told by the one that started them.
+    """Execute the task that is read from standard input; return the exit status."""
+    reporter = _ProgressReporter()
+    # Ctrl-C reaches all processes of the terminal; the process that started this one ends it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, teller.end)
-    part = ImportTask.from_line(sys.stdin.readline())
+    signal.signal(signal.SIGTERM, reporter.end)
+    task = ImportTask.from_line(sys.stdin.readline())
     try:
-        _write(part, teller)
-        stored = Stored(teller.counts)
+        _write(task, reporter)
+        result = TaskResult(reporter.counts)
     except CassandraRosError as exc:
-        # What came before the damage is acknowledged; of a failed write nobody can say how much.
-        counts = teller.counts if isinstance(exc, BagError) else {}
-        stored = Stored(counts, type(exc).__name__, str(exc))
-    _say(stored.to_line())
-    if teller.ended:  # threads that connect to a silent store are not waited for
+        # The messages before the damage are acknowledged. After a failed write it is not known
+        # which messages are.
+        counts = reporter.counts if isinstance(exc, BagError) else {}
+        result = TaskResult(counts, type(exc).__name__, str(exc))
+    _say(result.to_line())
+    if reporter.ended:  # do not wait for threads that connect to a silent store
         os._exit(1)
-    return 1 if stored.error else 0
+    return 1 if result.error else 0

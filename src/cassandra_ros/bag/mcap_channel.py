@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A connection of ROS 1 as schema and channel of an MCAP, and back, byte for byte.
+"""Convert a ROS 1 connection to a schema and a channel of an MCAP and back, byte for byte.
 
-Schema and channel are those of MCAP's profile ``ros1``. The other fields of the connection's
-header are the metadata of its channel. Where header and number do not follow from these, two fields
-of ours say what they are, see HEADER and NUMBER.
+Schema and channel follow MCAP's profile ``ros1``. The other fields of the connection header are the
+metadata of the channel. If header or number cannot be computed from these, they are stored in two
+metadata fields of our own, see HEADER and NUMBER.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.metadata import ANY_MD5
 
 HEADER = "cassandra_ros.header"
-"""The header in base64 without its definition, and at which byte that stood: ``20:EAAA…``."""
+"""Name of the metadata field with the offset of the message definition in the header, and the
+header without the definition in base64: ``20:EAAA…``."""
 NUMBER = "cassandra_ros.number"
-"""Number of the connection, where it is not the channel's id."""
+"""Name of the metadata field with the connection number, if this is not the channel's id."""
 
 _TRUTH = {"true": "1", "false": "0"}
-"""How the profile writes the field ``latching``, and how ROS does."""
+"""Values of the field ``latching``: in the profile ``ros1`` -> in a ROS connection header."""
 
 
 class ChannelText(NamedTuple):
-    """What a schema and a channel are registered with, but their ids."""
+    """The fields of a schema and a channel, without their ids."""
 
     type: str
     definition: bytes
@@ -45,7 +46,7 @@ class ChannelText(NamedTuple):
 
 
 def to_channel(connection: Connection) -> ChannelText:
-    """Describe a connection; its number is left to the writer, who knows the channel's id."""
+    """Return the schema and channel of a connection. The writer adds the field NUMBER if needed."""
     header, offset, definition = cut_definition(connection.header)
     metadata = {}
     for name, value in sorted(connection.fields.items()):
@@ -56,17 +57,17 @@ def to_channel(connection: Connection) -> ChannelText:
     type_name = connection.type
     if not _is_text(type_name, b""):
         type_name = type_name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-    found = ChannelText(type_name, definition, metadata)
-    if _header(connection.topic, found) != connection.header:
+    text = ChannelText(type_name, definition, metadata)
+    if _header(connection.topic, text) != connection.header:
         metadata[HEADER] = f"{offset}:{base64.b64encode(header).decode('ascii')}"
-    return found
+    return text
 
 
 def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connection:
-    """Return the connection that a channel of ROS 1 stands for.
+    """Return the connection of a ROS 1 channel.
 
     Raises:
-        BagError: Our own fields in its metadata are damaged.
+        BagError: The metadata fields HEADER or NUMBER are damaged.
     """
     place = f"{where}: channel {channel.id} (topic {channel.topic})"
     text = ChannelText("", b"", channel.metadata)
@@ -86,7 +87,7 @@ def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connec
 
 
 def why_foreign(channel: Channel, schema: Schema | None) -> str:
-    """Say in a few words why the messages of a channel are none of ROS 1; '' = they are."""
+    """Return why the messages of a channel are not ROS 1 messages, in words; '' = they are."""
     if channel.message_encoding != MessageEncoding.ROS1:
         return f"its messages are encoded as {channel.message_encoding!r}, not 'ros1'"
     if schema is None and not channel.metadata.get("type"):
@@ -97,7 +98,7 @@ def why_foreign(channel: Channel, schema: Schema | None) -> str:
 
 
 def _header(topic: str, text: ChannelText) -> bytes:
-    """Build the header that a channel stands for, its fields sorted as roscpp has them."""
+    """Build the connection header of a channel; its fields are sorted as in roscpp."""
     fields: dict[str, str | bytes] = {"topic": topic, "type": text.type, **text.metadata}
     for name in (HEADER, NUMBER):
         fields.pop(name, None)
@@ -112,13 +113,13 @@ def _header(topic: str, text: ChannelText) -> bytes:
 def _md5sum(type_name: str, definition: bytes) -> str:
     text = definition.decode("utf-8", "surrogateescape")
     try:
-        # Who has no definition leaves it out; an installed type then is the best guess.
+        # A writer may leave out the definition. Then the installed type is the best guess.
         known = (
             parse_definition(type_name, text) if text.strip() else installed_definition(type_name)
         )
         return known.md5sum
     except CassandraRosError:
-        return ANY_MD5  # as a subscriber says who takes any
+        return ANY_MD5  # the md5sum of a subscriber that accepts any type
 
 
 def _kept_header(text: str, definition: bytes) -> bytes:

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How an MCAP lies on the disk (https://mcap.dev/spec): records, and the messages in a chunk.
+"""The MCAP file format (https://mcap.dev/spec): records, and the messages in a chunk.
 
-Records that describe the file are read by the library mcap. Its StreamReader could read the rest,
-too, but it makes an object of each message and of each entry of an index, and reads all bytes of a
-file to list its chunks. Of 400,000 messages it took 2.1 s of processor time, where what is here
-took 0.75 s with their hash; and 0.35 s instead of 0.015 s to open the file.
+The library mcap parses the records that describe the file. We read messages and indexes ourselves,
+because the library's StreamReader makes an object of each message and each index entry, and reads
+the whole file to list its chunks. For 400,000 messages it needed 2.1 s of processor time, this
+module 0.75 s including the hash; to open the file 0.35 s instead of 0.015 s.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from cassandra_ros.keys import MAX_NS
 MAGIC = b"\x89MCAP0\r\n"
 COMPRESSIONS = ("none", "lz4", "zstd")
 RECORD = Struct("<BQ")
-"""Kind of a record, and the bytes that follow."""
+"""Kind of a record, and number of bytes that follow."""
 _CHUNK = Struct("<QQQII")
 _MESSAGE = Struct("<BQHIQQ")
 _HEAD = np.dtype(
@@ -45,7 +45,7 @@ _HEAD = np.dtype(
         *(("time", "<u8"), ("sent", "<u8")),
     ]
 )
-"""The same, for many messages at once."""
+"""The fields of _MESSAGE, for numpy."""
 _INDEX = Struct("<HI")
 _ENTRY_BYTES = 16
 _CRC_BYTES = 4
@@ -58,49 +58,54 @@ Parsed = TypeVar("Parsed", Channel, Footer, Header, Schema, Statistics)
 
 
 CUT = 0
-"""In place of the kind of a record, which is never 0."""
+"""Kind of a Record that marks the end of a file that is cut short. No real record has kind 0."""
 
 
 class Record(NamedTuple):
-    """Where a record lies in a file."""
+    """The position of a record in a file."""
 
     kind: int
     start: int
+    """Offset of the first byte after kind and length."""
     stop: int
-    """Of what stands behind its kind and length."""
+    """Offset of the first byte after the record."""
 
 
 class ChunkHead(NamedTuple):
-    """What stands before the compressed records of a chunk."""
+    """The fields before the compressed records of a chunk."""
 
     start_ns: int
     end_ns: int
     size: int
-    """Bytes, unpacked."""
+    """Size of the unpacked records, bytes."""
     crc: int
-    """Of the unpacked bytes; 0 = none was computed."""
+    """Checksum of the unpacked records; 0 = the writer did not compute one."""
     compression: str
 
 
 class Messages(NamedTuple):
-    """Messages that lie in some bytes, in their order; a number of each."""
+    """The messages of a chunk in the order of the chunk: one array element per message."""
 
     channels: Longs
+    """Channel id of each message."""
     sequences: Longs
+    """Sequence number of each message."""
     times: Longs
-    """log_time, ns."""
+    """log_time of each message, ns."""
     sent: Longs
-    """publish_time minus log_time, ns."""
+    """publish_time minus log_time of each message, ns."""
     starts: Longs
+    """Offset at which the serialised message begins, bytes."""
     stops: Longs
-    """Of the serialised message."""
+    """Offset at which the serialised message ends (not included), bytes."""
 
 
 def walk(file: BinaryIO, path: str) -> Iterator[Record]:
-    """List the records of a file, but not those inside of chunks; its position may be changed.
+    """Yield the records of a file, but not those inside chunks.
 
-    The last one is the footer, or is none where the file is cut short or still being written:
-    of kind CUT, from the byte on at which the next record would begin.
+    The caller may move the file position between two records. The last record is the footer. If the
+    file is cut short or still being written, it is a record of kind CUT, which reaches from the end
+    of the last complete record to the end of the file.
     """
     file_bytes = os.fstat(file.fileno()).st_size
     position, kind = len(MAGIC), 0
@@ -120,28 +125,36 @@ def walk(file: BinaryIO, path: str) -> Iterator[Record]:
 
 
 def parse(kind: Type[Parsed], raw: bytes, where: str) -> Parsed:
-    """Read a record of some kind by the library; BagError where it is none."""
+    """Parse a record by the library mcap.
+
+    Raises:
+        BagError: The record is damaged.
+    """
     try:
-        found: Parsed = kind.read(ReadDataStream(BytesIO(raw)))
-        return found
+        record: Parsed = kind.read(ReadDataStream(BytesIO(raw)))
+        return record
     except (McapError, struct.error, ValueError, OverflowError, MemoryError) as exc:
         why = str(exc) or "it ends too early"
         raise BagError(f"{where} is damaged: {kind.__name__.lower()} record: {why}") from exc
 
 
 def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
-    """Compare what a file says of itself at its end with the crc in its footer, if it has one."""
+    """Check the summary section of a file with the crc in its footer, if there is one.
+
+    Raises:
+        BagError: The crc is wrong.
+    """
     file.seek(footer.start)
-    found = parse(Footer, file.read(_FOOTER_BYTES), path)
-    if not found.summary_crc:
+    fields = parse(Footer, file.read(_FOOTER_BYTES), path)
+    if not fields.summary_crc:
         return
-    # Behind the footer there is nothing, and seek takes no number of more than 63 bits.
-    file.seek(min(found.summary_start or footer.start - RECORD.size, footer.stop))
+    # A damaged summary_start may be larger than the file, or too large for seek.
+    file.seek(min(fields.summary_start or footer.start - RECORD.size, footer.stop))
     crc, left = 0, footer.start + _FOOTER_BYTES - _CRC_BYTES - file.tell()
     while left > 0:
         part = file.read(min(left, _READ_BYTES))
         crc, left = zlib.crc32(part, crc), left - len(part)
-    if crc != found.summary_crc:
+    if crc != fields.summary_crc:
         raise BagError(
             f"{path} is damaged: the crc of its summary is wrong; write the file anew with: "
             f"mcap recover {path} -o RECOVERED.mcap"
@@ -151,10 +164,16 @@ def check_summary(file: BinaryIO, footer: Record, path: str) -> None:
 def read_chunk_head(
     file: BinaryIO, record: Record, where: str, cut: bool = False
 ) -> tuple[ChunkHead, Record]:
-    """Read what stands before a chunk's compressed records; return it and where those lie.
+    """Read the fields before the compressed records of a chunk.
 
     Args:
-        cut: The file ends within the chunk.
+        cut: The file ends inside the chunk.
+
+    Returns:
+        The fields, and the position of the compressed records.
+
+    Raises:
+        BagError: The fields are damaged.
     """
     file.seek(record.start)
     raw = file.read(_CHUNK.size)
@@ -163,7 +182,7 @@ def read_chunk_head(
         rest = file.read(min(name_bytes, 64) + 8)
         name, length = rest[:name_bytes], int.from_bytes(rest[name_bytes:], "little")
         start = record.start + _CHUNK.size + name_bytes + 8
-        # Behind the last field of a record there may be more, of later versions of the format.
+        # Later versions of the format may add fields after the last one.
         fits = (start + length >= record.stop) if cut else (start + length <= record.stop)
         if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns <= MAX_NS:
             compression = name.decode("ascii", "replace") or "none"
@@ -173,7 +192,7 @@ def read_chunk_head(
 
 
 def count_of_index(file: BinaryIO, record: Record, where: str) -> tuple[int, int]:
-    """Read of how many messages of which channel a message index tells; return both."""
+    """Return the channel id of a message index and the number of messages that it lists."""
     file.seek(record.start)
     raw = file.read(_INDEX.size)
     if len(raw) == _INDEX.size:
@@ -184,9 +203,12 @@ def count_of_index(file: BinaryIO, record: Record, where: str) -> tuple[int, int
 
 
 def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
-    """Give back the records of a chunk, checked by their crc; never more than are stated.
+    """Return the unpacked records of a chunk, checked with their crc.
 
-    The caller has asked an Allowance whether the stated size is allowed.
+    At most ``head.size`` bytes are unpacked. The caller has checked this size with an Allowance.
+
+    Raises:
+        BagError: The chunk is damaged, or its compression is unknown.
     """
     try:
         content = _unpack(head, data)
@@ -204,9 +226,9 @@ def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
 
 
 def unpack_part(head: ChunkHead, data: bytes) -> bytes:
-    """Give back what can be unpacked of the beginning of a chunk, whole records alone.
+    """Return the complete records that can be unpacked at the beginning of a damaged chunk.
 
-    The caller has asked an Allowance whether the stated size is allowed.
+    The caller has checked ``head.size`` with an Allowance.
     """
     content, end = b"", 0
     with suppress(BagError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
@@ -215,7 +237,7 @@ def unpack_part(head: ChunkHead, data: bytes) -> bytes:
         else:
             content = _unpack(head, data)
         if head.crc and len(content) == head.size and zlib.crc32(content) != head.crc:
-            return b""  # it is not cut but damaged, nobody knows where
+            return b""  # the chunk is complete but damaged at an unknown position
         for record in records_of(content, ""):
             end = record.stop
     return content[:end]
@@ -229,13 +251,17 @@ def _unpack(head: ChunkHead, data: bytes) -> bytes:
         return bytes(unpacker.decompress(data, max_length=head.size + 1))
     if head.compression == "zstd":
         if zstandard.frame_content_size(data) not in (-1, head.size):
-            return b""  # it would be unpacked whole, whatever is asked for
+            return b""  # the decompressor would ignore max_output_size
         return zstandard.ZstdDecompressor().decompress(data, max_output_size=head.size)
     raise KeyError(head.compression)
 
 
 def records_of(content: bytes, where: str, position: int = 0) -> Iterator[Record]:
-    """List the records that fill some bytes, from a byte on."""
+    """Yield the records in some bytes, beginning at an offset.
+
+    Raises:
+        BagError: A record runs over the end.
+    """
     end = len(content)
     while position < end:
         start = position + RECORD.size
@@ -247,9 +273,9 @@ def records_of(content: bytes, where: str, position: int = 0) -> Iterator[Record
 
 
 def offsets_of_indexes(raw: bytes) -> Longs | None:
-    """Return where message indexes say that records of messages begin, ascending.
+    """Return the offsets of message records that message indexes list, ascending.
 
-    None: they are damaged; which messages there are is seen without them.
+    Return None if an index is damaged. The messages can be found without it.
     """
     found = [np.zeros(0, np.int64)]
     with suppress(BagError, ValueError, struct.error):
@@ -263,7 +289,7 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
 
 
 def _messages_at(content: bytes, where: str, offsets: Longs) -> Messages | None:
-    """Read the messages whose records begin at some bytes; None: that is not all there is."""
+    """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
     if offsets[0] < 0 or offsets[-1] > len(content) - _MESSAGE.size:
         return None
     rows = sliding_window_view(np.frombuffer(content, np.uint8), _MESSAGE.size)[offsets]
@@ -285,29 +311,32 @@ def _messages_at(content: bytes, where: str, offsets: Longs) -> Messages | None:
 
 
 def _without_message(content: bytes, where: str) -> bool:
-    """Say whether other records than messages fill some bytes."""
+    """Say whether some bytes consist of records, and none of these is a message."""
     with suppress(BagError):
         return all(record.kind != Opcode.MESSAGE for record in records_of(content, where))
     return False
 
 
 def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> Messages:
-    """List the messages among the records that fill some bytes.
+    """List the messages in the unpacked records of a chunk.
 
     Args:
-        offsets: Where the index says that records of messages begin, ascending. It is believed
-            where the records there fill the content; then they are read all at once.
+        offsets: Ascending offsets of the message records that the index states. They are used,
+            and all records are read at once, if the records at these offsets fill the content.
+
+    Raises:
+        BagError: A record is damaged, or a time is too large for ROS 1.
     """
     if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
-        told = _messages_at(content, where, offsets)
-        if told is not None:
-            return told
-    found = array("q")  # of each message six numbers, one after the other
+        indexed = _messages_at(content, where, offsets)
+        if indexed is not None:
+            return indexed
+    found = array("q")  # six numbers for each message
     position, end, last = 0, len(content), len(content) - _MESSAGE.size
     read, size = _MESSAGE.unpack_from, _MESSAGE.size
     while position < end:
         if position > last or content[position] != Opcode.MESSAGE:
-            # Schemas and channels were read before.
+            # The caller has read schemas and channels.
             position = next(records_of(content, where, position)).stop
             continue
         _, length, channel, sequence, t_ns, sent_ns = read(content, position)

@@ -21,39 +21,40 @@ from cassandra_ros.bag.bag_index import ChunkInfo
 from cassandra_ros.bag.chunk import ChunkMessages
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
-from cassandra_ros.bag.message_file import MessageFile, SentTimes
+from cassandra_ros.bag.message_file import MessageFile, PublishTimes
 from cassandra_ros.bag.rosbag2 import refusal
-from cassandra_ros.bag.salvage import Salvaged
+from cassandra_ros.bag.salvage import SalvageReport
 from cassandra_ros.errors import BagError, BagTooLarge, BagUnindexed
 from cassandra_ros.messages.connection_header import Connection
 
 _LOOSE_BYTES = 1 << 20
-"""Messages that lie outside of chunks are read so many bytes at once."""
+"""Maximum size of consecutive messages outside of chunks that are read at once, bytes."""
 _EXTRAS = {int(Opcode.ATTACHMENT): "attachments", int(Opcode.METADATA): "records of metadata"}
+"""Kinds of records that cannot be stored -> their name in warnings."""
 
 
 @dataclass
 class _Chunk:
-    """A chunk, or messages that follow each other outside of any."""
+    """A chunk, or consecutive messages outside of chunks."""
 
     record: Record
-    """Where its records lie, packed."""
+    """Position of the compressed records."""
     head: ChunkHead
     counts: Counter[int] = field(default_factory=Counter)
-    """Messages by id of the channel; none as long as nobody has counted."""
+    """Number of messages by channel id; empty until they are counted."""
     index: Record | None = None
-    """Where its message indexes lie."""
-    part: bytes | None = None
-    """What could be unpacked of it, where the file ends within."""
+    """Position of the message indexes of the chunk."""
+    salvaged: bytes | None = None
+    """Unpacked beginning of the chunk, if the file ends inside it."""
 
     @property
     def loose(self) -> bool:
-        """Whether it is no chunk in the file."""
+        """Whether these are messages outside of chunks."""
         return self.record.kind == Opcode.MESSAGE
 
 
-class _Read(NamedTuple):
-    """The messages of the chunk that was read last: reading it once more is not needed."""
+class _ChunkContent(NamedTuple):
+    """The unpacked content and the messages of the chunk that was read last."""
 
     chunk: int
     content: bytes
@@ -63,39 +64,40 @@ class _Read(NamedTuple):
 class McapReader(MessageFile):
     """An MCAP that is open for reading; also a context manager.
 
-    Its connections are its channels of ROS 1. The records are walked through once, chunks are
-    unpacked where no message index says what they hold, so that files without chunks, indexes or
-    summary are read, too. Memory: about 500 bytes for each chunk, and while reading as BagReader.
+    Each ROS 1 channel of the file is a connection. All records are visited once when the file is
+    opened. A chunk without message index is unpacked then, so files without chunks, indexes or
+    summary can be read, too. Memory: about 500 bytes for each chunk; while a chunk is read, as
+    much as BagReader.
 
     Args:
-        salvage: Of a file that is cut short, damaged or was not closed, read the messages up to the
-            damage: all chunks are read to find them. Of a sound file nothing changes.
-        large_chunks: Read also chunks and files that an Allowance refuses by default: a file that
-            was made for it can fill the memory then.
+        salvage: If the file is cut short, damaged or was not closed, read the messages before the
+            damage. All chunks are read to find it. An undamaged file is read as usual.
+        large_chunks: Also read chunks and files that an Allowance refuses by default. A file that
+            was made to do harm can then fill the memory.
 
     Attributes:
-        salvaged: Where it was opened with salvage: what was damaged, if anything.
-        left_out: Messages of channels of other encodings, see MessageFile.
-        extras: Attachments and metadata.
+        salvaged: The damage that was found when the file was opened with ``salvage``, if any.
+        left_out: Messages of channels with other encodings, see MessageFile.
+        extras: Number of attachments and metadata records, see MessageFile.
 
     Raises:
         BagUnindexed: The file was not closed properly, or is cut short.
-        BagTooLarge: It would unpack to more than is allowed.
-        BagError: The file cannot be opened, is damaged, or holds nothing of ROS 1; with salvage:
+        BagTooLarge: The file would unpack to more bytes than the Allowance permits.
+        BagError: The file cannot be opened, is damaged, or holds no ROS 1 messages; with salvage:
             no message can be read.
     """
 
     def __init__(
         self, path: str | os.PathLike[str], salvage: bool = False, large_chunks: bool = False
     ) -> None:
-        self.path, self.salvaged = os.fspath(path), Salvaged()
+        self.path, self.salvaged = os.fspath(path), SalvageReport()
         self._profile = ""
         self._stated: int | None = None
-        """Messages of the file, as it says at its end."""
+        """Number of messages that the file states at its end; None = it states no number."""
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: list[_Chunk] = []
-        self._last: _Read | None = None
+        self._last: _ChunkContent | None = None
         try:
             with ExitStack() as opened:
                 self._file: BinaryIO = opened.enter_context(open(self.path, "rb"))
@@ -113,44 +115,44 @@ class McapReader(MessageFile):
             raise BagError(f"{self.path} cannot be read: {exc.strerror}") from exc
 
     def close(self) -> None:
-        """Close the file; twice is harmless."""
+        """Close the file. A second call does nothing."""
         self._file.close()
 
     def compressions(self) -> dict[str, int]:
-        """Count the chunks of each compression."""
+        """Return the number of chunks by compression."""
         return dict(Counter(chunk.head.compression for chunk in self._chunks))
 
     def chunk_info(self, chunk: int) -> ChunkInfo:
-        """Tell what a chunk holds, see MessageFile."""
-        found = self._chunks[chunk]
-        counts = {self._numbers[c]: n for c, n in found.counts.items() if c in self._numbers}
-        return ChunkInfo(found.record.start, *self.chunk_times(chunk), counts, self._first[chunk])
+        """Return the index entry of a chunk, see MessageFile."""
+        entry = self._chunks[chunk]
+        counts = {self._numbers[c]: n for c, n in entry.counts.items() if c in self._numbers}
+        return ChunkInfo(entry.record.start, *self.chunk_times(chunk), counts, self._first[chunk])
 
     def chunk_times(self, chunk: int) -> tuple[int, int]:
-        """Return the first and last time in a chunk as the file has them, ns."""
+        """Return the first and the last time in a chunk that the file states, ns."""
         head = self._chunks[chunk].head
         return head.start_ns, head.end_ns
 
     def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
-        """Unpack a chunk, and find its messages of ROS 1 in it, see MessageFile."""
-        content, found = self._messages(chunk)
-        ids = np.array([self._numbers[c] for c in found.channels.tolist()], np.int64)
-        return content, ChunkMessages(ids, found.times, found.starts, found.stops)
+        """Unpack a chunk. Return its content and its ROS 1 messages, see MessageFile."""
+        content, messages = self._messages(chunk)
+        ids = np.array([self._numbers[c] for c in messages.channels.tolist()], np.int64)
+        return content, ChunkMessages(ids, messages.times, messages.starts, messages.stops)
 
-    def chunk_sent(self, chunk: int) -> SentTimes | None:
-        """Tell when the messages of a chunk were sent, see MessageFile."""
-        _, found = self._messages(chunk)
-        if not (found.sent.any() or found.sequences.any()):
+    def chunk_publish_times(self, chunk: int) -> PublishTimes | None:
+        """Return the publish times and sequence numbers of a chunk, see MessageFile."""
+        _, messages = self._messages(chunk)
+        if not (messages.sent.any() or messages.sequences.any()):
             return None
-        self.tells_sent = True
-        return SentTimes(self._first[chunk], found.sent, found.sequences)
+        self.has_publish_times = True
+        return PublishTimes(self._first[chunk], messages.sent, messages.sequences)
 
     def _messages(self, chunk: int) -> tuple[bytes, Messages]:
-        """Read the messages of ROS 1 of a chunk."""
+        """Read the ROS 1 messages of a chunk."""
         if self._last is None or self._last.chunk != chunk:
-            self._last = None  # two chunks at once would take twice the memory
+            self._last = None  # free the last chunk first, so that only one is in memory
             content, index, offsets = self._content(chunk), self._chunks[chunk].index, None
-            # An index is shorter than the messages that it lists, but for what may follow its end.
+            # A valid index is shorter than twice the content. A longer one would waste memory.
             if index is not None and index.stop - index.start <= 2 * len(content):
                 offsets = mcapformat.offsets_of_indexes(self._bytes(index))
             found = mcapformat.find_messages(content, self._where(chunk), offsets)
@@ -161,18 +163,20 @@ class McapReader(MessageFile):
                     f"mcap recover {self.path} -o RECOVERED.mcap"
                 )
             known = np.isin(found.channels, list(self._numbers))
-            self._last = _Read(chunk, content, Messages(*(column[known] for column in found)))
+            self._last = _ChunkContent(
+                chunk, content, Messages(*(column[known] for column in found))
+            )
         return self._last.content, self._last.messages
 
     def _content(self, chunk: int) -> bytes:
-        found, where = self._chunks[chunk], self._where(chunk)
-        if found.part is not None:
-            return found.part
+        entry, where = self._chunks[chunk], self._where(chunk)
+        if entry.salvaged is not None:
+            return entry.salvaged
         try:
-            data = self._bytes(found.record)
+            data = self._bytes(entry.record)
         except OSError as exc:
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
-        return data if found.loose else mcapformat.decompress(found.head, data, where)
+        return data if entry.loose else mcapformat.decompress(entry.head, data, where)
 
     def _bytes(self, record: Record) -> bytes:
         self._file.seek(record.start)
@@ -182,11 +186,11 @@ class McapReader(MessageFile):
         return f"{self.path}: chunk {chunk + 1} of {len(self._chunks)}"
 
     def _read_index(self, salvage: bool) -> None:
-        """Find out what the file holds, and where; with salvage up to the first damage."""
+        """List connections and chunks of the file; with salvage only those before the damage."""
         before = self._schemas, self._channels
         try:
             for record in mcapformat.walk(self._file, self.path):
-                if record.kind == Opcode.DATA_END:  # what follows repeats what was there
+                if record.kind == Opcode.DATA_END:  # the summary repeats schemas and channels
                     before = dict(self._schemas), dict(self._channels)
                 self._note(record)
         except BagError as exc:
@@ -199,7 +203,7 @@ class McapReader(MessageFile):
         self._count_the_rest()
 
     def _stop(self, damaged: Record, error: BagError) -> None:
-        """Note where the damage lies; of a chunk in which the file ends keep what is whole."""
+        """Report the damage. If the file ends inside a chunk, keep its complete records."""
         position, file_bytes = damaged.start, os.fstat(self._file.fileno()).st_size
         self._stated = None
         if damaged.kind in (Opcode.STATISTICS, Opcode.FOOTER):
@@ -216,14 +220,14 @@ class McapReader(MessageFile):
                 head, place = mcapformat.read_chunk_head(self._file, chunk, self.path, cut=True)
                 self._take(head, place, position)
                 part = mcapformat.unpack_part(head, self._bytes(place))
-                self._chunks.append(_Chunk(place, head, part=part))
+                self._chunks.append(_Chunk(place, head, salvaged=part))
                 where = f"in the chunk at byte {position} of {file_bytes}"
                 self.salvaged.why = f"is cut short or damaged {where}"
                 if head.compression == "none":
                     self.salvaged.lost_bytes = file_bytes - place.start - len(part)
 
     def _check_chunks(self) -> None:
-        """Count what the chunks hold; leave out the first that is damaged, and all behind it."""
+        """Count the messages of the chunks; leave out the first damaged chunk and all after it."""
         for place, chunk in enumerate(self._chunks):
             try:
                 content = self._content(place)
@@ -237,7 +241,7 @@ class McapReader(MessageFile):
             chunk.counts = Counter(found.channels.tolist())
 
     def _note(self, record: Record) -> None:
-        """Take what a record outside of chunks says."""
+        """Take a record outside of chunks into the index."""
         kind = record.kind
         if kind == mcapformat.CUT:
             raise BagUnindexed(
@@ -270,7 +274,11 @@ class McapReader(MessageFile):
             self.extras[_EXTRAS[kind]] = self.extras.get(_EXTRAS[kind], 0) + 1
 
     def _take(self, head: ChunkHead, place: Record, position: int) -> None:
-        """Count what a chunk at a byte of the file would unpack to; BagTooLarge: it must not."""
+        """Count the unpacked size of the chunk at a file offset.
+
+        Raises:
+            BagTooLarge: The Allowance does not permit it.
+        """
         where, packed = f"{self.path}: the chunk at byte {position}", place.stop - place.start
         self._allowance.take(head.compression, head.size, packed, where)
 
@@ -285,7 +293,7 @@ class McapReader(MessageFile):
         return self._bytes(record)
 
     def _note_loose(self, record: Record) -> None:
-        """Add a message outside of chunks to those just before it."""
+        """Add a message outside of chunks to the messages directly before it."""
         start, size = record.start - mcapformat.RECORD.size, record.stop - record.start
         self._allowance.take("none", size, size, f"{self.path}: the message at byte {start}")
         last = self._chunks[-1].record if self._chunks else None
@@ -313,15 +321,15 @@ class McapReader(MessageFile):
                 raise BagError(f"{where} is damaged: it has two different channels {channel.id}")
 
     def _count_the_rest(self) -> None:
-        """Look into the chunks whose channels or messages nothing outside of them tells."""
+        """Unpack the chunks that have no message index, or whose channels are only inside them."""
         for place, chunk in enumerate(self._chunks):
-            if chunk.counts and chunk.part is None and all(map(self._is_known, chunk.counts)):
+            if chunk.counts and chunk.salvaged is None and all(map(self._is_known, chunk.counts)):
                 continue
             content, where = self._content(place), self._where(place)
             for record in mcapformat.records_of(content, where):
                 if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._note_text(record.kind, content[record.start : record.stop], where)
-            if chunk.part is not None or not chunk.counts:
+            if chunk.salvaged is not None or not chunk.counts:
                 found = mcapformat.find_messages(content, where)
                 chunk.counts = Counter(found.channels.tolist())
                 if len(found.times):
@@ -338,7 +346,7 @@ class McapReader(MessageFile):
         return channel is not None and channel.schema_id in (0, *self._schemas)
 
     def _number(self) -> None:
-        """Make connections of the channels that have messages of ROS 1."""
+        """Make a connection of each channel that has ROS 1 messages."""
         self._chunks = [chunk for chunk in self._chunks if chunk.counts]
         totals: Counter[int] = Counter()
         for chunk in self._chunks:
@@ -363,7 +371,7 @@ class McapReader(MessageFile):
         self._number_kept(kept, totals)
 
     def _number_kept(self, kept: list[tuple[Connection, int]], totals: Counter[int]) -> None:
-        """Fill in what MessageFile tells, of connections and the ids of their channels."""
+        """Set the attributes of MessageFile from pairs of (connection, channel id)."""
         if len({connection.number for connection, _ in kept}) < len(kept):
             raise BagError(f"{self.path} is damaged: two of its connections have the same number")
         kept.sort(key=lambda each: each[0].number)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Write MCAP files of the profile ros1, as Foxglove and the mcap tools read them."""
+"""Write MCAP files of the profile ros1, which Foxglove and the mcap tools can read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cassandra_ros.bag.mcap_channel import NUMBER, to_channel
 from cassandra_ros.errors import BagError
 
 CHUNK_BYTES = 1 << 20
-"""A chunk is closed when its content has grown over this, as in mcap's own writers."""
+"""Size of a chunk's content above which the chunk is closed, bytes; the default of mcap."""
 _MAX_CHANNELS = 2**16 - 1
 _COMPRESSIONS = {
     "none": CompressionType.NONE,
@@ -24,30 +24,31 @@ _COMPRESSIONS = {
 }
 
 
-class _Used(NamedTuple):
-    """What the file has registered."""
+class _RegisteredIds(NamedTuple):
+    """The ids of the schemas and channels that were written."""
 
     schemas: dict[tuple[str, bytes], int]
+    """(type, definition) -> schema id."""
     channels: dict[int, int]
-    """Number of a connection -> id of its channel."""
+    """Connection number -> channel id."""
 
 
 class McapWriter(FileWriter):
     """An MCAP that is being written, see FileWriter. Memory: one chunk, connections, the index.
 
-    A connection is a channel, whose metadata hold what the header has beside topic, type and
-    definition, see mcap_channel.
+    Each connection is a channel. The metadata of the channel hold the fields of the connection
+    header except topic, type and definition, see mcap_channel.
 
     Args:
-        path: The file to make; an existing one is replaced at the end.
+        path: The file to write; an existing file is replaced when the MCAP is closed.
         compression: 'none', 'lz4' or 'zstd'.
-        chunk_bytes: Content of a chunk at which it is closed, uncompressed bytes.
+        chunk_bytes: Size of a chunk's content above which the chunk is closed, uncompressed bytes.
 
     Raises:
         BagError: The compression is unknown, or the file cannot be made.
     """
 
-    keeps_sent = True
+    keeps_publish_times = True
 
     def __init__(
         self,
@@ -59,7 +60,7 @@ class McapWriter(FileWriter):
             known = ", ".join(_COMPRESSIONS)
             raise BagError(f"{compression!r} is not a compression of MCAP; known are {known}")
         super().__init__(path)
-        self._used = _Used({}, {})
+        self._registered = _RegisteredIds({}, {})
         self._writer = Writer(self._file, chunk_bytes, _COMPRESSIONS[compression])
         self._writer.start(Profile.ROS1, "cassandra_ros")
 
@@ -68,9 +69,9 @@ class McapWriter(FileWriter):
     ) -> None:
         """Append a message, see FileWriter."""
         try:
-            channel = self._used.channels.get(number)
+            channel = self._registered.channels.get(number)
             if channel is None:
-                channel = self._used.channels[number] = self._register(number)
+                channel = self._registered.channels[number] = self._register(number)
             self._writer.add_message(channel, t_ns, data, t_ns + delay_ns, sequence)
         except OSError as exc:
             raise self._failure(exc) from exc
@@ -79,22 +80,22 @@ class McapWriter(FileWriter):
         self._writer.finish()  # type: ignore[no-untyped-call]  # of the library
 
     def _register(self, number: int) -> int:
-        """Write schema and channel of a connection; return the id of the channel."""
-        if len(self._used.channels) == _MAX_CHANNELS:
+        """Write the schema and the channel of a connection; return the channel id."""
+        if len(self._registered.channels) == _MAX_CHANNELS:
             raise BagError(
                 f"{self.path}: an MCAP has at most {_MAX_CHANNELS} channels, and each publisher of "
                 "a topic is one; export fewer topics or runs, or into a bag"
             )
         connection = self._connections[number]
         text = to_channel(connection)
-        schemas, key = self._used.schemas, (text.type, text.definition)
+        schemas, key = self._registered.schemas, (text.type, text.definition)
         if key not in schemas:
             schemas[key] = self._writer.register_schema(
                 text.type, SchemaEncoding.ROS1, text.definition
             )
         metadata = text.metadata
-        # The library numbers channels from 1 in the order in which they come.
-        if number != len(self._used.channels) + 1:
+        # The library gives the next channel this id: it counts from 1.
+        if number != len(self._registered.channels) + 1:
             metadata[NUMBER] = str(number)
         return self._writer.register_channel(
             connection.topic, MessageEncoding.ROS1, schemas[key], metadata

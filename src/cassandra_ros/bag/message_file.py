@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A file of messages, whatever its format: connections, and messages chunk by chunk."""
+"""Common part of the readers of bags and MCAP files: connections, and messages chunk by chunk."""
 
 from __future__ import annotations
 
@@ -15,76 +15,79 @@ import numpy as np
 
 from cassandra_ros.bag.bag_index import ChunkInfo
 from cassandra_ros.bag.chunk import ChunkMessages, Longs
-from cassandra_ros.bag.salvage import Salvaged
+from cassandra_ros.bag.salvage import SalvageReport
 from cassandra_ros.errors import BagError, TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection
 
 LISTED = 10
-"""Topics that an error names."""
+"""Maximum number of topics named in an error text."""
 MAX_BATCH = 1 << 16
-"""Maximum number of messages of a MessageBatch. A chunk may hold millions of empty ones."""
+"""Maximum number of messages of a MessageBatch. A chunk may hold millions of empty messages."""
 _AT_ONCE = 1 << 14
-"""Number of messages of a chunk whose places are held as Python objects."""
+"""Maximum number of messages whose offsets are converted to Python integers at once."""
 
 MessageProgress = Callable[[int, int], None]
-"""Called with the messages and bytes that were handled since the last call."""
+"""Callback (messages, bytes): the numbers of messages and bytes handled since the last call."""
 
 Self = TypeVar("Self", bound="MessageFile")
 
 
 class RawMessage(NamedTuple):
-    """A message as it lies in the bag."""
+    """A serialised message of a bag."""
 
     position: int
-    """Place among all messages of the bag, in the order of the file, from 0."""
+    """Index of the message among all messages of the bag in the order of the file, from 0."""
     number: int
-    """Key of MessageFile.connections."""
+    """Connection number."""
     t_ns: int
     data: bytes
 
 
 class MessageBatch(NamedTuple):
-    """Messages of one connection that follow each other in one chunk, in its order."""
+    """Consecutive messages of one connection in one chunk."""
 
     number: int
-    """Key of MessageFile.connections."""
+    """Connection number."""
     positions: Longs
-    """Their places among all messages of the bag, in the order of the file, from 0."""
+    """Position of each message, see RawMessage."""
     times: Longs
-    """ns."""
+    """Time of each message, ns."""
     wires: list[bytes]
+    """The serialised messages."""
 
 
-class SentTimes(NamedTuple):
-    """What an MCAP says of consecutive messages beside what a row of the store holds of each."""
+class PublishTimes(NamedTuple):
+    """publish_time and sequence of consecutive messages of an MCAP."""
 
     first: int
-    """Position of the first of them."""
+    """Position of the first message, see RawMessage."""
     delays: Longs
-    """publish_time minus log_time of each, ns."""
+    """publish_time minus log_time of each message, ns."""
     sequences: Longs
+    """Sequence number of each message."""
 
 
 class MessageFile(ABC):
     """A bag or an MCAP that is open for reading; also a context manager.
 
     Attributes:
-        path: Of the file, as it was given.
-        connections: By number, in the order of the index. Like rosbag, we leave out those that
-            no message refers to.
-        counts: Messages of each connection, by number.
-        message_count, chunk_count: Of the whole file.
+        path: Path of the file, as it was given.
+        connections: Connections by number, in the order of the index. Like rosbag, we leave out
+            connections without messages.
+        counts: Number of messages by connection number.
+        message_count: Number of messages in the file.
+        chunk_count: Number of chunks in the file.
         start_ns, end_ns: Times of the first and the last message, ns; 0 in an empty file.
-        left_out: By topic the number of messages that are not of ROS 1, and what they are; they
-            are in none of the above.
-        extras: What else the file holds, in words, and how many of each.
-        tells_sent: Whether chunk_sent has told something of a chunk so far.
+        left_out: Topic -> number of its messages that are not ROS 1 messages, and the reason. The
+            attributes above do not count them.
+        extras: Kind of other records, in words -> their number.
+        has_publish_times: Whether chunk_publish_times has returned any times so far.
     """
 
-    salvaged = Salvaged()
-    """Of a file that was opened to salvage it: what was damaged, and what can be read."""
-    tells_sent = False
+    salvaged = SalvageReport()
+    """The damage that was found when the file was opened with ``salvage``, if any."""
+    has_publish_times = False
     path: str
     connections: dict[int, Connection]
     counts: Counter[int]
@@ -105,28 +108,32 @@ class MessageFile(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close the file; twice is harmless."""
+        """Close the file. A second call does nothing."""
 
     @abstractmethod
     def chunk_info(self, chunk: int) -> ChunkInfo:
-        """Read what the index says about a chunk, in [0, chunk_count), in the file's order."""
+        """Read the index entry of a chunk. Chunks are numbered from 0 in the order of the file."""
 
     @abstractmethod
     def chunk_times(self, chunk: int) -> tuple[int, int]:
-        """Return the first and last time in a chunk as the index has them, ns."""
+        """Return the first and the last time in a chunk that the index states, ns."""
 
     @abstractmethod
     def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
-        """Read what a chunk holds, and where its messages lie in it; see messages.
+        """Read a chunk. Return its content and the list of its messages.
 
-        Their ids are those of ``connections``. Before each message stand 20 bytes or more that
-        are no part of one.
+        The connection ids in the list are the numbers in ``connections``. At least 20 bytes of the
+        content before each message belong to no message.
+
+        Raises:
+            BagError: The chunk is damaged or contradicts the index; the text names the chunk.
         """
 
-    def chunk_sent(self, chunk: int) -> SentTimes | None:
-        """Tell when the messages of a chunk were sent, and as which of their publisher's.
+    def chunk_publish_times(self, chunk: int) -> PublishTimes | None:
+        """Return the publish times and sequence numbers of the messages of a chunk.
 
-        None: the file does not say, or nothing but that each was sent when it was received.
+        Return None if the file has no such fields, or if each publish time is the receive time and
+        each sequence number is 0.
         """
         return None
 
@@ -139,13 +146,14 @@ class MessageFile(ABC):
     def messages(
         self, numbers: AbstractSet[int] | None = None, start: int = 0
     ) -> Iterator[RawMessage]:
-        """Read the messages in the order of the file, of some connections or of all.
+        """Read messages in the order of the file.
 
         Args:
-            start: Skip the messages whose position is lower.
+            numbers: Numbers of the connections to read; None = all.
+            start: Position of the first message to read.
 
         Raises:
-            BagError: A chunk is damaged or contradicts the index; the text names it.
+            BagError: A chunk is damaged or contradicts the index; the text names the chunk.
         """
         if start >= self.message_count:
             return
@@ -164,67 +172,69 @@ class MessageFile(ABC):
         info = self.chunk_info(chunk)
         if numbers is not None and numbers.isdisjoint(info.counts):
             return
-        content, places = self.chunk_content(chunk)
-        for first in range(0, len(places.ids), _AT_ONCE):
-            columns = zip(*(column[first : first + _AT_ONCE].tolist() for column in places))
+        content, messages = self.chunk_content(chunk)
+        for first in range(0, len(messages.ids), _AT_ONCE):
+            columns = zip(*(column[first : first + _AT_ONCE].tolist() for column in messages))
             for position, (number, t_ns, start, stop) in enumerate(columns, info.first + first):
                 if numbers is None or number in numbers:
                     yield RawMessage(position, number, t_ns, content[start:stop])
 
     def batches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[MessageBatch]:
-        """Read the messages of a chunk, connection by connection; see messages.
-
-        At most MAX_BATCH come at once.
+        """Read the messages of a chunk in batches, connection by connection; see messages.
 
         Args:
-            spans: Only these connections, and their messages from one time on and before another,
-                ns.
+            spans: Connections to read: number -> time range, ns; its end is not included.
         """
         info = self.chunk_info(chunk)
-        wanted = [number for number in info.counts if number in spans]
-        if not wanted:
+        numbers = [number for number in info.counts if number in spans]
+        if not numbers:
             return
-        content, places = self.chunk_content(chunk)
-        for number in wanted:
+        content, messages = self.chunk_content(chunk)
+        for number in numbers:
             since, until = spans[number]
-            fits = (places.ids == number) & (places.times >= since) & (places.times < until)
-            every = np.flatnonzero(fits)
-            for first in range(0, len(every), MAX_BATCH):
-                chosen = every[first : first + MAX_BATCH]
-                ends = zip(places.starts[chosen].tolist(), places.stops[chosen].tolist())
+            fits = (messages.ids == number) & (messages.times >= since) & (messages.times < until)
+            rows = np.flatnonzero(fits)
+            for first in range(0, len(rows), MAX_BATCH):
+                page = rows[first : first + MAX_BATCH]
+                ends = zip(messages.starts[page].tolist(), messages.stops[page].tolist())
                 wires = [content[start:stop] for start, stop in ends]
-                yield MessageBatch(number, info.first + chosen, places.times[chosen], wires)
+                yield MessageBatch(number, info.first + page, messages.times[page], wires)
 
 
-class Ordered(NamedTuple):
-    """A message of a bag, comparable in the order of reading."""
+class OrderedMessage(NamedTuple):
+    """A message of a bag. Objects compare in the order in which rosbag reads the messages."""
 
     t_ns: int
     rank: int
-    """Place of the connection in the bag's index."""
+    """Position of the connection in the bag's index."""
     position: int
     value: bytes
-    """What was asked to be kept of the message."""
+    """Result of ``keep`` for the message, see read_in_order."""
 
 
 def read_in_order(
     reader: MessageFile,
     keep: Callable[[RawMessage], bytes],
     numbers: AbstractSet[int] | None = None,
-) -> Iterator[Ordered]:
+) -> Iterator[OrderedMessage]:
     """Yield the messages of a bag in the order in which rosbag reads them.
 
-    Chunks are read by their first time, each once. Held in memory are the largest chunk, and
-    about 250 bytes beside the kept value for each message that a later chunk may still precede:
-    one or two chunks' worth in a recorded bag, all of the bag when every chunk spans all of it.
+    Each chunk is read once, in the order of their first times. Memory: the largest chunk, and about
+    250 bytes plus the kept value for each message that may come after one of a later chunk. In a
+    recorded bag these are the messages of one or two chunks; if every chunk covers the whole time
+    range, all messages of the bag.
+
+    Args:
+        keep: Function that computes the value to keep of each message.
+        numbers: Numbers of the connections to read; None = all.
 
     Raises:
-        BagError: A chunk is damaged, or holds times that the index denies.
+        BagError: A chunk is damaged, or has times outside the time range that the index states.
     """
     rank = {number: place for place, number in enumerate(reader.connections)}
     order = sorted(range(reader.chunk_count), key=reader.chunk_times)
     starts = [reader.chunk_times(chunk)[0] for chunk in order]
-    waiting: list[Ordered] = []
+    waiting: list[OrderedMessage] = []
     for chunk, next_ns in zip(order, [*starts[1:], MAX_NS + 1]):
         start_ns, end_ns = reader.chunk_times(chunk)
         for message in reader.chunk_messages(chunk, numbers):
@@ -233,36 +243,42 @@ def read_in_order(
                     f"{reader.path}: chunk {chunk + 1} holds a message outside the times that "
                     f"the index states; repair it with: rosbag reindex {reader.path}"
                 )
-            entry = Ordered(message.t_ns, rank[message.number], message.position, keep(message))
+            entry = OrderedMessage(
+                message.t_ns, rank[message.number], message.position, keep(message)
+            )
             waiting.append(entry)
-        waiting.sort()  # runs that are in order already cost one comparison a message
+        waiting.sort()  # sorted runs of messages cost one comparison per message
         ready = bisect_left(waiting, (next_ns,))
         yield from waiting[:ready]
         del waiting[:ready]
 
 
 def match_topics(names: Iterable[str], present: AbstractSet[str], where: str) -> set[str]:
-    """Find topics by name, with or without the leading slash; TopicNotFound lists what is there."""
-    found: set[str] = set()
+    """Return the topics of these names, with or without the leading slash.
+
+    Raises:
+        TopicNotFound: There is no such topic; the text lists the topics that exist.
+    """
+    topics: set[str] = set()
     for name in names:
         matches = {name} & present or {t for t in present if t.strip("/") == name.strip("/")}
         if not matches:
             raise TopicNotFound(f"there is no topic {name} in {where}; {_listing(name, present)}")
-        found |= matches
-    return found
+        topics |= matches
+    return topics
 
 
 def _listing(name: str, present: AbstractSet[str]) -> str:
     if not present:
         return "it has none"
     near = get_close_matches(name, sorted(present), n=LISTED, cutoff=0.4)
-    every = [*near, *sorted(present - set(near))]
-    more = f" and {len(every) - LISTED} more" if len(every) > LISTED else ""
-    return f"it has {', '.join(every[:LISTED])}{more} ({len(every)} topics)"
+    topics = [*near, *sorted(present - set(near))]
+    more = f" and {len(topics) - LISTED} more" if len(topics) > LISTED else ""
+    return f"it has {', '.join(topics[:LISTED])}{more} ({len(topics)} topics)"
 
 
-def chosen_connections(reader: MessageFile, topics: Iterable[str] | None) -> set[int]:
-    """Return the numbers of the connections of some topics of a bag (None = of all)."""
+def connections_of_topics(reader: MessageFile, topics: Iterable[str] | None) -> set[int]:
+    """Return the numbers of the connections of some topics of a bag; None = all topics."""
     connections = reader.connections
     if topics is None:
         return set(connections)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the first messages of a topic tell: its connections and its median rate, as rosbag info."""
+"""Connections and median rate of a topic, computed from its first messages as rosbag info does."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from cassandra_ros.topics.run_finder import RunName
 
 @dataclass
 class MessageSample:
-    """The first messages of one topic, or those of them that lie in one table."""
+    """The first messages of one topic, or of one of its tables."""
 
     times: list[int] = field(default_factory=list)
-    """When they were received, ns, in the order of their keys."""
+    """Receive times of the messages, ns, in the order of their keys."""
     found: dict[tuple[str, int], Connection] = field(default_factory=dict)
-    """The connections over which they came, by table and their number in it."""
+    """Connections of the messages, by table name and ``_conn``."""
 
     @property
     def connections(self) -> list[Connection]:
-        """The connections, in the order that they have in their bag."""
+        """The connections, sorted by their number in the bag."""
         return sorted(self.found.values(), key=lambda each: each.number)
 
     @property
     def frequency(self) -> float | None:
-        """Messages a second, by the median of the periods; None where that is 0 or unknown."""
+        """Rate of the messages, Hz: 1 / median period; None if the period is 0 or unknown."""
         times = sorted(self.times)
         periods = [later - former for former, later in zip(times, times[1:])]
         middle = statistics.median(periods) if periods else 0
@@ -40,19 +40,19 @@ class MessageSample:
 def read_samples(
     topic: CassandraTopic, most: int, node: str | None, run: RunName
 ) -> dict[str, MessageSample]:
-    """Read the first messages of a topic, at most so many, and return those of each table."""
+    """Read the first messages of a topic, at most ``most``. Return a sample per table name."""
     samples: dict[str, MessageSample] = {}
     for row in topic.rows(nodeID=node, run=run, limit=most, columns=lambda table: ()):
         sample = samples.setdefault(row.table.name, MessageSample())
         sample.times.append(row.received)
-        place = (row.table.name, row.conn)
-        if place not in sample.found:
-            sample.found[place] = row.connection
+        key = (row.table.name, row.conn)
+        if key not in sample.found:
+            sample.found[key] = row.connection
     return samples
 
 
-def joined(samples: Iterable[MessageSample]) -> MessageSample:
-    """Return the samples of several tables as one."""
+def join_samples(samples: Iterable[MessageSample]) -> MessageSample:
+    """Return one sample with the messages of several samples."""
     whole = MessageSample()
     for sample in samples:
         whole.times += sample.times

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""publish_time and sequence of an MCAP's messages, in and out of the store, and compared."""
+"""Store, read and compare publish_time and sequence of the messages of an MCAP."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from cassandra_ros.tables.side_tables import SideTables
 from cassandra_ros.topics.stored_row import StoredRow
 
 _STRIPES_HELD = 64
-"""Of 64 KiB each: rows come in the order of time, nearly that of a file."""
+"""Number of 64 KiB stripes kept in memory. Rows arrive almost in file order, so few are needed."""
 
 
-def store_sent(side_tables: SideTables, reader: MessageFile, run: Run) -> None:
-    """Store what a file, whose content was read before, tells of its messages."""
+def store_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) -> None:
+    """Store the publish times and sequence numbers of a file.
+
+    The caller has read all chunks before, so ``has_publish_times`` is valid.
+    """
     table = SentTimes(side_tables)
     for stripe, sent in _stripes(reader):
         table.put(run.writer, run.node, stripe, sent)
 
 
-def count_differing(side_tables: SideTables, reader: MessageFile, run: Run) -> int:
-    """Count the messages of which the store tells something else than their file."""
+def count_other_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) -> int:
+    """Return the number of messages whose stored publish time or sequence differs from the file."""
     table, count = SentTimes(side_tables), 0
     for stripe, sent in _stripes(reader):
         stored = table.get(run.writer, run.node, stripe) or _nothing()
@@ -37,19 +40,25 @@ def count_differing(side_tables: SideTables, reader: MessageFile, run: Run) -> i
     return count
 
 
-class SentFinder:
-    """Finds delay and sequence of stored rows; 0 and 0 where nothing is known, or wanted."""
+class PublishTimeFinder:
+    """Looks up publish time and sequence number of stored rows.
 
-    def __init__(self, side_tables: SideTables, wanted: bool) -> None:
+    Args:
+        enabled: False = return 0 and 0 for each row, without asking the store.
+    """
+
+    def __init__(self, side_tables: SideTables, enabled: bool) -> None:
         table = SentTimes(side_tables)
-        self._any = wanted and table.any()
+        self._any = enabled and table.any()
         self._get = lru_cache(maxsize=_STRIPES_HELD)(table.get)
 
     def of(self, row: StoredRow, t_ns: int) -> tuple[int, int]:
         """Return publish_time minus log_time of a message, ns, and its sequence number.
 
+        Return 0 and 0 if they are unknown, or if ``t_ns`` is not the receive time of the message.
+
         Args:
-            t_ns: Where it is to stand: what is known is of the time when it was received.
+            t_ns: Time at which the message is written to the file, ns.
         """
         if not self._any or t_ns != row.received:
             return 0, 0
@@ -64,23 +73,26 @@ def _nothing() -> Sent:
 
 
 def _stripes(reader: MessageFile) -> Iterator[tuple[int, Sent]]:
-    """Gather what the chunks of a file tell, by the places of messages; not where it is nothing."""
-    if not reader.tells_sent:
+    """Yield the number and values of each stripe that has a value other than 0.
+
+    Stripe n holds the messages at positions n * STRIPE to (n + 1) * STRIPE - 1 of the file.
+    """
+    if not reader.has_publish_times:
         return
     number, stripe = 0, _nothing()
     for chunk in range(reader.chunk_count):
-        told = reader.chunk_sent(chunk)
-        if told is None:
+        times = reader.chunk_publish_times(chunk)
+        if times is None:
             continue
         taken = 0
-        while taken < len(told.delays):
-            target, place = divmod(told.first + taken, STRIPE)
+        while taken < len(times.delays):
+            target, place = divmod(times.first + taken, STRIPE)
             if target != number:
                 if stripe.delays.any() or stripe.sequences.any():
                     yield number, stripe
                 number, stripe = target, _nothing()
-            count = min(STRIPE - place, len(told.delays) - taken)
-            for whole, part in zip(stripe, (told.delays, told.sequences)):
+            count = min(STRIPE - place, len(times.delays) - taken)
+            for whole, part in zip(stripe, (times.delays, times.sequences)):
                 whole[place : place + count] = part[taken : taken + count]
             taken += count
     if stripe.delays.any() or stripe.sequences.any():

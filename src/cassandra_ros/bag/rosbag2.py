@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is said of the bags of ROS 2, which hold messages in another serialisation."""
+"""The error for bags of ROS 2, whose messages are serialised in another way."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SQLITE_MAGIC = b"SQLite format 3\x00"
 
 
 def refusal(path: str) -> BagError:
-    """Make the error for a file or folder of rosbag2, which says how to get a bag of ROS 1."""
+    """Return the error for a file or folder of rosbag2; it says how to convert it to ROS 1."""
     folder = path if os.path.isdir(path) else os.path.dirname(path) or "."
     whole = folder if os.path.exists(os.path.join(folder, METADATA)) else path
     return BagError(

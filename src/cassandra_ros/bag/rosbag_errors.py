@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The errors of class Bag, also as those of rosbag, for a script that catches these.
+"""Errors of class Bag that are also errors of rosbag, for scripts that catch those.
 
-Only a script that has imported rosbag can name its errors: rosbag (with rospy, some 0.5 s) is never
-imported for their sake.
+Only a script that has imported rosbag can name rosbag's errors. So we never import rosbag ourselves
+(with rospy it takes some 0.5 s).
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ def _rosbag_error() -> type[BagError]:
     from rosbag.bag import ROSBagException
 
     class StoredBagError(BagError, ROSBagException):
-        """A BagError of class Bag that is caught as rosbag's, too."""
+        """A BagError of class Bag that is also a ROSBagException."""
 
         __module__, __qualname__ = BagError.__module__, BagError.__qualname__
 
         @property
         def value(self) -> str:
-            """The text, where rosbag's errors have it."""
+            """The error text, under the name that rosbag uses."""
             return str(self)
 
         def __reduce__(self) -> tuple[object, ...]:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Make the index of a bag anew out of its chunks, up to the first damage.
+"""Rebuild the index of a bag from its chunks, up to the first damage.
 
-For a bag that is cut short, damaged, or was never closed (.bag.active, of a recorder that died). As
-rosbag reindex does, but the file stays as it is, and of the chunk in which the damage lies the
-messages before it are kept, too.
+For a bag that is cut short, damaged, or was never closed (.bag.active, after a crash of the
+recorder). Unlike rosbag reindex, this does not change the file, and it also keeps the messages
+before the damage in the damaged chunk.
 """
 
 from __future__ import annotations
@@ -23,36 +23,38 @@ from cassandra_ros.errors import BagError, BagTooLarge
 
 
 class CutChunk(NamedTuple):
-    """The chunk in which the damage lies."""
+    """The damaged chunk of a bag."""
 
     number: int
     compression: str
     data_pos: int
     data_bytes: int
     content_bytes: int
-    """Bytes of its content, unpacked, up to the damage."""
+    """Size of the unpacked content before the damage, bytes."""
 
 
 @dataclass
-class Salvaged:
-    """What can be read of a bag."""
+class SalvageReport:
+    """The damage of a bag, and how much of the bag can be read."""
 
     messages: int = 0
+    """Number of messages that can be read."""
     why: str = ""
-    """What ended it; '' = the chunks are whole, up to the index."""
+    """Description of the damage; '' = all chunks are complete."""
     lost_bytes: int = 0
-    """Of the file, behind what can be read; 0 where only the index is missing.
+    """Maximum number of bytes of the file that cannot be read; 0 if only the index is missing.
 
-    At most so many: of a compressed chunk that is cut all bytes count, also those that can be read.
+    A damaged compressed chunk counts with all its bytes, although some of them can be read.
     """
     cut: CutChunk | None = None
+    """The damaged chunk, if messages before the damage can be read."""
 
     def told(self, path: str) -> str:
-        """Say what was damaged, what is read and what is not; '' where nothing is."""
+        """Return a sentence about the damage and what can be read; '' if nothing is damaged."""
         if not self.why:
             return ""
         left = (
-            f"at most {self.lost_bytes} bytes behind them are lost"
+            f"at most {self.lost_bytes} bytes after them are lost"
             if self.lost_bytes
             else ("no message that the file holds is lost")
         )
@@ -61,19 +63,19 @@ class Salvaged:
 
 @dataclass
 class _Scan:
-    """Goes through a bag, chunk by chunk."""
+    """Reads a bag, chunk by chunk, and collects the records of a new index."""
 
     file: BinaryIO
     path: str
     allowance: Allowance
-    salvaged: Salvaged = field(default_factory=Salvaged)
+    salvaged: SalvageReport = field(default_factory=SalvageReport)
     connections: dict[int, bytes] = field(default_factory=dict)
-    """Their records, by id in the file."""
+    """Connection record by connection id in the file."""
     infos: list[bytes] = field(default_factory=list)
-    """The chunk info records."""
+    """Chunk info records."""
 
     def run(self) -> None:
-        """Note connections and chunks until the index, the end of the file or damage comes."""
+        """Collect connections and chunks up to the index, the end of the file or the damage."""
         start = read_start(self.file, self.path)
         self.file.seek(start.data_pos + start.data_bytes)
         size = os.fstat(self.file.fileno()).st_size
@@ -88,7 +90,7 @@ class _Scan:
                 elif kind == bagformat.OP_INDEX:
                     data_bytes = self._length()
                     self.file.seek(data_bytes, os.SEEK_CUR)
-                    if self.file.tell() > size:  # what it tells we know from the chunk
+                    if self.file.tell() > size:  # the chunk before it has been read
                         self.salvaged.why = f"is cut short after {size} bytes"
                 else:
                     raise BagError(f"a record of kind {kind}")
@@ -111,7 +113,7 @@ class _Scan:
         compression = fields.get(b"compression", b"").decode("utf-8", "replace")
         declared = bagformat.number(fields, b"size", where)
         data_bytes, data_pos = self._length(), self.file.tell()
-        # A recorder states the size when it closes a chunk: until then it is 0.
+        # A recorder writes the size when it closes a chunk; before that it is 0.
         whole = 0 < data_bytes <= size - data_pos
         most = self.allowance.most(compression)
         data_bytes = data_bytes if whole else min(size - data_pos, most)
@@ -138,7 +140,12 @@ class _Scan:
             self._end(why, size - data_pos - end * (compression == "none"))
 
     def _records(self, content: bytes, where: str) -> tuple[int, list[int], Counter[int]]:
-        """Read records up to the damage: where that is, the times and counts of the messages."""
+        """Read the records of a chunk up to the damage.
+
+        Returns:
+            Offset of the damage in the content, first and last time of the messages before it, ns,
+            and the number of these messages by connection id.
+        """
         counts: Counter[int] = Counter()
         position, times = 0, [2**63, 0]
         try:
@@ -147,7 +154,7 @@ class _Scan:
                 if kind == bagformat.OP_MESSAGE:
                     number, t_ns = message_of(fields, where)
                     if number not in self.connections:
-                        raise BagError(f"{where}: a message of connection {number}, which is none")
+                        raise BagError(f"{where}: a message of unknown connection {number}")
                     times = [min(times[0], t_ns), max(times[1], t_ns)]
                     counts[number] += 1
                 elif kind == bagformat.OP_CONNECTION:
@@ -159,7 +166,7 @@ class _Scan:
                     raise BagError(f"{where}: a record of kind {kind}")
                 position = stop
         except BagError:
-            pass  # it is what is looked for
+            pass  # the damage that we search for
         return position, times, counts
 
 
@@ -177,13 +184,16 @@ def _chunk_info(position: int, times: list[int], counts: Counter[int]) -> bytes:
     )
 
 
-def read_salvage(file: BinaryIO, path: str, allowance: Allowance) -> tuple[Salvaged, IndexPlace]:
-    """Read the chunks of a bag up to the first damage, and make their index; close its file.
+def read_salvage(
+    file: BinaryIO, path: str, allowance: Allowance
+) -> tuple[SalvageReport, IndexPlace]:
+    """Read the chunks of a bag up to the first damage, and make an index of them.
 
-    A chunk that the allowance refuses counts as the first damage.
+    A chunk that the allowance refuses counts as damage. The caller must close the file of the
+    returned index.
 
     Raises:
-        BagError: The file is no bag of format 2.0, or holds no message that can be read.
+        BagError: The file is not a bag of format 2.0, or no message can be read.
     """
     scan = _Scan(file, path, allowance)
     scan.run()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is stored, read and written as by class Bag of the module rosbag."""
+"""Read and write stored messages with the methods of rosbag.Bag."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from typing import (
 from cassandra_ros.arguments import check_list, check_new_topic
 from cassandra_ros.bag.bag_order import in_bag_order
 from cassandra_ros.bag.chunk import COMPRESSIONS
-from cassandra_ros.bag.file_runs import runs_meant, runs_of_file, source_of, told_alike
-from cassandra_ros.bag.message_sample import joined, read_samples
+from cassandra_ros.bag.file_runs import describe_same_name, runs_meant, runs_of_file, source_of
+from cassandra_ros.bag.message_sample import join_samples, read_samples
 from cassandra_ros.bag.rosbag_errors import bag_error
 from cassandra_ros.bag.summary import Summary, TopicSummary
 from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -48,25 +48,25 @@ from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import TopicInfo
 
 MOST_STAMPS = 100_000
-"""Messages of a topic whose times tell its frequency, and publishers in one run; the first ones."""
+"""Number of first messages of a topic from which its frequency and its connections are computed."""
 
 ConnectionFilter = Callable[[str, str, str, str, Mapping[str, bytes]], object]
-"""Called with topic, type, md5sum, definition and header of a connection."""
+"""Function of (topic, type, md5sum, definition, header) that accepts or rejects a connection."""
 TopicNames = Union[None, str, Iterable[str]]
 
 
 class BagMessage(NamedTuple):
-    """A message as rosbag hands it out."""
+    """A message as rosbag returns it."""
 
     topic: str
     message: Any
     """The message; with raw=True (type, bytes, md5sum, position, class)."""
     timestamp: Stamp
-    """When it was received."""
+    """Receive time."""
 
 
 class BagMessageWithConnectionHeader(NamedTuple):
-    """A message as rosbag hands it out with return_connection_header=True."""
+    """A message as rosbag returns it with return_connection_header=True."""
 
     topic: str
     message: Any
@@ -75,27 +75,27 @@ class BagMessageWithConnectionHeader(NamedTuple):
 
 
 class TopicTuple(NamedTuple):
-    """What get_type_and_topic_info tells of a topic."""
+    """The information about one topic that get_type_and_topic_info returns."""
 
     msg_type: str
     message_count: int
     connections: int
     frequency: float | None
-    """Hz, by the median of the periods; None of a single message."""
+    """Rate, Hz: 1 / median period; None if the topic has a single message."""
 
 
 class CompressionTuple(NamedTuple):
-    """What get_compression_info returns."""
+    """The result of get_compression_info."""
 
     compression: str
     uncompressed: int
-    """Bytes."""
+    """Size of the messages before compression, bytes."""
     compressed: int
-    """Bytes."""
+    """Size of the messages after compression, bytes."""
 
 
 class TypesAndTopicsTuple(NamedTuple):
-    """What get_type_and_topic_info returns."""
+    """The result of get_type_and_topic_info."""
 
     msg_types: Mapping[str, str]
     """Type -> md5sum."""
@@ -107,45 +107,45 @@ class _Everything(Enum):
 
 
 EVERYTHING = _Everything.EVERYTHING
-"""In the place of the name of a bag that is read."""
+"""Default of the first argument of Bag: read all runs of the keyspace."""
 FileName = Union[str, bytes, "os.PathLike[str]", IO[bytes]]
 
 
 class Bag:
-    """A run of the store as if it were a bag: what a script does with rosbag.Bag it does with this.
+    """A run of the store with the methods of rosbag.Bag, so that scripts need not change.
 
-    The times that it hands out are those of reception, in whose order messages are read. Topics
-    that are not there are passed over, as by rosbag. Not safe to share between threads.
+    All times are receive times, and messages are read in their order. As in rosbag, topics that do
+    not exist are ignored. Not safe to share between threads.
 
     Args:
-        f: Path of a bag that was imported, or that a Bag wrote: links are followed, and no other
-            file is taken for it. Or the name of a run, which an imported bag has from its file, or
-            a writer id: where no file is called so here. Several runs of one name are read as one.
-            A file object stands for its path, and is closed with the bag. Left out = all that the
-            keyspace holds.
-        mode: 'r' reads; 'w' writes a new run, in the place of what a Bag wrote to this path before;
-            'a' adds to those of the name. 'w' and 'a' read, too.
-        compression, chunk_threshold, allow_unindexed, options, skip_index: Taken so that a script
-            need not change; they are about files. A store has formats instead. The first two are
-            checked, and are attributes, for a script that writes a bag like this one.
-        rosCas: A RosCassandra that is connected to a keyspace; it stays the caller's. None = one of
-            its own, opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
-        nodeID: Reading: only messages of this robot, None = of all; writing: whose they are.
-        format: Storage format of new topics, as addTopic takes it.
+        f: Path of an imported bag, or of a bag that an object of this class wrote; symbolic links
+            are followed. If no such file exists here, also the name of a run (an imported bag has
+            the name of its file) or a writer id. Several runs of one name are read as one. A file
+            object means its path, and is closed with the bag. Omitted = all runs of the keyspace.
+        mode: 'r' reads; 'w' writes a new run, and deletes the run that a Bag wrote to this path
+            before; 'a' adds to the runs of this path or name. 'w' and 'a' can read, too.
+        compression, chunk_threshold, allow_unindexed, options, skip_index: Accepted so that a
+            script need not change; they concern files, and have no effect on the store. The first
+            two are checked, and are attributes, for scripts that write a bag like this one.
+        rosCas: A RosCassandra that is connected to a keyspace; the caller closes it. None = make a
+            connection from the environment (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE or 'ros').
+        nodeID: When reading, the robot whose messages are read, None = all robots. When writing,
+            the robot that the messages belong to.
+        format: Storage format of new topics, as in addTopic.
 
     Raises:
-        BagNotFound: No run has this path or name (a RunNotFound, and as rosbag an OSError). The
-            text names runs of other files that are called so, and how to open those; or the
-            nearest names.
-        BagError: Mode 'w', and an imported bag or a recording has this path or name: that is not
+        BagNotFound: No run has this path or name (a RunNotFound and, as in rosbag, an OSError). The
+            text names runs of other files with this base name and how to open them, or the nearest
+            names.
+        BagError: With mode 'w': an imported bag or a recording has this path or name, and is not
             overwritten.
-        InvalidOption: An unknown mode or compression, a threshold or a name that cannot be used (a
-            ValueError, as in rosbag); mode 'w' while another Bag still writes to this path.
+        InvalidOption: The mode or compression is unknown, or the threshold or the name cannot be
+            used (a ValueError, as in rosbag). With mode 'w': another Bag still writes to this path.
         ConnectionFailed: No store answers.
     """
 
     version = 200
-    """As of the bags that rosbag writes."""
+    """Version of the bag format that rosbag reports, 2.0."""
 
     def __init__(
         self,
@@ -162,7 +162,7 @@ class Bag:
         format: str | None = None,
     ) -> None:
         if mode not in ("r", "w", "a"):
-            raise InvalidOption(f"mode={mode!r:.80} is none of 'r', 'w' and 'a'")
+            raise InvalidOption(f"mode={mode!r:.80} is not one of 'r', 'w' and 'a'")
         if f is EVERYTHING and mode != "r":
             raise InvalidOption("a run that is written needs a name: Bag('patrol', 'w')")
         if options is not None and not isinstance(options, Mapping):
@@ -181,9 +181,9 @@ class Bag:
         self._handles: dict[object, Handle] = {}
         self._counter = count()
         self._before: frozenset[int] = frozenset()
-        """Writer ids of what was in the bag when it was opened to be written."""
+        """Writer ids of the runs that the bag had when it was opened for writing."""
         self._numbers: Iterator[int] | None = None
-        """Numbers of further connections; None = those of the bag are not looked up yet."""
+        """Numbers for new connections; None = the highest stored number is not known yet."""
         try:
             self.filename = name or str(self._store.keyspace)
             self._run = None if f is EVERYTHING else self._open(format)
@@ -193,23 +193,23 @@ class Bag:
 
     @property
     def options(self) -> dict[str, Any]:
-        """The options of a bag that is written like this one."""
+        """The options with which a script can write a bag like this one."""
         return {"compression": self.compression, "chunk_threshold": self.chunk_threshold}
 
     @property
     def compression(self) -> str:
-        """'none', 'bz2' or 'lz4', as it was given; the store packs messages in its own way."""
+        """'none', 'bz2' or 'lz4', as given to the constructor. It has no effect on the store."""
         return self._compression
 
     @compression.setter
     def compression(self, name: str) -> None:
         if name not in COMPRESSIONS:
-            raise InvalidOption(f"compression={name!r:.80} is none of {', '.join(COMPRESSIONS)}")
+            raise InvalidOption(f"compression={name!r:.80} is not one of {', '.join(COMPRESSIONS)}")
         self._compression = name
 
     @property
     def chunk_threshold(self) -> int:
-        """Bytes, 0 or more, as it was given; the store has no chunks of a file."""
+        """Chunk size, bytes, as given to the constructor. It has no effect on the store."""
         return self._chunk_threshold
 
     @chunk_threshold.setter
@@ -219,7 +219,7 @@ class Bag:
         self._chunk_threshold = size
 
     def _open(self, format: str | None) -> frozenset[int]:
-        """Return the writer ids that the bag is of; begin a run where it is to be written."""
+        """Return the writer ids of the bag's runs. If the mode is 'w' or 'a', begin a new run."""
         name, runs = self.filename, self._store.catalog.keyspace.registry.runs()
         found = frozenset(run.writer for run in runs_meant(runs, name))
         if self.mode == "r":
@@ -235,12 +235,16 @@ class Bag:
         self._writer = self._store.messageWriter(
             writer_id=writer, nodeID=run.node, format=format, run=run
         )
-        atexit.register(self.close)  # a script that forgets to close loses nothing
+        atexit.register(self.close)  # a script that does not close the bag loses no messages
         return found | {writer}
 
     def _absent(self, name: str, runs: Sequence[Run]) -> frozenset[int]:
-        """Return the writer id that a name is, though no run has it; else raise BagNotFound."""
-        alike = told_alike(runs, name)
+        """Return the writer ids for a name that no run has: the name may be a writer id itself.
+
+        Raises:
+            BagNotFound: It is not.
+        """
+        alike = describe_same_name(runs, name)
         place = f"{name} is not stored in keyspace {self._store.keyspace}"
         if alike and (os.path.isfile(name) or os.path.basename(name) != name):
             raise BagNotFound(f"{place}; {alike}")
@@ -252,7 +256,10 @@ class Bag:
             raise BagNotFound(str(exc)) from exc
 
     def _make_room(self, name: str, runs: Sequence[Run]) -> frozenset[int]:
-        """Delete what a Bag wrote to this path before, as rosbag would empty its file."""
+        """Delete the runs that a Bag wrote to this path before, as rosbag overwrites its file.
+
+        Return the writer ids of those that stay, because they belong to other robots.
+        """
         before = runs_of_file(runs, name)
         named = [run for run in runs if run.name == name and run not in before]
         for run in named + [run for run in before if run.kind != "api"]:
@@ -276,23 +283,24 @@ class Bag:
         raw: bool = False,
         return_connection_header: bool = False,
     ) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
-        """Walk lazily through messages in the order of their reception, as rosbag.
+        """Yield messages lazily in the order of their receive times, as rosbag does.
 
-        Those of equal times come by their connections, in the order that these have in the bag
-        that was imported, or in which a Bag wrote to them first; else as they arrived.
+        Messages of equal time are ordered by connection: as in the imported bag, or in the order
+        in which a Bag first wrote to the connections; otherwise in the order of arrival.
 
         Args:
-            topics: Their names, or one; None or none = all.
-            start_time, end_time: Ends, both included, as a key is; None or 0 = open.
-            connection_filter: Called with (topic, type, md5sum, definition, header) of each
-                connection; only messages of those for which it returns true are read.
-            raw: The message is (type, bytes, md5sum, position, class).
+            topics: Names of topics, or one name; None or an empty list = all.
+            start_time, end_time: First and last receive time, both included, in any form that a
+                key may have; None or 0 = open.
+            connection_filter: Function of (topic, type, md5sum, definition, header); only messages
+                of connections for which it returns a true value are read.
+            raw: Yield (type, bytes, md5sum, position, class) instead of the message.
             return_connection_header: Yield (topic, message, t, header) instead of (topic, message,
                 t).
 
         Raises:
             BagError: The bag is closed.
-            InvalidKey: start_time or end_time is no time.
+            InvalidKey: start_time or end_time is not a time.
         """
         self.flush()
         ends = [None if not time else time for time in (start_time, end_time)]
@@ -332,17 +340,22 @@ class Bag:
                 yield one
 
     def _topics(self, names: TopicNames) -> list[CassandraTopic]:
-        """Return the topics of these names, None = all, that are stored."""
-        every = {topic.name: topic for topic in self._store.getAllTopics()}
+        """Return the stored topics of these names; None = all stored topics."""
+        stored = {topic.name: topic for topic in self._store.getAllTopics()}
         if names is None:
-            return list(every.values())
-        wanted = {s for name in check_list("topics", names, "['/tf']") for s in spellings(name)}
-        return [topic for name, topic in every.items() if name in wanted]
+            return list(stored.values())
+        selected = {s for name in check_list("topics", names, "['/tf']") for s in spellings(name)}
+        return [topic for name, topic in stored.items() if name in selected]
 
     def _filtered(
         self, topics: Sequence[CassandraTopic], test: ConnectionFilter
     ) -> tuple[list[CassandraTopic], set[tuple[str, int]]]:
-        """Return the topics that have connections which pass, and those: (table, number)."""
+        """Apply a filter to the connections of topics.
+
+        Returns:
+            The topics with at least one accepted connection, and the accepted connections as
+            (table name, ``_conn``).
+        """
         passing = {
             (table, conn)
             for table, conn, each in self._connections(topics)
@@ -368,19 +381,19 @@ class Bag:
         raw: bool = False,
         connection_header: Mapping[str, str | bytes] | None = None,
     ) -> None:
-        """Write a message; it is acknowledged when flush or close returns.
+        """Write a message. The store has acknowledged it when flush or close returns.
 
         Args:
-            topic: Its name.
-            msg: A message object; with raw (type, bytes, md5sum, class), as read_messages gives it
-                or without the position.
-            t: When it was received, as a key is; None = now.
-            raw: msg is serialised.
-            connection_header: Of the publisher; None = one is made.
+            topic: Name of the topic.
+            msg: A message object; with ``raw`` a tuple (type, bytes, md5sum, class) or the tuple
+                with a position that read_messages yields.
+            t: Receive time, in any form that a key may have; None = now.
+            raw: Whether msg is such a tuple.
+            connection_header: Connection header of the publisher; None = make one.
 
         Raises:
-            BagError: The bag is closed, or open for reading.
-            TypeMismatch: msg is no message.
+            BagError: The bag is closed, or open for reading only.
+            TypeMismatch: msg is not a message.
             InvalidKey, InvalidName, WriteFailed.
         """
         self._require_open()
@@ -407,7 +420,7 @@ class Bag:
         self._writer.write(handle, ns, next(self._counter), wire)
 
     def _next_number(self) -> int:
-        """Return the number of a new connection, behind those that were in the bag before."""
+        """Return the number of a new connection: higher than all that the bag had when opened."""
         if self._numbers is None:
             held = [info.table for info in self._store.info(run=self._before)]
             stored = (
@@ -417,7 +430,7 @@ class Bag:
         return next(self._numbers)
 
     def get_message_count(self, topic_filters: TopicNames = None) -> int:
-        """Count the messages of some topics, None = of all; by the directory."""
+        """Return the number of messages of some topics, None = all, from the directory."""
         return sum(info.count for info in self._infos(topic_filters))
 
     def _infos(self, topics: TopicNames = None) -> list[TopicInfo]:
@@ -427,10 +440,10 @@ class Bag:
         return [info for info in infos if info.count]
 
     def get_type_and_topic_info(self, topic_filters: TopicNames = None) -> TypesAndTopicsTuple:
-        """Return the types of all topics, and of some or all what there is of them.
+        """Return the message types of all topics, and information about some topics, None = all.
 
-        Frequency and number of connections are found by the keys of the first MOST_STAMPS messages
-        of each topic.
+        Frequency and number of connections are computed from the first MOST_STAMPS messages of
+        each topic.
         """
         self.flush()
         counts: dict[str, int] = {}
@@ -447,7 +460,9 @@ class Bag:
         for name, topic in sorted(every.items()):
             found = stored.get(name, [])
             if name in asked or len({(each.type, each.md5sum) for each in found}) != 1:
-                sample = joined(read_samples(topic, MOST_STAMPS, self._node, self._run).values())
+                sample = join_samples(
+                    read_samples(topic, MOST_STAMPS, self._node, self._run).values()
+                )
                 found = sample.connections
                 if name in asked:
                     topics[name] = TopicTuple(
@@ -460,26 +475,23 @@ class Bag:
         return TypesAndTopicsTuple(dict(sorted(types.items())), topics)
 
     def get_compression_info(self) -> CompressionTuple:
-        """Return how the messages are compressed: the store packs them in its own way, so 'none'.
+        """Return 'none' and the size of the serialised messages, bytes, twice.
 
-        Both sizes are the serialised bytes of the messages.
+        The store compresses messages in its own way, which does not concern the files of rosbag.
         """
         size = self.size
         return CompressionTuple("none", size, size)
 
     def reindex(self) -> Iterator[int]:
-        """Make the index anew, and yield the chunks that are read for it.
-
-        The store keeps its index with each message, so this yields nothing.
-        """
+        """Do nothing, and yield nothing: the store needs no index that could be rebuilt."""
         self._require_open()
         return iter(())
 
     def set_encryptor(self, encryptor: str | None = None, param: str | None = None) -> None:
-        """Choose how the chunks of a file are encrypted: the store has none.
+        """Accept None only: the store has no chunks that could be encrypted.
 
         Raises:
-            BagError: An encryptor is named. TLS and the server's disks keep what is stored secret.
+            BagError: An encryptor is named. Use TLS and encrypted disks instead.
         """
         if encryptor is not None:
             raise bag_error(
@@ -488,11 +500,11 @@ class Bag:
             )
 
     def get_start_time(self) -> float:
-        """Return when the first message was received, s since 1970; BagError: there is none."""
+        """Return the receive time of the first message, s since 1970; BagError if it is empty."""
         return _seconds(self._ends()[0])
 
     def get_end_time(self) -> float:
-        """Return when the last message was received, s since 1970; BagError: there is none."""
+        """Return the receive time of the last message, s since 1970; BagError if it is empty."""
         return _seconds(self._ends()[1])
 
     def _ends(self) -> tuple[int, int]:
@@ -501,7 +513,7 @@ class Bag:
             if info.first_ns is not None and info.last_ns is not None:
                 times += [info.first_ns, info.last_ns]
         own = [t.name for t in self._topics(None) if any(e.metadata.own_time for e in t.tables)]
-        if own:  # its key is another time: each has to be looked at
+        if own:  # the keys of these topics are not receive times, so all their rows are read
             timed = [t.name for t in self._topics(None) if t.name not in own]
             times = [ns for i in self._infos(timed) for ns in (i.first_ns or 0, i.last_ns or 0)]
             rows = (self._store.getTopic(n).rows(run=self._run, nodeID=self._node) for n in own)
@@ -512,11 +524,11 @@ class Bag:
 
     @property
     def size(self) -> int:
-        """Serialised bytes of the messages."""
+        """Size of the serialised messages, bytes."""
         return sum(info.bytes for info in self._infos())
 
     def flush(self) -> None:
-        """Return when all that was written is acknowledged, and found by who reads."""
+        """Wait until the store has acknowledged all written messages, so that readers find them."""
         self._require_open()
         if self._writer is not None:
             self._writer.flush()
@@ -526,7 +538,10 @@ class Bag:
             raise bag_error(f"{self.filename} is closed: open another Bag")
 
     def close(self) -> None:
-        """Flush, and close the connection to the store if it is our own. Twice is harmless."""
+        """Flush, and close the connection to the store if this object made it.
+
+        A second call does nothing.
+        """
         if self._closed:
             return
         self._closed = True
@@ -554,9 +569,9 @@ class Bag:
         return self._summary().text()
 
     def _get_yaml_info(self, key: str | None = None) -> str | None:
-        """Return what str() says as YAML, or one of its facts: ROS's wiki shows scripts this.
+        """Return the facts of str() as YAML, or one of them. The ROS wiki tells scripts to use it.
 
-        None where there is no such fact, as rosbag.
+        Return None if there is no fact of this name, as rosbag does.
         """
         return self._summary().yaml(key)
 
@@ -568,7 +583,7 @@ class Bag:
 
 
 def _path_of(f: object) -> str:
-    """Return the path that a file name means, or that of a file object."""
+    """Return the path of a file name or of a file object."""
     if isinstance(f, io.IOBase):
         if "b" not in getattr(f, "mode", "b"):
             raise bag_error("a file object must be opened in binary mode: open(path, 'rb')")
@@ -588,7 +603,7 @@ def _raw(row: StoredRow) -> tuple[object, ...]:
 
 
 def _connection(topic: str, kind: str, md5sum: str, cls: Any) -> Connection:
-    """Make the connection of messages whose publisher is not given."""
+    """Make a connection for messages whose publisher is unknown."""
     text = getattr(cls, "_full_text", None) or installed_definition(kind).text
     header = {"topic": topic, "type": kind, "md5sum": md5sum, "message_definition": text}
     return live_connection(check_new_topic(topic), header)

@@ -15,7 +15,7 @@ from cassandra_ros.keys import SECOND_NS
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """What is said of a topic."""
+    """The line about one topic."""
 
     topic: str
     type: str
@@ -27,19 +27,19 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class Summary:
-    """What is said of a bag."""
+    """The facts that ``rosbag info`` prints about a bag."""
 
     path: str
     size: int
-    """Bytes."""
+    """Size of the serialised messages, bytes."""
     ends: tuple[int, int] | None
-    """First and last time of reception, ns."""
+    """First and last receive time, ns; None = there are no messages."""
     types: Mapping[str, str]
     """Type -> md5sum."""
     topics: Sequence[TopicSummary]
 
     def text(self) -> str:
-        """Return the text, in local time as rosbag's."""
+        """Return the text; its times are local times, as in rosbag."""
         rows = [("path:", self.path), ("version:", "2.0")]
         if self.ends is not None:
             start, end = (ns // SECOND_NS + ns % SECOND_NS / SECOND_NS for ns in self.ends)
@@ -53,9 +53,13 @@ class Summary:
         return "\n".join(f"{head:<{width}} {value}" for head, value in rows).rstrip()
 
     def yaml(self, key: str | None = None) -> str | None:
-        """Return the facts as YAML, as ``rosbag info --yaml``, or the one that key names.
+        """Return the facts as YAML, as ``rosbag info --yaml`` prints them.
 
-        None where there is no such fact.
+        Args:
+            key: Name of the only fact to return; None = all.
+
+        Returns:
+            The YAML text; None = there is no fact of this name.
         """
         facts: dict[str, object] = {"path": self.path, "version": 2.0}
         if self.ends is not None:
@@ -111,7 +115,7 @@ def _headed(head: str, lines: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def scaled(value: float, step: int, units: Sequence[str]) -> str:
-    """Write a number with the first unit in which it is below the step, or the last."""
+    """Return a value with the first unit in which it is smaller than ``step``, or the last unit."""
     for unit in units[:-1]:
         if value < step:
             return f"{value:.1f} {unit}"

@@ -171,12 +171,12 @@ def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) 
 def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
     from cassandra_ros.bag.file_formats import open_file
     from cassandra_ros.bag.importer import import_bag
-    from cassandra_ros.bag.message_file import chosen_connections
+    from cassandra_ros.bag.message_file import connections_of_topics
 
     with open_file(path, options.salvage, options.allow_large_chunks) as reader:
         names = {connection.topic for connection in reader.connections.values()}
         topics = topics_among(options, names, path)
-        chosen = chosen_connections(reader, topics)
+        chosen = connections_of_topics(reader, topics)
         count = sum(reader.counts[number] for number in chosen)
         total = reader.message_count
     begun, name = time.monotonic(), os.path.basename(path)
