@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The messages of any topics by where their robot was: NEAR, asked of all of them at once."""
+"""Messages of any topics by the place of their robot: NEAR, for all topics at once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
 Asked = Tuple[float, float, float, str, str]
-"""x, y and radius, metres, in a frame, and the robot; '' = to be found out."""
+"""x, y and radius (m) in a frame, the frame, and the robot; '' = to be found out."""
 
 
 def near_rows(
@@ -27,11 +27,11 @@ def near_rows(
     run: RunName,
     where: Conditions,
 ) -> Iterator[StoredRow]:
-    """Walk through the rows of topics (None = all) whose robot was on a disk; see RosCassandra."""
+    """Yield the rows of topics (None = all) whose robot was on a disk; see RosCassandra.near."""
     listed = check_topics(topics)
     time_range, tables = catalog.time_range(listed, *ends), catalog.tables(listed)
     names = sorted({table.metadata.topic for table in tables})
-    catalog.filters(where, names, nodeID, run)  # raises for what is none
+    catalog.filters(where, names, nodeID, run)  # raises for invalid conditions
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
     conditions: Dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
     try:
@@ -43,11 +43,11 @@ def near_rows(
 
 
 def _and_near(where: Optional[Where], asked: Asked) -> Where:
-    """Return NEAR, and the condition that was given besides."""
+    """Return the condition NEAR, joined with another condition if there is one."""
     values = list(asked if asked[-1] else asked[:-1])
     near = f"NEAR({', '.join('?' * len(values))})"
     if where is None:
         return near, values
     text, params = (where, ()) if isinstance(where, str) else where
-    # In lines of its own, for it may end with a comment.
+    # On separate lines, because the condition may end with a comment.
     return f"(\n{text}\n) AND {near}", [*params, *values]

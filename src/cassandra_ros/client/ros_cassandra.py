@@ -42,13 +42,15 @@ class RosCassandra:
     Args:
         host: One address, or several divided by commas; None = CASSANDRA_ROS_HOST, else 127.0.0.1.
         port: CQL port, 1 to 65535; None = CASSANDRA_ROS_PORT, else 9042.
-        keyspace: Connected at once; None = CASSANDRA_ROS_KEYSPACE. What first writes makes it.
-        clock: Returns the time of messages without a key; None = a node's own, else wall clock.
-        login: ``username password ssl_context cqlshrc credentials consistency``, as class Cassandra
-            has them.
+        keyspace: Keyspace to connect; None = CASSANDRA_ROS_KEYSPACE. The first write makes it.
+        clock: Returns the time of messages without a key; None = that of a ROS node in this
+            process, else wall clock.
+        login: ``username password ssl_context cqlshrc credentials consistency``, as in class
+            Cassandra.
 
     Raises:
-        ConnectionFailed, InvalidOption: Nobody answers there, or refuses us; no port, no file.
+        ConnectionFailed: No server answers there, or it refuses the login.
+        InvalidOption: The port is not valid, or a file cannot be read.
     """
 
     def __init__(
@@ -72,17 +74,17 @@ class RosCassandra:
                 raise
 
     def connectToKeyspace(self, keyspace: str, make: bool = True) -> None:
-        """Work in this keyspace from now on; tables are made in it by what first writes.
+        """Use this keyspace from now on; the first write makes tables in it.
 
-        Topics that were got before stay in theirs until the next call or close.
+        Topics that you got before stay in their keyspace until the next call or close.
 
         Args:
             keyspace: 1 to 48 letters, digits and underscores; case matters.
-            make: Make it where it is missing, with a replication factor of min(3, nodes).
+            make: Make it if it is missing, with a replication factor of min(3, nodes).
 
         Raises:
-            InvalidName: It is not a keyspace name.
-            KeyspaceNotFound: It is missing and make is false; the text gives the nearest names.
+            InvalidName: The name is not a keyspace name.
+            KeyspaceNotFound: It is missing and make is false; the text has similar names.
         """
         opened = Catalog(self.cassandra, keyspace, self._clock)
         if make:
@@ -94,13 +96,13 @@ class RosCassandra:
         self._opened = opened
 
     def inKeyspace(self, keyspace: str) -> RosCassandra:
-        """Return an object that works in another keyspace over the same connection.
+        """Return an object for another keyspace over the same connection.
 
-        It can be used until this one is closed, which also ends what it does; close this one only.
+        It can be used until this one is closed. Close only this one.
 
         Raises:
-            InvalidName: It is not a keyspace name.
-            KeyspaceNotFound: It is missing; the text gives the nearest names.
+            InvalidName: The name is not a keyspace name.
+            KeyspaceNotFound: It is missing; the text has similar names.
         """
         opened = Catalog(self.cassandra, keyspace, self._clock)
         opened.keyspace.side_tables.require_keyspace()
@@ -109,24 +111,30 @@ class RosCassandra:
         return other
 
     def getKeyspaces(self) -> list[KeyspaceInfo]:
-        """List the keyspaces of the cluster that hold topics, sorted by name."""
+        """Return the keyspaces of the cluster that hold topics, sorted by name."""
         return list_keyspaces(self.cassandra)
 
     @property
     def keyspace(self) -> Optional[str]:
-        """The connected keyspace's name, or None."""
+        """Name of the connected keyspace, or None."""
         return None if self._opened is None else self._opened.keyspace.name
 
     @property
     def catalog(self) -> Catalog:
-        """The topics of the connected keyspace; raises KeyspaceNotFound where none is connected."""
+        """The topics of the connected keyspace.
+
+        Raises KeyspaceNotFound if no keyspace is connected.
+        """
         self.cassandra.require_open()
         if self._opened is None:
             raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
         return self._opened
 
     def close(self) -> None:
-        """Store what is on its way and close the connection. Twice is harmless."""
+        """Store the messages that are waiting and close the connection.
+
+        A second call does nothing.
+        """
         try:
             if self._opened is not None:
                 self._opened.adder.close()
@@ -167,29 +175,33 @@ class RosCassandra:
         metadata: Optional[Mapping[str, Any]] = None,
         index: Sequence[str] = (),
     ) -> CassandraTopic:
-        """Make a topic, or find it where it is stored already.
+        """Make a topic, or find it if it is stored already.
 
         Args:
-            topic: Its name, kept as it is given.
-            format: Name of a storage format; None = that of its newest table, of a new topic
-                'ros'. Another than it is stored in means a second table, and a warning.
-            msg_type: 'pkg/Name' of an installed type; None = that which the ROS master knows,
-                else the first message's.
-            nodeID: The entity (robot) that produces its messages.
+            topic: Name of the topic, kept as given.
+            format: Name of a storage format; None = that of its newest table, for a new topic
+                'ros'.
+                Another format than the stored one makes a second table, with a warning.
+            msg_type: 'pkg/Name' of an installed type; None = the type that the ROS master knows,
+                else
+                that of the first message.
+            nodeID: The robot or other source of its messages.
             ttl: Seconds until a message expires, 0 to MAX_TTL_SEC (some 18 years); 0 = never.
             comment: Free text.
-            key_format: What finds a message: 'time' (when it was received), 'msg_part' (a field),
-                'hash' (its content) or 'manual' (a name that you give); None = as the topic is
-                stored, else 'time'. See CassandraTopic.
-            key_part: The field of 'msg_part', as 'header.stamp'.
-            metadata: Keys of your own, for getMeta; values that JSON gives back as they are.
-            index: Fields that are to have an index, as 'linear.x'; see createIndex.
+            key_format: Key of a message: 'time' (its receive time), 'msg_part' (a field), 'hash'
+                (its content) or 'manual' (a name that you give); None = as the topic is stored,
+                else
+                'time'. See CassandraTopic.
+            key_part: The field of 'msg_part', such as 'header.stamp'.
+            metadata: Keys of your own for getMeta, with values that JSON gives back unchanged.
+            index: Fields that get an index, such as 'linear.x'; see createIndex.
 
         Raises:
-            TopicExists: It is stored with another type, key_format or ttl than given. (The comment
-                and metadata of a stored topic stay as they are: setMeta changes them.)
-            InvalidKey, InvalidName: The type has no such field as key_part, or one of index; topic,
-                nodeID or a key of metadata cannot be a name.
+            TopicExists: It is stored with another type, key_format or ttl. (The comment and
+                metadata
+                of a stored topic stay as they are; setMeta changes them.)
+            InvalidKey: The type does not have the field key_part, or one of index.
+            InvalidName: The topic, nodeID or a key of metadata is not a valid name.
             InvalidOption, UnknownFormat, DefinitionError.
         """
         if msg_type is not None:
@@ -201,19 +213,20 @@ class RosCassandra:
         """Return a topic by its name, with or without the leading slash.
 
         Raises:
-            TopicNotFound, InvalidName: There is none (the text gives the nearest), it is no text.
+            TopicNotFound: There is no such topic; the text has similar names.
+            InvalidName: The name is not a text.
         """
         return self.catalog.get(topic)
 
     def existTopic(self, topic: str) -> bool:
-        """Say whether getTopic would find the topic."""
+        """Return whether getTopic would find the topic."""
         return self.catalog.exists(topic)
 
     def getAllTopics(self, pattern: Optional[str] = None) -> list[CassandraTopic]:
         """Return all topics, sorted by name.
 
         Args:
-            pattern: Only those whose whole name matches this regular expression.
+            pattern: Regular expression that the whole name must match; None = all.
 
         Raises:
             InvalidName: The pattern is not a regular expression.
@@ -223,46 +236,50 @@ class RosCassandra:
         return self.catalog.all(pattern)
 
     def removeTopic(self, topic: str) -> int:
-        """Drop a topic; return how many messages it had. Raises as getTopic does.
+        """Drop a topic; return the number of its messages. Raises like getTopic.
 
-        A client that writes the topic makes it anew with its next message; what it has written
-        since the messages were counted is gone, too.
+        A client that is writing the topic makes it again with its next message. Messages that it
+        has
+        written since they were counted are deleted too.
         """
         return self.catalog.remove(topic)
 
     def truncateTopic(self, topic: str) -> int:
-        """Remove all messages of a topic; return how many. It and its metadata stay.
+        """Delete all messages of a topic; return their number. The topic and its metadata stay.
 
-        Under a client that writes the topic those messages are deleted that are there when this
-        begins; what comes later stays. Raises as getTopic does.
+        If a client is writing the topic, the messages that are there when this begins are deleted,
+        and
+        later ones stay. Raises like getTopic.
         """
         return self.catalog.remove(topic, renew=True)
 
     def renameTopic(self, topic: str, new_name: str) -> None:
-        """Give a topic another name. Its messages stay where they are: this takes no time.
+        """Give a topic another name. Its messages stay where they are, so this takes no time.
 
-        A recorder that is writing the topic goes on into the renamed one for the publishers that
-        it knows; the next one, or the next recording, makes the topic anew.
+        A recorder that is writing the topic goes on in the renamed one for the publishers that it
+        knows. A new publisher, or the next recording, makes a topic with the old name.
 
         Raises:
-            TopicNotFound, InvalidName: There is none, or the new name is not one.
+            TopicNotFound: There is no such topic.
+            InvalidName: The new name is not a valid name.
             TopicExists: A topic has the new name already, with or without the leading slash.
         """
         self.catalog.rename(topic, check_new_topic(new_name))
 
     def convertTopic(self, topic: str, format: str, progress: Progress = None) -> Converted:
-        """Keep a stored topic in another format, while others read it; see convert_topic."""
+        """Store a topic in another format from now on, while others read it; see convert_topic."""
         name = self.catalog.get(topic).name
-        self.catalog.adder.close()  # an open bucket of it would look like a recording
+        self.catalog.adder.close()  # an open bucket of the topic would look like a recording
         return convert_topic(self.catalog.keyspace, name, format, progress)
 
     def messageWriter(self, *, nodeID: str = "", **options: Any) -> MessageWriter:
-        """Make a writer of serialised messages of any topics; close it.
+        """Return a writer of serialised messages of any topics; you must close it.
 
         Args:
-            nodeID: As addTopic takes it, for all topics.
+            nodeID: As in addTopic, for all topics.
             options: ``writer_id format ttl linger_sec block_sec give_up_after_sec run on_loss``, as
-                class MessageWriter describes them.
+                in
+                class MessageWriter.
         """
         return make_writer(self.catalog.keyspace, node=nodeID, **options)
 
@@ -275,18 +292,18 @@ class RosCassandra:
     ) -> Infos:
         """Describe what is stored: counts, sizes and times by topic, table and node.
 
-        Of a node or run there are only the tables in which they have messages.
+        With a node or run only the tables in which it has messages are listed.
         """
         return Infos(self.catalog.infos(topics, nodeID, run))
 
     def runs(self) -> RunList:
-        """List the recordings and imports, with state, counts and losses as they are now."""
+        """Return the recordings and imports, with their present state, counts and losses."""
         return RunList(list_runs(self.catalog.keyspace, self.catalog.tables(None)))
 
     def runContext(self, run: RunName) -> Optional[RunContext]:
-        """Return parameters and node graph at the start of a run; None where none were kept.
+        """Return parameters and node graph at the start of a run; None if they were not stored.
 
-        Of several runs of one name the one that began last counts. Raises RunNotFound.
+        If several runs have this name, the one that began last counts. Raises RunNotFound.
         """
         return self.catalog.keyspace.runs.context(run)
 
@@ -299,9 +316,9 @@ class RosCassandra:
         nodeID: Optional[str] = None,
         run: RunName = None,
     ) -> list[Loss]:
-        """List what should have been recorded and was not, also of topics that are not stored.
+        """Return the losses of topics, also of topics that have no table.
 
-        The arguments are those of readMessages: a loss counts whose time range is touched.
+        The arguments are those of readMessages; losses whose time range meets the given one count.
         """
         return self.catalog.losses(topics, key, to_key, nodeID, run)
 
@@ -316,26 +333,28 @@ class RosCassandra:
         where: Conditions = None,
         run: RunName = None,
     ) -> Iterator[StoredRow]:
-        """Walk lazily through the rows of several topics, merged by time.
+        """Read the rows of several topics lazily, merged by time.
 
-        A row unpacks as a message of rosbag does: ``for topic, msg, t in rosCas.readMessages()``,
-        where t is the key time. Memory: some pages of rows for all topics together, and for each
-        that has a condition.
+        A row unpacks like a message of rosbag: ``for topic, msg, t in rosCas.readMessages()``,
+        where t
+        is the key time. Memory: some pages of rows for all topics together, and some for each topic
+        with a condition.
 
         Args:
-            topics: Their names, or one; None = all.
-            key, to_key: Ends, both included; None = open.
-            nodeID: Only messages of this node; None = of all.
-            run: Only messages of this run, by its name (of all that have it) or writer id.
-            received: By the time of reception, as a bag has them, also where a topic's key is
-                another time.
-            where: Topic -> condition, a text or (text, parameters): of these topics only the
-                messages that satisfy it.
+            topics: Names of topics, or one name; None = all.
+            key, to_key: First and last key time, both included; None = open.
+            nodeID: nodeID whose messages are read; None = all.
+            run: Run whose messages are read, by name (of all runs with it) or writer id; None =
+                all.
+            received: Use receive times, as in a bag, also for topics with another key time.
+            where: Topic → condition, a text or (text, parameters), that the topic's messages must
+                satisfy.
 
         Raises:
             TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
-            InvalidOption, InvalidQuery: A condition is for a topic that is not read; is none.
-            InvalidName, InvalidKey: A name or time is none.
+            InvalidOption: A condition is for a topic that is not read.
+            InvalidQuery: A condition is not valid.
+            InvalidName, InvalidKey: A name or time is not valid.
         """
         return self.catalog.read(
             topics, key, to_key, node=nodeID, received=received, where=where, run=run
@@ -356,13 +375,16 @@ class RosCassandra:
         where: Conditions = None,
         run: RunName = None,
     ) -> Iterator[StoredRow]:
-        """Walk lazily through the rows of topics whose robot was near a place then.
+        """Read lazily the rows of topics whose robot was near a place at that time.
 
         Args:
-            x, y, radius: In the frame, metres; the rim is included.
-            robot: Its frame in tf, or a topic of its poses; '' = found out, see doc/query.md.
-            topics, key, to_key, nodeID, where, run: As of readMessages; errors, too, and
-                InvalidOption where no pose tells it, or several robots may be meant.
+            x, y, radius: Disk in the frame, metres; its rim is included.
+            robot: The robot's frame in tf, or a topic with its poses; '' = found out, see
+                doc/query.md.
+            topics, key, to_key, nodeID, where, run: As in readMessages, also the errors.
+
+        Raises:
+            InvalidOption: No poses of the robot are stored, or several robots are possible.
         """
         disk, ends = (x, y, radius, frame, robot), (key, to_key)
         return near_rows(self.catalog, disk, topics, ends, nodeID, run, where)
@@ -382,21 +404,23 @@ class RosCassandra:
     ) -> Iterator[Pair]:
         """Pair each message of one topic with the message of another that is nearest in time.
 
-        Pairs are (row, row), lazily in the order of the first topic's key times. A message of the
-        second may be the partner of several. Of two that are equally near the earlier one is
-        taken, of equal times the first. One without a partner is left out, as by ROS's
-        ApproximateTime; with ``unpaired`` it comes with None, as by pandas' merge_asof.
+        Yields pairs (row, row) in the order of the first topic's key times. A message of the second
+        topic may be in several pairs. Of two equally near messages the earlier one is taken, of
+        equal
+        times the first. A message without a partner is left out, as in ROS's ApproximateTime; with
+        ``unpaired`` it comes with None, as in pandas' merge_asof.
 
         Args:
-            topic_a, topic_b: Each message of the first looks for a partner in the second.
-            tolerance: How far a partner may be, before or behind: seconds or a Duration.
-            key, to_key: Ends for the first topic, as of readMessages; partners may lie outside.
-            nodeID, run, where: As of readMessages, for both topics.
-            unpaired: Give (row, None) for messages that have no partner.
+            topic_a, topic_b: Each message of the first topic is paired with one of the second.
+            tolerance: Maximum distance of a partner, before or after: seconds or a Duration.
+            key, to_key: Range of the first topic, as in readMessages; partners may be outside of
+                it.
+            nodeID, run, where: As in readMessages, for both topics.
+            unpaired: Yield (row, None) for messages without a partner.
 
         Raises:
-            InvalidKey: tolerance is no length of time, or negative.
-            TopicNotFound, InvalidOption, InvalidQuery: As of readMessages.
+            InvalidKey: tolerance is not a length of time, or is negative.
+            TopicNotFound, InvalidOption, InvalidQuery: As in readMessages.
         """
         reach, space = duration_ns(tolerance), self.catalog
         first, second = space.get(topic_a), space.get(topic_b)
@@ -409,12 +433,12 @@ class RosCassandra:
 
     @property
     def upkeep(self) -> Upkeep:
-        """Deletes messages, thins what is old, reads everything back and mends it."""
+        """Work on stored topics: deletion, thinning, checks and repair, the index of places."""
         return Upkeep(self.catalog)
 
     @property
     def statements(self) -> Statements:
-        """Runs statements, also parsed ones and by a chosen plan."""
+        """Runs statements, also parsed ones, and with a plan of your choice."""
         return Statements(self.catalog)
 
     def executeCQL(
@@ -428,18 +452,20 @@ class RosCassandra:
     ) -> Rows:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
-        DELETE gives one row, the number of messages that it removed; TRUNCATE, CREATE INDEX and
-        DROP INDEX give no row.
+        DELETE returns one row with the number of deleted messages; TRUNCATE, CREATE INDEX and DROP
+        INDEX
+        return no rows.
 
         Args:
             statement: CQL with topic names, dotted fields and KEY (paper 3.2).
             params: Values for its ``?`` and ``%s`` markers.
-            nodeID, run: Only messages of these, for SELECT and DELETE; None = of all.
-            limit: At most so many rows, for SELECT.
+            nodeID, run: nodeID and run of the messages, for SELECT and DELETE; None = all.
+            limit: Maximum number of rows, for SELECT.
 
         Raises:
-            InvalidQuery: Shows the statement with a caret under the spot.
-            RunNotFound: run is none; in the statement an unknown RUN only finds nothing.
+            InvalidQuery: The text shows the statement with a caret under the error.
+            RunNotFound: There is no such run. (An unknown RUN in the statement only matches
+                nothing.)
         """
         return self.statements.run(statement, params, nodeID, limit, run)
 
@@ -453,7 +479,7 @@ class RosCassandra:
         after: Optional[Position] = None,
         run: RunName = None,
     ) -> QueryResult:
-        """Run a SELECT lazily: an iterator of tuples with ``.columns``; as executeCQL."""
+        """Run a SELECT lazily; return an iterator of tuples with ``.columns``. See executeCQL."""
         return self.statements.select(
             statement, params, node=nodeID, limit=limit, after=after, run=run
         )
@@ -466,10 +492,11 @@ class RosCassandra:
         nodeID: Optional[str] = None,
         run: RunName = None,
     ) -> Explanation:
-        """Run a SELECT statement and say how it was answered; ``print`` what comes back.
+        """Run a SELECT statement and describe how it was answered; ``print`` the result.
 
-        That is which buckets were read and how, what the server checked, what was left to this
-        side, rows read and returned. Raises InvalidQuery as executeCQL does.
+        The description says which buckets were read and how, what the server checked, what was
+        checked
+        here, and the numbers of rows read and returned. Raises InvalidQuery like executeCQL.
         """
         return self.statements.explain(statement, params, nodeID, run)
 
@@ -486,26 +513,31 @@ class RosCassandra:
     ) -> Any:
         """Return the transform between two frames at any past time, as tf2 computes it.
 
-        The time is that of the stamps in the headers. What was recorded last of a frame on
-        tf_static holds at every time. Reading ends as soon as both frames are connected and the
-        time lies between two transforms of each frame on the way: one received over 2 s out of
-        order may be missed.
+        The time is that of the stamps in the headers. The last transform of a frame on tf_static
+        holds
+        at every time. Reading ends when both frames are connected and the time is between two
+        transforms of each frame on the way, so a transform received more than 2 s out of order may
+        be
+        missed.
 
         Args:
             target, source: Frames to which, and from which, the transform takes points.
-            time: As a key. 0 means, as in tf2, the newest that all frames on the way have.
-            nodeID, run: Only transforms of these, of both topics; None = of all.
+            time: A time, as in ``key``. 0 means, as in tf2, the newest time that all frames on the
+                way
+                have.
+            nodeID, run: nodeID and run of the transforms, of both topics; None = all.
             tf, tf_static: Topics of moving and of fixed transforms. One of them may be missing.
 
         Returns:
             A geometry_msgs/TransformStamped: ``header.frame_id`` is target, ``child_frame_id``
-            source, ``header.stamp`` the time (for 0 the one found, 0 where all frames are fixed).
+            source, ``header.stamp`` the time (for 0 the one found, 0 if all frames are fixed).
 
         Raises:
-            LookupException, ConnectivityException, ExtrapolationException: As of tf2; each is a
+            LookupException, ConnectivityException, ExtrapolationException: As in tf2; each is a
                 TransformException of this package.
             TopicNotFound: Neither topic is stored.
-            TypeMismatch, MissingDependency: A topic holds no transforms; there is no tf2_py.
+            TypeMismatch: A topic does not hold transforms.
+            MissingDependency: tf2_py is not installed.
             InvalidKey, InvalidName.
         """
         writers = self.catalog.keyspace.runs.writers(run)

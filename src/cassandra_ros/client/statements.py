@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Statements of any kind, run on the topics that they name.
+"""Statements of all kinds, run on the topics that they name.
 
-DELETE removes whole messages. A condition on KEY, NODE and RUN alone removes the stretch as it lies
-in the store; any other one is checked on every message, read page by page, and a message goes when
-one element of its array satisfies what is asked of the elements. Messages that come in while it
-runs are removed or not.
+DELETE removes whole messages. If its condition contains only KEY, NODE and RUN, the range is
+deleted
+as it is stored. Any other condition is checked for every message, page by page. If the condition is
+about elements of an array, a message is deleted when one element matches. Messages that are stored
+while it runs may be deleted or not.
 """
 
 from __future__ import annotations
@@ -126,7 +127,7 @@ class Statements:
         run: RunName = None,
         watch: Watch = unwatched,
     ) -> Explanation:
-        """Run a SELECT statement to its end, keeping no row, and say how it was answered."""
+        """Run a SELECT statement to its end without keeping rows; describe how it was answered."""
         result = self.select(statement, params, node=node, run=run, watch=watch)
         return explain(result, self.topic_of(result.select))
 
@@ -141,14 +142,14 @@ class Statements:
         cache: Optional[EnvelopeCache] = None,
         watch: Watch = unwatched,
     ) -> Series:
-        """Read the numbers that a SELECT statement gives over time, as a plot shows them.
+        """Read the numbers that a SELECT statement gives over time, for a plot.
 
         Args:
-            window: What of the time, how closely, and how long it may take.
-            cache: Keeps what was read; None = nothing does.
+            window: Time range, resolution and time limit.
+            cache: Cache for what is read; None = no cache.
 
         Raises:
-            InvalidQuery: It is none, or names what the topic has not.
+            InvalidQuery: The statement is not valid, or names a field that the topic lacks.
         """
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
@@ -156,16 +157,16 @@ class Statements:
         return read_series(self._keyspace, self.topic_of(select), select, window, asker)
 
     def topic_of(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
-        """Return the topic that a statement names; InvalidQuery: it is not stored."""
+        """Return the topic that a statement names; raises InvalidQuery if it is not stored."""
         return self._find(statement.text, statement.topic, statement.topic_position)
 
     def _find(self, text: str, topic: str, position: int) -> CassandraTopic:
-        """Find the topic that a statement names at a position."""
+        """Return the topic that a statement names at a position."""
         with _at(text, position):
             return self._catalog.get(topic)
 
     def _delete(self, statement: Delete, node: Optional[str], run: RunName) -> int:
-        self._keyspace.schema.tables(fresh=True)  # what another client just stored goes, too
+        self._keyspace.schema.tables(fresh=True)  # so that tables just made by others are included
         topic = self.topic_of(statement)
         named = any(table.named for table in topic.tables)
         condition = Condition(statement, node=node, run=self._keyspace.runs.writers(run))
@@ -181,7 +182,7 @@ class Statements:
 
     def _create_index(self, statement: CreateIndex) -> None:
         text, on, name = statement.text, statement.on, statement.name
-        self._keyspace.schema.tables(fresh=True)  # others make and drop indexes, too
+        self._keyspace.schema.tables(fresh=True)  # other clients may have made or dropped indexes
         topic = self._find(text, on.topic, on.topic_position)
         field = on.field.dotted
         if topic.hasIndex(field) and not statement.unless_exists:
@@ -205,7 +206,7 @@ class Statements:
         else:
             found, spot = self._index_on(statement, index), index.field.position
         if found is not None:
-            with _at(statement.text, spot):  # somebody was quicker; or the key needs it
+            with _at(statement.text, spot):  # already removed, or needed by the key
                 found[0].removeIndex(found[1])
 
     def _index_named(
@@ -248,7 +249,7 @@ class Statements:
 
 @contextmanager
 def _at(text: str, position: int) -> Iterator[None]:
-    """Show what is wrong with a name that a statement gives under the name."""
+    """Show an error about a name that a statement contains below the name."""
     try:
         yield
     except (InvalidName, InvalidOption, TopicNotFound) as exc:
@@ -256,7 +257,7 @@ def _at(text: str, position: int) -> Iterator[None]:
 
 
 def _refuse_seconds(keyspace: Keyspace, topic: CassandraTopic, statement: Delete) -> None:
-    """Refuse integers that were meant as seconds: a lower end in 1970 removes every message."""
+    """Refuse integers that were meant as seconds: a minimum in 1970 deletes every message."""
     for literal in meant_as_seconds(statement.condition):
         reason = seconds_meant(keyspace, topic.tables, literal.value)
         if reason:
@@ -264,7 +265,7 @@ def _refuse_seconds(keyspace: Keyspace, topic: CassandraTopic, statement: Delete
 
 
 def names_of_indexes(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
-    """Return name -> (topic, field) of each index of some tables that bears it, mostly one."""
+    """Return name → (topic, field) of the indexes in some tables; mostly one for each name."""
     found: dict[str, set[tuple[str, str]]] = {}
     for metadata in tables.values():
         for name, field in metadata.index_names.items():
@@ -274,7 +275,7 @@ def names_of_indexes(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tupl
 
 
 def _give_name(schema: Schema, topic: str, field: str, name: str) -> None:
-    """Call the index of a field so; it need not be there yet, and no other may be called so."""
+    """Name the index of a field, which need not exist yet; no other index may have this name."""
 
     def check(tables: Mapping[str, TopicMetadata]) -> None:
         for other, of in names_of_indexes(tables).get(name, []):

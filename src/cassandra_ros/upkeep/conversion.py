@@ -1,11 +1,13 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A stored topic is kept in another format from now on, while others read it.
+"""Conversion of a stored topic to another format, while others read it.
 
-Of the tables of each definition a new one is filled that nobody sees, compared with them message by
-message, and takes their place by one change of its comment (``tables/succession.py``). Some seconds
-later, when every client has heard of it, the old ones are dropped. Whoever is amid one of them then
-goes on in the new one (``following.py``).
+For each definition of the topic a new table is filled, which readers do not see yet. It is compared
+with the old tables message by message, and replaces them by one change of its comment
+(``tables/succession.py``). Some seconds later, when every client has read the comment, the old
+tables
+are dropped. A client that is reading one of them then goes on in the new table
+(``topics/replaced_tables.py``).
 """
 
 from __future__ import annotations
@@ -39,35 +41,36 @@ from cassandra_ros.upkeep.table_copy import Copy, Progress
 _log = logging.getLogger(__name__)
 
 MAX_TRIES = 3
-"""So often a table is filled while others change what it is filled with."""
+"""Maximum number of times that a table is filled if other clients change the old ones meanwhile."""
 QUIET_SEC = STALE_SEC
-"""A time range that is open is nobody's when its writer was silent so long."""
+"""Silence of a writer after which its open bucket counts as abandoned, s."""
 DELETING_SEC = 5.0
-"""So long after some were deleted from one: before more are it is said anew."""
+"""Time after a deletion within which a bucket counts as in use, s. A client that goes on deleting
+renews the mark."""
 LOOK_SEC = 1.0
 
 
 @dataclass
 class Converted:
-    """What became of a topic; all of it is stored in the new tables."""
+    """Result of a conversion, after which all messages are in the new tables."""
 
     topic: str
     format: str
-    """The format that was asked for."""
+    """The requested format."""
     messages: int = 0
-    """Messages that were converted; 0 where all were in that format."""
+    """Number of converted messages; 0 if all were already in this format."""
     tables: int = 0
-    """Tables that were replaced."""
+    """Number of replaced tables."""
     warnings: List[str] = field(default_factory=list)
 
 
 class _Changed(Exception):
-    """What was copied changed meanwhile."""
+    """A table was changed while it was copied."""
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """The tables of one definition, and what is to replace them."""
+    """The tables of one definition, and the format of the table that will replace them."""
 
     olds: Sequence[TopicTable]
     newest: TopicTable
@@ -75,7 +78,7 @@ class _Plan:
 
     @property
     def metadata(self) -> TopicMetadata:
-        """What the comment of the new table is to say, as far as it is known before."""
+        """Metadata for the comment of the new table, as far as they are known before."""
         was = self.newest.metadata
         fields = {name: "" for old in self.olds for name in old.metadata.indexes}
         names = {n: f for old in self.olds for n, f in old.metadata.index_names.items()}
@@ -88,24 +91,24 @@ def convert_topic(
     format_name: str,
     progress: Progress = None,
 ) -> Converted:
-    """Keep a stored topic in another format from now on, while others read it.
+    """Store a topic in another format from now on, while others read it.
 
-    Who reads sees each message all the time and once; keys and cursors that he has stay good. The
-    messages keep their bytes, times, nodes, runs and connections. Where they expire they keep the
-    time that is left to them, rounded up to a hundredth of the topic's ttl, and of topics by time
-    to that of the latest of their time range (a 24th of the ttl at most). What clients add
-    meanwhile goes into a table beside, in the new format where they did not ask for another one.
-    Killed and started again it begins anew, and ends the same.
+    Readers see each message at all times, and once; their keys and cursors stay valid. The messages
+    keep their bytes, times, nodes, runs and connections. Messages that expire keep their remaining
+    lifetime, rounded up to a hundredth of the topic's TTL; in topics with a time key it is that of
+    the latest message in the same bucket (at most a 24th of the TTL longer). Messages that clients
+    add meanwhile go into another table, in the new format unless the client asks for another one. A
+    conversion that was killed begins again when it is called again, with the same result.
 
     Args:
-        topic: Its whole name.
-        progress: Called with how many messages of how many were written, or compared afterwards.
+        topic: Full name of the topic.
+        progress: Called with the number of messages written or compared so far, and the total.
 
     Raises:
         TopicNotFound, UnknownFormat.
-        InvalidOption: Messages by names or values cannot be packed; nothing was made.
+        InvalidOption: Messages with names or values as keys cannot be packed; nothing was made.
         SchemaConflict: The topic is being recorded, or was changed or removed meanwhile.
-        WriteFailed, StoreUnavailable, CorruptMessage: It stays in the format that it had.
+        WriteFailed, StoreUnavailable, CorruptMessage: The topic stays in its old format.
     """
     report = Converted(topic, format_name)
     plans = _plans(space, report)
@@ -124,7 +127,7 @@ def convert_topic(
 
 
 def _plans(space: Keyspace, report: Converted) -> List[_Plan]:
-    """Plan what is to be done, by definition; nothing where it is done."""
+    """Return the work to do, by definition; empty if all is in the requested format."""
     format_class(report.format)
     space.schema.tables(fresh=True)
     tables = space.tables.of_topic(report.topic)
@@ -143,7 +146,7 @@ def _plans(space: Keyspace, report: Converted) -> List[_Plan]:
 
 
 def _usable_format(table: TopicTable, report: Converted) -> str:
-    """Return the format that was asked for, or binary where the definition cannot be used."""
+    """Return the requested format, or binary if it cannot use the definition."""
     metadata = table.metadata
     try:
         fmt = format_class(report.format)(metadata.msg_type, metadata.md5sum, table.definition)
@@ -164,9 +167,9 @@ State = Dict[Tuple[object, ...], object]
 
 
 def _state(space: Keyspace, tables: Sequence[TopicTable]) -> State:
-    """Tell by the directory what lies in tables: who adds or deletes rows notes it there first.
+    """Return the state of tables by the directory, which writers and deletions change first.
 
-    Of messages under names, which it does not list, all names are counted.
+    The directory does not list messages with names, so these are read.
     """
     found: State = {}
     for table in tables:
@@ -180,7 +183,7 @@ def _state(space: Keyspace, tables: Sequence[TopicTable]) -> State:
 
 
 def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) -> None:
-    """Return when nobody has tables open; SchemaConflict: somebody records the topic."""
+    """Wait until no writer has the tables open; raises SchemaConflict if one is writing."""
     first: Optional[State] = None
     while True:
         now: State = {}
@@ -194,8 +197,8 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
         if first is None:
             first = now
             text = (
-                "topic %s has a writer that did not end, or was deleted from just now: looking for "
-                "up to %.0f s whether somebody goes on"
+                "topic %s has a writer that did not end, or was deleted from just now: waiting up "
+                "to %.0f s to see whether a client goes on"
             )
             _log.warning(text, topic, QUIET_SEC)
         if any(first.get(place) != beat for place, beat in now.items()):
@@ -207,7 +210,7 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
 
 
 def _forget_left(space: Keyspace, topic: str) -> None:
-    """Remove what killed conversions left, and what is still noted of replaced tables."""
+    """Delete what killed conversions left, and the entries of replaced tables."""
     for name in replacement.clear(space.schema, topic):
         space.directory.forget(name)
         space.registry.forget(name)
@@ -221,7 +224,7 @@ def _forget_left(space: Keyspace, topic: str) -> None:
 
 
 class Conversion:
-    """Converts the tables of one definition of a topic."""
+    """Conversion of the tables of one definition of a topic."""
 
     def __init__(self, space: Keyspace, plan: _Plan, progress: Progress) -> None:
         self._space = space
@@ -232,7 +235,7 @@ class Conversion:
         self._progress = progress
 
     def run(self) -> int:
-        """Do it; return the number of messages."""
+        """Convert the tables; return the number of messages."""
         for left in reversed(range(MAX_TRIES)):
             try:
                 return self._once()
@@ -272,21 +275,22 @@ class Conversion:
     def _settle(self) -> None:
         """Wait until every client has read the changed comments.
 
-        Before the copy: no client of this release writes into the old tables afterwards. After the
-        switch: clients of earlier releases, and those that cannot read the comments, may write into
-        the old tables until they hear of the new one; ``add_late`` takes these messages along.
+        Before the copy: afterwards no client writes into the old tables. After the switch: clients
+        that
+        cannot read the comments may go on writing into the old tables until they can; ``add_late``
+        copies these messages.
         """
         time.sleep(replacement.SETTLE_SEC)
 
     def _span(self, connections: int) -> int:
-        """Choose how much time a block is to cover, ns; 0 = nobody knows, or a row is a message."""
+        """Return the maximum time range of a block, ns; 0 = rate unknown, or rows are no blocks."""
         if not format_class(self._plan.format).PACKED:
             return 0
         known = max(old.metadata.span_ns for old in self._olds)
         if known:
             return known
         rows = [r for old in self._olds for r in buckets_of(self._space.directory, old) if r.rows]
-        # As if each writer had as many connections: what counts is about how fast one fills blocks.
+        # As if each writer had the same number of connections: only the magnitude matters.
         each = max(1.0, connections / max(1, len({row.writer for row in rows})))
         seconds = [max(1.0, (row.t_max - row.t_min) / SECOND_NS) * each for row in rows]
         rate_hz = max((row.rows / lasted for row, lasted in zip(rows, seconds)), default=0.0)
@@ -298,7 +302,7 @@ class Conversion:
         wanted = self._plan.metadata.with_(span_ns=self._span(len(headers)))
 
         def planned(olds: Sequence[TopicMetadata]) -> Planned:
-            # As if beside itself: what the others say stands in it already.
+            # The plan already contains what the metadata of the other tables say.
             return self._space.planner(wanted, self._plan.newest.definition)([wanted])
 
         name, metadata = replacement.begin(self._space.schema, planned, self._topic, self._names)
@@ -308,8 +312,8 @@ class Conversion:
         return new
 
     def _give_up(self, new: TopicTable) -> None:
-        """Remove the new table, unless it has replaced the others already."""
-        with suppress(CassandraRosError):  # the next conversion removes what is left
+        """Delete the new table, unless it has already replaced the old ones."""
+        with suppress(CassandraRosError):  # the next conversion deletes what is left
             replacement.drop(self._space.schema, [new.name])
             if new.name not in self._space.schema.tables():
                 self._space.directory.forget(new.name)

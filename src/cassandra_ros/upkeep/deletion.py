@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages of several topics are deleted: of a time range, a robot, a run, by conditions."""
+"""Deletion of messages of several topics: by time range, robot, run or conditions."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ def delete_messages(
     whose, space = catalog.whose(node, run), catalog.keyspace
     if where is None and whose == EVERYBODY and time_range == TimeRange():
         raise InvalidOption(
-            "nothing says which messages are to be deleted: give times, a node, a run or a "
+            "nothing says which messages to delete: give times, a node, a run or a "
             "condition; removeTopic and truncateTopic remove all of a topic"
         )
     ending: List[Run] = []
     if run is not None:
-        # Only a run of which all goes is not listed any more.
+        # A run is removed from the list only if all its messages are deleted.
         all_of_it = topics is None and where is None and time_range == TimeRange()
         ending = _ended_runs(catalog, whose) if all_of_it else []
-    catalog.adder.close()  # what it holds open is written to, too
+    catalog.adder.close()  # buckets that it has open count as being written
     found: Dict[str, int] = {}
     if where is not None:
         for name, passing in _filters(catalog, topics, where, whose).items():
@@ -59,7 +59,7 @@ def delete_messages(
 def delete_of_table(
     space: Keyspace, table: TopicTable, time_range: TimeRange, whose: Whose, dry_run: bool = False
 ) -> int:
-    """Delete the messages of a time range out of one table, or only count them."""
+    """Delete the messages of a time range from one table, or only count them."""
     if dry_run:
         return count_rows(space.directory, [table], time_range.low, time_range.high, whose)
     if not table.named:
@@ -76,21 +76,21 @@ def _rows_of_names(
 def _filters(
     catalog: Catalog, topics: Optional[Iterable[str]], where: Conditions, whose: Whose
 ) -> Dict[str, Filter]:
-    """Return the filters by topic: of no other topic something is deleted."""
+    """Return the filters by topic; other topics lose no messages."""
     node = None if whose.nodes is None else whose.nodes[0]
     named: Optional[Sequence[str]] = None if topics is None else list(topics)
     filters = catalog.filters(where, named, node, whose.writers)
     for name in named or ():
         if catalog.get(name).name not in filters:
             raise InvalidOption(
-                f"there is no condition for topic {name}, of which all messages would go: give "
-                "it one, or delete them by themselves"
+                f"there is no condition for topic {name}, of which all messages would be deleted: "
+                "give it one, or delete them in a call of their own"
             )
     return filters
 
 
 def _ended_runs(catalog: Catalog, whose: Whose) -> List[Run]:
-    """Return the runs of some writers, none of which may go on."""
+    """Return the runs of some writers; raises InvalidOption if one of them goes on."""
     writers: FrozenSet[int] = whose.writers or frozenset()
     runs = list_runs(catalog.keyspace, catalog.tables(None))
     mine = [r for r in runs if r.writer in writers]

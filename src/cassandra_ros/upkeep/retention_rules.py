@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is kept of topics: by age, by size, around what happened, and thinned to a rate.
+"""Retention of messages: by age, by size, around events, and thinned to a rate.
 
-A message is dropped where it is older than the greatest age, or where it and all that is newer take
-more than the size. Of the rest one of each period of the rate is kept, for each publisher. Nothing
-of that befalls what lies in a window around a hit; nor, so that a window can still be played, what
-was latched before it, or before what is left, by the runs that go on there.
+A message is dropped if it is older than the maximum age, or if it and all newer ones exceed the
+maximum size. Of the others the first one of each period is kept, for each publisher. Messages in a
+window around a message that matches a condition of ``keep`` are not touched. To make such a window,
+and what is left, playable, neither are the latched messages before it of runs with messages in it.
 """
 
 from __future__ import annotations
@@ -28,66 +28,67 @@ from cassandra_ros.upkeep.deletion import delete_of_table
 from cassandra_ros.upkeep.table_copy import Progress
 
 _Periods = Dict[Tuple[str, int], int]
-"""nodeID and connection of a publisher -> the last period of which there is a message."""
+"""nodeID and connection of a publisher → the last period with a message."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What is to be kept; times in ns."""
+    """Rules of retention; times in ns."""
 
     now: int
-    """From which ages are counted back."""
+    """Time from which ages are counted back."""
     max_age: Optional[int] = None
-    """Older messages are dropped; None = none for its age."""
+    """Maximum age; None = no limit."""
     max_bytes: Optional[int] = None
-    """Serialised bytes that the topics may take together; the oldest go first."""
+    """Maximum number of serialised bytes of all topics together; the oldest messages are dropped
+    first."""
     keep: Conditions = None
-    """Topic -> condition: what lies around their messages is kept."""
+    """Topic → condition; what lies around matching messages is kept."""
     before: int = 0
-    """How far before a message of keep."""
+    """Time range before a matching message that is kept."""
     after: int = 0
     period: int = 0
-    """Of a publisher one message in each such period of time is kept; 0 = all."""
+    """Length of a period, of which one message of each publisher is kept; 0 = keep all."""
     thin_after: int = 0
-    """Only older messages are thinned."""
+    """Minimum age of messages that are thinned."""
 
     def check(self) -> None:
-        """Raise InvalidOption where nothing would be dropped by them."""
+        """Raise InvalidOption if the rules would drop nothing."""
         if self.max_age is None and self.max_bytes is None and not self.period:
             raise InvalidOption(
-                "nothing says what is to be dropped: give a greatest age or size, or a rate to "
+                "nothing says what is to be dropped: give a maximum age or size, or a rate to "
                 "which messages are thinned"
             )
 
 
 @dataclass
 class Retained:
-    """What became, or would become, of one topic."""
+    """Numbers of messages of one topic that were, or would be, dropped and kept."""
 
     topic: str
     messages: int = 0
-    """How many there were."""
+    """Number of messages before."""
     dropped: int = 0
-    """For their age, or the size."""
+    """Number of messages dropped because of age or size."""
     thinned: int = 0
 
     @property
     def left(self) -> int:
-        """How many are kept."""
+        """Number of messages that are kept."""
         return self.messages - self.dropped - self.thinned
 
 
 @dataclass
 class _Pins:
-    """What stays whatever its age: of all topics, and single messages of one."""
+    """Messages that are kept whatever their age."""
 
     windows: List[TimeRange] = field(default_factory=list)
-    """In order, without overlap."""
+    """Time ranges for all topics, in order, without overlap."""
     latched: Dict[str, Set[int]] = field(default_factory=dict)
-    """Table -> times of messages."""
+    """Table → key times of latched messages."""
 
     def of(self, table: TopicTable) -> List[TimeRange]:
-        """Return the stretches of a table that stay, in order."""
+        """Return the time ranges of a table that are kept, in order."""
         single = (TimeRange(t, t) for t in sorted(self.latched.get(table.name, ())))
         return list(heapq.merge(self.windows, single))
 
@@ -99,9 +100,9 @@ def retain(
     dry_run: bool = False,
     progress: Progress = None,
 ) -> List[Retained]:
-    """Drop what the rules do not keep; see Upkeep.retain."""
+    """Drop the messages that the rules do not keep; see Upkeep.retain."""
     rules.check()
-    catalog.adder.close()  # what it holds open is written to, too
+    catalog.adder.close()  # buckets that it has open count as being written
     tables = _timed(catalog, topics)
     work = _Work(catalog, tables, rules, dry_run)
     found: Dict[str, Retained] = {}
@@ -116,13 +117,13 @@ def retain(
 
 
 def _timed(catalog: Catalog, topics: Optional[Iterable[str]]) -> List[TopicTable]:
-    """Return the tables whose messages lie by time; those under names have no age."""
+    """Return the tables with a time key; messages with names have no age."""
     tables = catalog.tables(topics)
     named = sorted({table.metadata.topic for table in tables if table.named})
     if topics is not None and named:
         raise InvalidOption(
             f"messages of topic {named[0]} are kept under names, and not by time: delete those "
-            "that are not wanted any more by themselves"
+            "that you do not want any more by their names"
         )
     return [table for table in tables if not table.named]
 
@@ -131,7 +132,7 @@ class _Work:
     """Applies rules to tables.
 
     Attributes:
-        cutoff: What lies before is dropped, ns, where it is not pinned.
+        cutoff: Time before which messages are dropped unless they are pinned, ns.
     """
 
     def __init__(
@@ -154,7 +155,7 @@ class _Work:
         for gap in _gaps(pins, 0, self.cutoff - 1):
             found.dropped += delete_of_table(self._space, table, gap, EVERYBODY, self._dry_run)
         if self._thin_end > self.cutoff:
-            # Before it is read: what somebody adds among it later stays.
+            # Before reading: messages that are added meanwhile are not deleted.
             until_us = self._space.cassandra.server_time_us()
             last: _Periods = {}
             for gap in _gaps(pins, self.cutoff, self._thin_end - 1):
@@ -168,7 +169,7 @@ class _Work:
     # ---------------------------------------------------------------- size
 
     def _cutoff_of_size(self, tables: Sequence[TopicTable], most: int) -> int:
-        """Find the time from which on the messages of all tables take at most so many bytes."""
+        """Return the time from which on the messages of all tables take at most ``most`` bytes."""
         directory = self._space.directory
         every = [
             (table, row)
@@ -180,7 +181,7 @@ class _Work:
         left, whole = most, LAST_NS
         for _, row in every:
             if row.bytes > left:
-                whole = row.t_max + 1  # from here on all fits, also what lies before in its buckets
+                whole = row.t_max + 1  # all later messages fit, also those of earlier buckets
                 break
             left -= row.bytes
         else:
@@ -195,7 +196,7 @@ class _Work:
         return self._further(tables, whole, most - taken)
 
     def _further(self, tables: Sequence[TopicTable], begin: int, left: int) -> int:
-        """Go back from a time message by message, as long as so many bytes hold them."""
+        """Go back from a time message by message, while they fit into ``left`` bytes."""
         for row in self._bare(tables, TimeRange(0, begin - 1), EVERYBODY, reverse=True):
             left -= row.size
             if left < 0:
@@ -209,7 +210,7 @@ class _Work:
         whose: Whose = EVERYBODY,
         reverse: bool = False,
     ) -> Iterator[StoredRow]:
-        """Read rows without their bytes."""
+        """Yield rows without their bytes."""
         read = self._space.rows.read
         return read(tables, time_range, whose=whose, reverse=reverse, columns=lambda table: ())
 
@@ -235,9 +236,9 @@ class _Work:
     def _rated(
         self, table: TopicTable, gap: TimeRange, last: _Periods
     ) -> Iterator[Tuple[StoredRow, bool]]:
-        """Yield all messages, and which are too many: those of a period but a publisher's first.
+        """Yield all messages and whether they are surplus: not a publisher's first of a period.
 
-        A latched message holds until the next one comes, however long that takes: none is left out.
+        Latched messages are kept: each one holds until the next one comes.
         """
         for row in self._bare([table], gap):
             if self._finder.is_latched(row):
@@ -253,7 +254,7 @@ def _times(rows: Iterable[StoredRow]) -> Iterator[int]:
 
 
 def _gaps(pins: Iterable[TimeRange], low: int, high: int) -> Iterator[TimeRange]:
-    """Yield what lies between pins, which are in order, from low to high, both included."""
+    """Yield the time ranges between ordered pins, from low to high, both included."""
     for pin in pins:
         if pin.low > low and low <= high:
             yield TimeRange(low, min(high, pin.low - 1))

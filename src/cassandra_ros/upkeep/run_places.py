@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The index of places of runs that have ended, made or looked at."""
+"""The index of places for runs that have ended: making it, and its state."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ Progress = Optional[Callable[[int, int], None]]
 
 
 class PlacesOfRun(NamedTuple):
-    """What the index of places knows of a run."""
+    """State of the index of places for one run."""
 
     run: str
-    """Its name, or its writer id where it has none."""
+    """Name of the run, or its writer id if it has no name."""
     node: str
     writer: int
     state: str
-    """'indexed'; 'not indexed'; 'no poses'; 'goes on': it may store poses of any time yet."""
+    """'indexed'; 'not indexed'; 'no poses'; 'goes on': it may still store poses of any time."""
     first_ns: Optional[int] = None
     last_ns: Optional[int] = None
-    """Keys of its first and last pose that are in the index."""
+    """Key times of its first and last pose in the index, ns."""
     visits: int = 0
-    """Of cells, that were noted now."""
+    """Number of visits to squares that were added now."""
 
 
 def index_places(
     catalog: Catalog, node: Optional[str], run: RunName, progress: Progress
 ) -> List[PlacesOfRun]:
-    """Note where the robots of runs were; of one node, or some runs, None = of all.
+    """Add runs to the index of places, of one node or some runs (None = all).
 
-    What is noted already is left as it is, unless frames are fixed to one another in another way
-    since. Runs that go on, and imports that were interrupted and may be made again, are left out.
+    Runs that are indexed stay as they are, unless a frame is fixed to another one in a new way.
+    Runs that go on, and interrupted imports that may be repeated, are left out.
     """
     found: List[PlacesOfRun] = []
     stored = catalog.stored_places
@@ -66,7 +66,7 @@ def index_places(
 
 
 def places_of_runs(catalog: Catalog, node: Optional[str], run: RunName) -> List[PlacesOfRun]:
-    """Say of runs whether the index of places knows their poses; of one node, None = of all."""
+    """Return for each run whether the index of places has its poses; node None = all."""
     return [state for _, state in _states(catalog, node, run)]
 
 
@@ -87,7 +87,7 @@ def _tell_poses(stored: StoredPlaces) -> List[CassandraTopic]:
 
 
 class _Look:
-    """Looks what is noted, and what would have to be."""
+    """Compares the index of places with the stored poses."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._stored = catalog.stored_places

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Everything that is stored is read back and compared with what is known of it.
+"""Check of the store: everything is read back and compared.
 
-Read are the messages of each bucket, with the checksums of blocks and of large messages, what rows
-of blocks say of the values in them, and the connections and definitions that they name. Counts and
-times are compared with the directory where no client is writing. A row that no message can have
-given is damage. A number that was changed in a column of formats ``ros``, ``json`` or ``yaml``
-cannot be told from a stored one.
+The check reads the messages of each bucket, with the checksums of blocks and of large messages, the
+zones of blocks, and the connections and definitions to which rows refer. Counts and times are
+compared with the directory if no client is writing. A row that cannot come from any message is
+damage. A changed number in a column of the formats ``ros``, ``json`` or ``yaml`` cannot be told
+from
+a stored one.
 """
 
 from __future__ import annotations
@@ -45,13 +46,13 @@ PAGE_BYTES = 2 * 1024 * 1024
 MAX_PAGE_ROWS = 1000
 BLOCKS_AT_ONCE = 8
 _ZONES_AT = WHOLE.count(",") + 1
-"""Where the columns behind those of WHOLE begin."""
+"""Index of the first column after those of WHOLE."""
 MAX_DAMAGES = 10_000
-"""So many are listed; the others are only counted."""
+"""Maximum number of damages that are listed. Further ones are only counted."""
 
 
 class DamageKind(str, Enum):
-    """What is damaged."""
+    """Kind of a damage."""
 
     MESSAGE = "message"
     CONNECTION = "connection"
@@ -65,48 +66,49 @@ class DamageKind(str, Enum):
 
 @dataclass(frozen=True)
 class Damage:
-    """One thing that is not as it was stored, or as the directory says."""
+    """One thing that is not as it was stored, or not as the directory says."""
 
     kind: DamageKind
     topic: str
-    """'' where it is of no topic that is there."""
+    """Name of the topic; '' = no existing topic."""
     table: str
     node: str
     first_ns: Optional[int]
-    """Where in time it lies, both ends included; None = nowhere in particular."""
+    """Key times between which the damage is, both included; None = no time range."""
     last_ns: Optional[int]
     messages: int
-    """How many messages are concerned, as far as that is known."""
+    """Number of affected messages, as far as it is known."""
     text: str
-    """What is wrong, and what to do where it was not mended."""
+    """What is wrong, and what to do if it was not mended."""
     mended: bool = False
 
 
 @dataclass
 class CheckReport:
-    """What was read, and what of it is damaged."""
+    """Numbers of what was read, and the damages."""
 
     messages: int = 0
-    """How many could be read."""
+    """Number of messages that could be read."""
     bytes: int = 0
     buckets: int = 0
     writing: int = 0
-    """Buckets of a writer that are open, or in which was deleted, for less than a minute: the
-    directory has no counts of them that could be compared."""
+    """Buckets that are open, or in which messages were deleted, for less than a minute: the
+    directory
+    has no final counts of them to compare."""
     unsummed: int = 0
-    """Messages in rows of their own, which carry no checksum: they were decoded, no more."""
+    """Messages in rows of their own, which have no checksum and were only decoded."""
     damages: List[Damage] = field(default_factory=list)
-    """The first MAX_DAMAGES."""
+    """The first MAX_DAMAGES damages."""
     found: int = 0
     mended: int = 0
 
     @property
     def left(self) -> int:
-        """How many damages are left."""
+        """Number of damages that were not mended."""
         return self.found - self.mended
 
     def add(self, damage: Damage) -> None:
-        """Note a damage."""
+        """Add a damage."""
         self.found += 1
         self.mended += damage.mended
         if len(self.damages) < MAX_DAMAGES:
@@ -213,7 +215,7 @@ class _Check:
                 last = decode_long(values[4]) if table.packed else t
                 lost = decode_long(values[5]) if table.packed else 1
                 key = t, decode_long(values[1])
-                if rows_at(table, table.place(node, bucket), key):  # else removed meanwhile
+                if rows_at(table, table.place(node, bucket), key):  # otherwise deleted meanwhile
                     ends = t, max(t, last)
                     topic = table.metadata.topic
                     self._note(DamageKind.MESSAGE, topic, table.name, node, ends, lost, str(exc))
@@ -229,7 +231,7 @@ class _Check:
         self._count(1, len(wire))
 
     def _block(self, table: TopicTable, node: str, row: Optional[BlockRow], bounds: RawRow) -> None:
-        """Read a block, and measure again what its row says of the values in it."""
+        """Read a block, and compute its zones again."""
         if row is None or not row.left:
             return
         self._conns[row.conn] += row.left
@@ -246,11 +248,11 @@ class _Check:
     def _bounds(
         self, table: TopicTable, node: str, row: BlockRow, said: RawRow, measured: Zones
     ) -> None:
-        """Tell of bounds that are not those of the messages: a condition skips blocks by them."""
+        """Report zones that differ from the messages, because conditions skip blocks by them."""
         values, nan, odd = measured
         wanted = (encode_texts(nan) if nan else None, *values)
         if row.odd or (said == wanted and not odd):
-            return  # a block that is odd is read in any case
+            return  # conditions do not skip an odd block
         names = ("_nan", *table.zone_columns)
         wrong = [name for name, *each in zip(names, said, wanted) if each[0] != each[1]]
         self._note(
@@ -277,13 +279,13 @@ class _Check:
     # ---------------------------------------------------------------- the directory
 
     def _compare(self, table: TopicTable, node: str, bucket: int) -> None:
-        """Compare what a bucket holds with what the directory says of it."""
+        """Compare the rows of a bucket with the directory."""
         directory = self._space.directory
         before = directory.find(table.name, node, bucket)
         try:
             counted = recount(table, node, bucket)
         except CorruptMessage:
-            return  # told where it was read
+            return  # reported when the bucket was read
         if [_sign(row) for row in directory.find(table.name, node, bucket)] != [
             _sign(row) for row in before
         ]:
@@ -300,7 +302,7 @@ class _Check:
                 self._recount(table, row, totals)
 
     def _slots(self, table: TopicTable, places: Set[Tuple[str, int]]) -> None:
-        """Tell of robots with buckets that are listed, where nobody looks for them."""
+        """Report robots whose buckets no reader finds, because cr_node does not list them."""
         directory, length = self._space.directory, table.metadata.bucket_ns
         wanted: Dict[Tuple[int, str], List[int]] = {}
         for node, bucket in places:
@@ -324,7 +326,7 @@ class _Check:
             )
 
     def _settle(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
-        """Look at a bucket that is not closed: its counts are estimates, which is no damage."""
+        """Count a bucket that is not closed; that its counts are estimates is no damage."""
         if row.age_sec <= STALE_SEC:
             self.report.writing += 1
         elif self._repair:
@@ -333,7 +335,7 @@ class _Check:
     def _list(
         self, table: TopicTable, place: Tuple[str, str, int, int], totals: BucketTotals
     ) -> None:
-        """Tell of messages that the directory does not know: nobody finds them."""
+        """Report messages that the directory does not list, so that no reader finds them."""
         if self._repair:
             self._space.directory.mark(place, table.metadata.ttl, (), totals, closed=True)
         self._note(
@@ -368,7 +370,7 @@ class _Check:
     # ---------------------------------------------------------------- names
 
     def _names(self, table: TopicTable) -> None:
-        """Read the messages of a topic that are kept under names."""
+        """Read the messages of a topic whose messages have names."""
         keys = [k for k in list_names(table, None) if _within(k.position.t, self._time_range)]
         listed = {node for _, node in self._space.directory.nodes(table.name, 0, 0)}
         missing: Counts[str] = Counter()
@@ -445,11 +447,11 @@ class _Check:
                 self._note(DamageKind.DEFINITION, topic, "", "", None, 0, text)
 
     def leftovers(self) -> None:
-        """Tell of what is known of tables that are gone."""
+        """Report entries of tables that do not exist."""
         space = self._space
         known = space.directory.tables() | space.registry.tables()
         listing = space.schema.listing(fresh=True)
-        # Of a table that was replaced by a conversion some stays noted until the next one.
+        # Entries of tables that a conversion has replaced stay until the next conversion.
         replaced = {old for metadata in listing.every.values() for old in metadata.replaces}
         for table in sorted(known.difference(listing.every, replaced)):
             if self._repair:
@@ -482,7 +484,7 @@ def _within(t: int, time_range: TimeRange) -> bool:
 
 
 def _sign(row: BucketRow) -> Tuple[int, bool, object]:
-    """Return what changes when somebody writes to a bucket, or deletes in it."""
+    """Return what changes in the directory when a client writes to a bucket or deletes in it."""
     return row.writer, row.closed, row.heartbeat
 
 
@@ -490,7 +492,7 @@ def _agrees(row: BucketRow, totals: BucketTotals) -> bool:
     if not (row.rows or totals.rows):
         return True
     said, ends = (row.rows, row.bytes, row.t_min, row.t_max), _ends(totals)
-    # More odd ones than there are only make readers look at more.
+    # A higher number of odd messages is harmless: readers only check more of them.
     return said == (totals.rows, totals.bytes, *ends) and row.odd >= totals.odd
 
 

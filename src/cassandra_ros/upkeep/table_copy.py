@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The messages of some tables into another one of the same definition, and both compared."""
+"""Copies the messages of some tables into another table of the same definition, and compares."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ from cassandra_ros.topics.stored_totals import buckets_of, count_rows
 from cassandra_ros.topics.topic_table import TopicTable
 
 Progress = Optional[Callable[[int, int], None]]
-"""Called with messages that are done and messages in all."""
+"""Called with the number of messages that are done and the number of all messages."""
 TOLD = 100
-"""Progress is told after so many messages."""
+"""Number of messages between two calls of the progress function."""
 WRITERS_AT_ONCE = 16
-"""Each has a thread; where more have written, the rows are read several times."""
+"""Maximum number of writers copied at the same time, a thread each. With more writers the rows are
+read several times."""
 
 
 class Copy:
-    """Copies rows as they are: node, times, seq, connection, name, bytes, and what they have left.
+    """Copies rows with node, times, seq, connection, name, bytes, and remaining lifetime.
 
     Args:
         olds: Tables of one definition.
-        new: Another one, of any format, into which nobody else writes.
+        new: Another table of any format, into which no other client writes.
     """
 
     def __init__(
@@ -50,7 +51,7 @@ class Copy:
         self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
 
     def _newest_of_names(self) -> Dict[Tuple[str, str], Tuple[int, int]]:
-        """Where equal messages are kept once: where each came last, over several tables."""
+        """Return where equal messages, which are stored once, came last, over several tables."""
         found: Dict[Tuple[str, str], Tuple[int, int]] = {}
         if self._new.metadata.key_format == "hash" and len(self._olds) > 1:
             for table in self._olds:
@@ -81,7 +82,7 @@ class Copy:
         return frozenset(found)
 
     def _fill_expiring(self, writers: FrozenSet[int]) -> None:
-        """Write rows by what they have left: that of a table holds for what is written then."""
+        """Write rows by remaining lifetime, which is set for all rows written from then on."""
         whose, ttl = Whose(None, writers), self._new.metadata.ttl
         parts: Dict[int, List[Callable[[], Iterator[StoredRow]]]] = {}
         for table in self._olds:
@@ -95,7 +96,7 @@ class Copy:
     def _expiring(
         self, table: TopicTable, whose: Whose
     ) -> Iterator[Tuple[int, Callable[[], Iterator[StoredRow]]]]:
-        """Yield parts of a table with the seconds that their rows have left at the most."""
+        """Yield parts of a table with the maximum remaining lifetime of their rows, s."""
         if table.named:
             by_left: Dict[int, List[Wanted]] = {}
             for place, left in left_by_name(table).items():
@@ -119,10 +120,10 @@ class Copy:
         return lambda: self._reader.read([table], time_range, whose=whose)
 
     def _rows(self, tables: Sequence[TopicTable], whose: Whose) -> Iterator[StoredRow]:
-        """Walk through the rows of tables in their order; one of each place.
+        """Yield the rows of tables in order, one of each place.
 
         Raises:
-            CorruptMessage: Two messages have the same place: one table cannot hold both.
+            CorruptMessage: Two messages have the same place, which one table cannot hold.
         """
         last: Optional[StoredRow] = None
         for row in self._reader.read(tables, TimeRange(), whose=whose):
@@ -176,7 +177,7 @@ class Copy:
     # ---------------------------------------------------------------- comparing
 
     def compare(self) -> int:
-        """Compare all rows with those that were to be copied; return how many there are.
+        """Compare all rows of the new table with those of the old ones; return their number.
 
         Raises:
             WriteFailed: They are not the same.
@@ -209,8 +210,8 @@ class Copy:
             )
 
     def _check_expired(self, row: StoredRow) -> None:
-        """Check that a row that only one side has was there no longer when the other was read."""
-        # In the new table it may stay a little longer than in the old ones.
+        """Check that a row in one table only has expired in the other one meanwhile."""
+        # A row may stay a little longer in the new table than in the old ones.
         tables = self._olds if row.table is self._new else [row.table]
         gone = all(fetch_row(table, row.position) is None for table in tables)
         if row.table.metadata.ttl and gone:
@@ -223,7 +224,7 @@ class Copy:
     # ---------------------------------------------------------------- late
 
     def add_late(self) -> int:
-        """Write what came into the old tables after they were copied; return how many rows."""
+        """Copy the rows that came into the old tables after the copy; return their number."""
         count = 0
         rows = self._rows(self._olds, Whose())
         late = (row for row in rows if fetch_row(self._new, row.position) is None)
@@ -234,7 +235,7 @@ class Copy:
 
 
 class _Told:
-    """Tells how far a work is."""
+    """Calls the progress function of a copy."""
 
     def __init__(self, progress: Progress, total: int) -> None:
         self._progress = progress

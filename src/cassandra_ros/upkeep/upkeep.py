@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Class Upkeep: what is done to stored topics now and then, several at once."""
+"""Class Upkeep: work on stored topics that is done now and then, several topics at once."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from cassandra_ros.upkeep.table_copy import Progress
 
 
 class Upkeep:
-    """Deletes messages, thins what is old, reads everything back, mends it, notes places.
+    """Deletes messages, thins old ones, checks and mends the store, indexes places.
 
-    Got as ``rosCas.upkeep``; it works in the keyspace that was connected then.
+    Get it as ``rosCas.upkeep``; it works in the keyspace that was connected then.
     """
 
     def __init__(self, catalog: Catalog) -> None:
@@ -42,18 +42,19 @@ class Upkeep:
         run: RunName = None,
         dry_run: bool = False,
     ) -> Dict[str, int]:
-        """Delete messages of several topics; return topic -> how many. Topics stay, also empty.
+        """Delete messages of several topics; return topic → number. Topics stay, even if empty.
 
         The arguments are those of RosCassandra.readMessages, but with ``where`` only topics that
-        have a condition lose messages. With a run alone all that it stored goes, and it is not
-        listed any more; that of one that still records is refused.
+        have a
+        condition lose messages. With only a run, all messages of the run are deleted, and it is no
+        longer listed; a run that is still recording is refused.
 
         Args:
-            dry_run: Only count them.
+            dry_run: Only count the messages.
 
         Raises:
-            InvalidOption: Nothing is given but topics (see removeTopic, truncateTopic), a topic
-                has no condition beside others, or the run goes on.
+            InvalidOption: Only topics are given (see removeTopic, truncateTopic), a topic has no
+                condition while others do, or the run goes on.
             TopicNotFound, RunNotFound, InvalidName, InvalidQuery: As readMessages.
         """
         names = check_topics(topics)
@@ -61,7 +62,7 @@ class Upkeep:
         return delete_messages(self._catalog, names, time_range, nodeID, run, where, dry_run)
 
     def isWritten(self, topic: str) -> bool:
-        """Say whether a client writes messages of a topic now, as a recorder does.
+        """Return whether a client, such as a recorder, is writing messages of a topic now.
 
         Raises:
             TopicNotFound, InvalidName: There is no such topic.
@@ -80,8 +81,8 @@ class Upkeep:
         """Read topics back (None = all), with checksums, and compare them with the directory.
 
         Args:
-            key, to_key: Ends, both included; whole time ranges (buckets) are read.
-            repair: Mend what can be: counts, entries in the directory, pieces without a message.
+            key, to_key: Key times, both included; whole buckets are read.
+            repair: Mend counts, entries of the directory, and chunks without a message.
         """
         names = check_topics(topics)
         time_range = self._catalog.time_range(names, key, to_key)
@@ -94,14 +95,15 @@ class Upkeep:
         run: RunName = None,
         progress: Progress = None,
     ) -> List[PlacesOfRun]:
-        """Note where the robots of runs were, so that NEAR reads only poses around a place.
+        """Index where the robots of runs were, so that NEAR reads only poses around a place.
 
-        Recorders note it themselves; this is for imports, and for what was recorded without. What
-        is noted already stays; runs that still go on, and interrupted imports, are left out.
+        Recorders do it themselves; this is for imports, and for recordings without it. Runs that
+        are
+        indexed stay as they are; runs that go on and interrupted imports are left out.
 
         Args:
-            nodeID, run: Of one node, of a run by its name or writer id; None = of all.
-            progress: Called with how many seconds of how many of a run were gone through.
+            nodeID, run: nodeID, and run by name or writer id; None = all.
+            progress: Called with the seconds of a run that are done, and all its seconds.
 
         Raises:
             RunNotFound, InvalidName.
@@ -111,7 +113,7 @@ class Upkeep:
     def placesIndex(
         self, *, nodeID: Optional[str] = None, run: RunName = None
     ) -> List[PlacesOfRun]:
-        """Say of runs whether their poses are noted in the index of places; see indexPlaces."""
+        """Return for each run whether the index of places has its poses; see indexPlaces."""
         return places_of_runs(self._catalog, nodeID, run)
 
     def retain(
@@ -129,29 +131,34 @@ class Upkeep:
         dry_run: bool = False,
         progress: Progress = None,
     ) -> List[Retained]:
-        """Drop messages by age and size, thin others, and keep what lies around what happened.
+        """Drop messages by age and size, thin others, and keep those around events.
 
-        Latched messages are not thinned, and one that a publisher had latched before what is kept
-        stays as well, so that this can be played. Messages under names are left alone. Repeated
-        with the same arguments it drops nothing more but what became older.
+        Latched messages are not thinned. A message that a publisher had latched before a kept time
+        range
+        is kept too, so that the range can be played. Messages with names are not touched. A
+        repetition
+        with the same arguments only drops messages that have become older.
 
         Args:
-            topics: Their names; None = all whose messages lie by time.
-            max_age: Older messages are dropped; seconds or a Duration.
-            max_bytes: Serialised bytes (as info counts them) that these topics may take together:
-                the oldest messages go first. What is kept around hits goes beyond it.
-            keep: Topic -> condition, a text or (text, parameters), also of other topics: what
-                lies from ``before`` before their messages to ``after`` behind them is not touched.
-            thin: Messages a second that are kept at the most, of each publisher.
-            thin_after: Only older messages are thinned, as max_age.
-            now: From when ages are counted back; None = now, by the server's clock.
-            dry_run: Only count them.
-            progress: Called with how many messages of how many were looked at.
+            topics: Names of topics; None = all with a time key.
+            max_age: Maximum age of messages; seconds or a Duration.
+            max_bytes: Maximum number of serialised bytes (as info counts them) of these topics
+                together; the oldest messages are dropped first. What is kept around events is kept
+                in
+                addition.
+            keep: Topic → condition, a text or (text, parameters); may contain other topics.
+                Messages
+                from ``before`` before to ``after`` after a message that matches are not touched.
+            thin: Maximum number of messages a second that are kept, for each publisher.
+            thin_after: Minimum age of messages that are thinned; like max_age.
+            now: Time from which ages are counted back; None = the server's present time.
+            dry_run: Only count the messages.
+            progress: Called with the number of messages that are done, and of all.
 
         Raises:
-            InvalidOption: Nothing says what is to be dropped, a number cannot be, or a topic that
-                is named has messages under names.
-            InvalidKey: A length of time or now is none.
+            InvalidOption: No limit or rate is given, a number is out of range, or one of ``topics``
+                has messages with names.
+            InvalidKey: A length of time, or ``now``, is not valid.
             TopicNotFound, InvalidName, InvalidQuery: As readMessages.
         """
         if thin is not None and not 0 < thin < float("inf"):
