@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""addData's way into the store: single message objects, each acknowledged before it returns."""
+"""How addData stores message objects: one at a time, each acknowledged before it returns."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Adder:
     def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
         self._keyspace = keyspace
         self._clock = clock
-        # Both stay when the writer is closed: equal stamps keep their order.
+        # Both stay when the writer is closed, so messages with equal stamps keep their order.
         self._writer_id = new_writer_id()
         self._counter = itertools.count()
         self._writer: Optional[MessageWriter] = None
@@ -39,17 +39,17 @@ class Adder:
     def add(
         self, table: TopicTable, msg: object, t: Optional[Time], node: str, name: str = ""
     ) -> Key:
-        """Store a message of the table's type, t None = now; return its key when acknowledged."""
+        """Store a message of the table's type (t None = now); return its key when acknowledged."""
         t = now_ns(self._clock) if t is None else to_ns(t)
         wire = serialize(msg)
         connection = api_connection(table.metadata.topic, definition_of(type(msg)), _caller_id())
-        # One at a time: a failure is raised to whoever flushes, and must be that message's.
+        # One at a time: flush raises a failure, which must belong to the message of this call.
         with self._mutex:
             writer = self._writer
             if writer is None:
                 writer = MessageWriter(self._keyspace, self._writer_id, linger_sec=0.0, ttl=None)
                 self._writer = writer
-            # A table that another is about to replace takes no new messages.
+            # A table that is about to be replaced takes no new messages.
             kept = self._keyspace.schema.format_after(table.name, table.metadata.format)
             handle = writer.connect(connection, format=kept, node=node)
             counter = next(self._counter)
@@ -57,17 +57,17 @@ class Adder:
             writer.flush()
             now = writer.current(handle)
         stored = now.table
-        # It lies in a block, or another client removed the topic while this was on its way.
+        # The message is in a block, or another client removed the topic meanwhile.
         if row is None or now is not handle:
             seq = writer.writer_id << COUNTER_BITS | counter
             row = stored.make_row(t, seq, now.conn, wire, name)
         if stored.named:
-            seq = writer.writer_id << COUNTER_BITS | counter  # the row's is 0 of equal messages
+            seq = writer.writer_id << COUNTER_BITS | counter  # in the row of equal messages it is 0
             return RowName.of(Position(t, node, seq, stored.name, row.name))
         return Stamp.from_ns(row.t, node=node, seq=row.seq, table=stored.name)
 
     def close(self) -> None:
-        """Close the writer; the next add opens another of the same id."""
+        """Close the writer; the next add opens another one with the same id."""
         with self._mutex:
             writer, self._writer = self._writer, None
             if writer is not None:
@@ -75,8 +75,8 @@ class Adder:
 
 
 def _rospy() -> Optional[ModuleType]:
-    """Return rospy where a node runs in this process."""
-    # Not imported: a program without a node must not need rospy.
+    """Return rospy if a node runs in this process, otherwise None."""
+    # Not imported here: a program without a node must not need rospy.
     rospy = sys.modules.get("rospy")
     return rospy if rospy is not None and rospy.core.is_initialized() else None
 
@@ -87,7 +87,7 @@ def _caller_id() -> str:
 
 
 def now_ns(clock: Optional[Clock]) -> int:
-    """Tell the time, ns: the given clock's, else rospy's where a node runs here, else wall time.
+    """Return the time, ns: the given clock's, else rospy's if a node runs here, else wall time.
 
     Raises:
         ClockNotSet: The node uses simulated time and no /clock message has come.

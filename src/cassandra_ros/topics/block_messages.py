@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The messages of blocks, all of a block at once, for whoever makes arrays of them."""
+"""The messages of blocks, a whole block at a time, for callers that make arrays of them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _log = logging.getLogger(__name__)
 def messages_of(
     blocks: Iterable[Tuple[BucketRead, Opened]], tables: Sequence[TopicTable]
 ) -> Iterator[MessageBlock]:
-    """Yield what is wanted of blocks; large messages, each a block of one, come last."""
+    """Yield the messages to read of blocks; large messages, each a block of one, come last."""
     by_name = {table.name: table for table in tables}
     large: Deque[StoredRow] = deque()
     for part, opened in blocks:
@@ -39,7 +39,7 @@ def messages_of(
         times, seqs = block.times[places], block.seqs[places]
         groups = _chosen(block.unpacked, places)
         yield MessageBlock(table, part.node, run, times, seqs, groups)
-    # Each keeps the bytes that were read of it, so nobody keeps any.
+    # Rows are dropped one by one, because each keeps the bytes that were read of it.
     rows = (large.popleft() for _ in range(len(large)))
     yield from filter(None, map(_alone, chunks_ahead(rows)))
 
@@ -58,7 +58,7 @@ def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[Tuple[Int64Array
 
 
 def _alone(row: StoredRow) -> Optional[MessageBlock]:
-    """Return a block of one message; None where that was removed since its block was read."""
+    """Return a block of one message; None if the message was deleted meanwhile."""
     groups = []
     try:
         groups.append((np.zeros(1, np.int64), as_planes([row.wire])))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Large messages of a scan, asked for before their turn comes."""
+"""Large messages whose chunks are requested before the reader gets there."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Iterable, Iterator
 from cassandra_ros.topics.stored_row import StoredRow
 
 AHEAD_BYTES = 8 * 1024 * 1024
-"""Of large messages that are on their way, or wait here, about."""
+"""Approximate maximum number of bytes of large messages that are requested or wait here."""
 AHEAD_ROWS = 64
-"""So many rows wait at most, for rows of other sizes may stand between large ones."""
+"""Maximum number of rows that wait here: rows of other sizes may be between the large ones."""
 
 
 def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
-    """Yield rows as they come, with the chunks of the next ones on their way.
+    """Yield rows as they come, with the chunks of the next large ones requested ahead.
 
-    Only for a reader that wants the messages: the first large one is asked for when its bytes
-    are, and as long as each that was yielded has been read, more and more are asked for ahead.
+    Only for readers that need the messages. The first large message is requested when its bytes are
+    accessed. While every yielded message is accessed, more and more are requested ahead.
     """
     waiting: deque[tuple[StoredRow, int]] = deque()
-    """Rows, and how much of each has been asked for, bytes."""
+    """Rows, and the number of bytes of each that have been requested."""
     held = budget = 0
     for row in rows:
         if not (waiting or row.chunked):

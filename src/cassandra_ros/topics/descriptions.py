@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a topic is, in words: for its repr and for a table in a notebook."""
+"""Descriptions of topics as text, for repr, and as tables for notebooks."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 
 def topic_facts(directory: Directory, tables: Sequence[TopicTable]) -> dict[str, str]:
-    """Return what a stored topic is, by heading; counts and times are the directory's.
+    """Return the facts of a stored topic, by heading; counts and times come from the directory.
 
-    Where messages lie under names they are not counted: that reads all keys.
+    Messages with names are not counted, because that would read all keys.
     """
     facts = {
         "type": _joined(table.metadata.msg_type for table in tables),
@@ -43,7 +43,7 @@ def _joined(texts: Iterable[str]) -> str:
 def topic_line(
     name: str, directory: Directory, read_tables: Callable[[], Sequence[TopicTable]]
 ) -> str:
-    """Say in a line what a topic is; without tables it has no type yet."""
+    """Return one line about a topic; a topic without tables has no type yet."""
     name = shown(name)
     try:
         tables = read_tables()
@@ -51,7 +51,7 @@ def topic_line(
             return f"<CassandraTopic {name}: no type yet, its first message fixes it>"
         facts = topic_facts(directory, tables)
     except CassandraRosError as exc:
-        # Who debugs wants to see the object also where its store is away.
+        # A debugger must be able to show the object even if its store does not answer.
         return f"<CassandraTopic {name}: it cannot be read now: {shown(str(exc), None)}>"
     text = f"{facts['type']} in format {facts['format']}, messages: {facts['messages']}"
     if "from" in facts:
@@ -62,7 +62,7 @@ def topic_line(
 
 
 def topic_html(name: str, directory: Directory, tables: Sequence[TopicTable]) -> str:
-    """Return what a topic is as a table for a notebook."""
+    """Return the facts of a topic as an HTML table for a notebook."""
     facts = topic_facts(directory, tables) if tables else {"type": "none yet"}
     return html_table(("topic", name), list(facts.items()))
 
@@ -72,7 +72,7 @@ def _time(ns: int | None) -> str:
 
 
 class Infos(Listing[TopicInfo]):
-    """What is stored, by topic, table and node."""
+    """Stored topics: a row for each topic, table and robot."""
 
     COLUMNS = {
         "topic": lambda info: info.topic,

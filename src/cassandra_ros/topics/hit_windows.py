@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Windows around hits: merged where they overlap, while the hits come."""
+"""Windows around hits, merged as the hits come if they overlap."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from cassandra_ros.topics.key_selection import TimeRange
 
 
 class Piece(NamedTuple):
-    """A window, or a part of a long one; times are ns, ends are included."""
+    """A window, or a part of a long one; times in ns, both ends included."""
 
     window: int
-    """Where the window begins, of which this is a part."""
+    """Beginning of the window to which this part belongs, ns."""
     low: int
     high: int
 
@@ -25,16 +25,15 @@ def merge_windows(
     bounds: TimeRange,
     longest: int,
 ) -> Iterator[Piece]:
-    """Make windows of before to after around hits, lazily, one where some overlap or touch.
+    """Yield windows around hits, lazily; windows that overlap or touch are merged.
 
     Memory: that of one window, however many hits there are.
 
     Args:
-        hits: Times in their order, inside of the bounds, ns.
-        before, after: How far a window reaches around its hit, ns, at least 0.
-        bounds: No window reaches beyond these.
-        longest: A window that is at least so long is given in pieces, each beginning behind
-            the one before it, ns.
+        hits: Ascending times within the bounds, ns.
+        before, after: Length of a window before and after its hit, ns, at least 0.
+        bounds: Time range to which windows are cut.
+        longest: Length from which a window is yielded in consecutive pieces, ns.
 
     Yields:
         Pieces in order, without overlap.
@@ -49,7 +48,7 @@ def merge_windows(
         current = current._replace(high=max(current.high, high))
         if current.high - current.low >= longest:
             yield current
-            # Empty until the next hit makes it longer.
+            # The rest is empty until the next hit makes it longer.
             current = current._replace(low=current.high + 1)
     yield from _filled(current)
 
@@ -60,7 +59,7 @@ def _filled(piece: Optional[Piece]) -> Iterator[Piece]:
 
 
 def joined(pieces: Iterable[Piece]) -> Iterator[TimeRange]:
-    """Put the pieces of each window together."""
+    """Yield whole windows, joined from their pieces."""
     whole: Optional[TimeRange] = None
     for window, _, high in pieces:
         if whole is not None and whole.low != window:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The indexes of one topic: made on any field, filled with what is stored, removed."""
+"""The indexes of one topic: making them on any field, filling them with stored values, removal."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from cassandra_ros.topics.topic_table import TopicTable, definition_in
 _log = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
-"""Called with rows that are done and rows in all."""
+"""Called with the number of rows that are done and the number of all rows."""
 MAX_ROUNDS = 8
 MAX_TRIES = 3
-"""Of a transaction that gets no answer."""
+"""Maximum number of attempts for a lightweight transaction that times out."""
 UNKNOWN_ROW_BYTES = 32 * 1024
-"""Assumed of the rows of writers that have a bucket open."""
+"""Assumed size of the rows of writers with an open bucket, bytes."""
 
 
 def create_index(
@@ -43,31 +43,31 @@ def create_index(
     space.schema.tables(fresh=True)
     check_indexable(topic, space.tables.of_topic(topic), field)
     space.indexes.add(topic, field, lambda metadata: _type_of(metadata, field))
-    adder.close()  # what it holds open could not be filled
+    adder.close()  # its open buckets could not be filled
     return IndexFilling(space.directory, field, progress).fill(space.tables.of_topic(topic))
 
 
 def has_index(tables: Sequence[TopicTable], field: str) -> bool:
-    """Say whether every table whose type has the field has an index on it."""
+    """Return whether every table whose type has the field has an index on it."""
     able = [table.metadata for table in tables if _type_of(table.metadata, field)]
     return bool(able) and all(field in metadata.indexes for metadata in able)
 
 
 class IndexState(NamedTuple):
-    """How far an index of a topic is."""
+    """Coverage of an index of a topic."""
 
     topic: str
     field: str
     messages: int
-    """Of the topic, in tables whose type has the field."""
+    """Number of the topic's messages in tables whose type has the field."""
     missing: int
-    """Those of them that the index does not have: conditions look at them one by one."""
+    """Number of these messages that are not in the index: conditions check them one by one."""
 
 
 def list_indexes(
     directory: Directory, topic: str, tables: Sequence[TopicTable]
 ) -> List[IndexState]:
-    """Tell of each index of a topic how much it covers; of what is being recorded, about."""
+    """Return the coverage of each index of a topic; approximate while it is being recorded."""
     found: List[IndexState] = []
     for field in sorted({field for table in tables for field in table.metadata.indexes}):
         messages = missing = 0
@@ -102,7 +102,7 @@ def remove_index(space: Keyspace, topic: str, field: str) -> None:
 
 
 def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
-    """Check that an index on a field can be made in at least one of the tables of a topic."""
+    """Check that an index on a field can be made in at least one of a topic's tables."""
     if not tables:
         raise TopicNotFound(
             f"topic {topic} has no type yet: its first message fixes it; give index= to addTopic"
@@ -112,14 +112,14 @@ def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
         if table.digest is not None and table.digest.field == field:
             raise InvalidOption(
                 f"field {field} is the key_part of topic {topic} and has an index for whole "
-                "arrays; one for their elements cannot be made besides"
+                "arrays; one for their elements cannot be made in addition"
             )
     if all(table.packed for table in tables):
         raise no_index_in_blocks(topic)
     if not any(_type_of(table.metadata, field) for table in tables):
         for table in tables:
             if table.definition is not None:
-                IndexField(table.definition, field, "")  # names the nearest field
+                IndexField(table.definition, field, "")  # raises an error with similar names
         raise InvalidName(
             f"topic {topic} has no usable definition to find a field {field!r} in: an index "
             "cannot be made"
@@ -127,16 +127,16 @@ def check_indexable(topic: str, tables: list[TopicTable], field: str) -> None:
 
 
 def no_index_in_blocks(topic: str) -> InvalidOption:
-    """Return the error to raise where all messages of a topic lie in blocks."""
+    """Return the error for a topic whose messages are all in blocks."""
     return InvalidOption(
-        f"topic {topic} takes no index: its messages are packed in blocks, of which the least and "
-        "the greatest value of each field are kept; conditions use these by themselves. For an "
+        f"topic {topic} takes no index: its messages are packed in blocks, with the minimum and "
+        "the maximum of each field; conditions use these by themselves. For an "
         f"index keep it in another format: cassandra_bag convert {topic} --format ros"
     )
 
 
 def check_unnamed(topic: str, key_format: str) -> None:
-    """Raise InvalidOption where messages are kept under names."""
+    """Raise InvalidOption if the messages of the topic have names."""
     if key_format in NAMED_FORMATS:
         raise InvalidOption(
             f"topic {topic} cannot have an index: its messages are kept under names (key_format "
@@ -163,10 +163,10 @@ class IndexFilling:
         self._done = self._total = 0
 
     def fill(self, tables: Sequence[TopicTable]) -> int:
-        """Fill what lacks the index in the tables; return the number of rows that did."""
+        """Fill the index for all rows that lack it; return the number of these rows."""
         filled = 0
         for _ in range(MAX_ROUNDS):
-            # Buckets that were closed meanwhile are found in another round.
+            # Buckets that were closed meanwhile are filled in another round.
             buckets = list(self._lacking(tables))
             self._total = self._done + sum(row.rows for _, _, rows in buckets for row in rows)
             marked = [self._fill_bucket(*bucket) for bucket in buckets]
@@ -186,7 +186,7 @@ class IndexFilling:
             found: Dict[Tuple[str, int], List[BucketRow]] = {}
             ends = (-(2**63), 2**63 - 1)
             for row in self._directory.buckets(table.name, *ends, ttl=table.metadata.ttl):
-                # One that is open is its writer's; after a silence of a minute that is dead.
+                # An open bucket belongs to its writer, until that is silent for a minute.
                 if index.shadow not in row.filled and (row.closed or row.age_sec > STALE_SEC):
                     found.setdefault((row.node, row.bucket), []).append(row)
             for key in sorted(found):
@@ -195,7 +195,7 @@ class IndexFilling:
     def _fill_bucket(
         self, table: TopicTable, index: IndexField, writers: List[BucketRow]
     ) -> Tuple[int, int]:
-        """Return the rows that were filled, and for how many writers the bucket is done."""
+        """Return the number of rows that were filled, and of writers whose bucket is complete."""
         totals = {row.writer: BucketTotals() for row in writers}
         backfill = Backfill(table, index.shadow)
         place = writers[0].node, writers[0].bucket
@@ -238,7 +238,7 @@ class IndexFilling:
                 done = self._directory.put_recount(table.name, wanted, totals, table.metadata.ttl)
                 return done or (uncertain and self._is_marked(table, row, shadow))
             except StoreUnavailable as exc:
-                # Another transaction was in the way; this one may be done or not.
+                # Another transaction interfered; this one may have been applied or not.
                 _log.debug("a bucket of topic %s is not marked: %s", table.metadata.topic, exc)
                 uncertain = True
         return False

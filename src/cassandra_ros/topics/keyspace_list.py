@@ -17,18 +17,18 @@ from cassandra_ros.tables.side_tables import SIDE_TABLES
 
 @dataclass(frozen=True)
 class KeyspaceInfo:
-    """One keyspace with topics, or that was made for them."""
+    """A keyspace with topics, or with our side tables."""
 
     name: str
     topics: int
     tables: int
-    """One for each definition and format of a topic."""
+    """Number of topic tables: one for each definition and format of a topic."""
     copies: Mapping[str, int]
-    """Data centre -> how many of its nodes keep each row; 'any' = whatever data centre."""
+    """Data centre → number of its nodes that keep each row; 'any' = all data centres."""
 
 
 def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
-    """List the keyspaces that hold topics or our side tables, sorted by name."""
+    """Return the keyspaces that hold topics or our side tables, sorted by name."""
     what = "listing the keyspaces"
     factors = cassandra.execute(
         "SELECT keyspace_name, replication FROM system_schema.keyspaces", what=what
@@ -45,7 +45,7 @@ def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
         try:
             metadata = from_comment(comment or "", f"{keyspace}.{table}")
         except UnsupportedSchema:
-            continue  # of a newer release: it is told where the keyspace is worked in
+            continue  # made by a newer release; connecting to this keyspace raises an error
         if metadata is not None and not metadata.filling:
             topics.setdefault(keyspace, set()).add(metadata.topic)
             tables[keyspace] += 1
@@ -56,7 +56,7 @@ def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
 
 
 def tables_of_others(cassandra: Cassandra, keyspace: str) -> List[str]:
-    """List the tables of a keyspace, sorted, where none is ours; [] = some are, or it is empty."""
+    """Return the tables of a keyspace, sorted, if none of them is ours; otherwise []."""
     names = "table_name, comment"
     rows = cassandra.system_schema("tables", names, keyspace)
     for table, comment in rows:
@@ -64,7 +64,7 @@ def tables_of_others(cassandra: Cassandra, keyspace: str) -> List[str]:
             if table in SIDE_TABLES or from_comment(comment or "", f"{keyspace}.{table}"):
                 return []
         except UnsupportedSchema:
-            return []  # of a newer release
+            return []  # made by a newer release
     return sorted(table for table, _ in rows)
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored rows with their messages as objects, which are made of many rows at once."""
+"""Stored rows with their messages as objects, which are made for many rows together."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from cassandra_ros.messages.classes import deserialize_all
 from cassandra_ros.topics.stored_row import StoredRow
 
 MAX_ROWS = 512
-"""Whose messages are made at once; fewer at first, for few may be wanted."""
+"""Maximum number of rows whose messages are made together; a read begins with fewer."""
 MAX_BYTES = 512 * 1024
-"""Serialised bytes of those."""
+"""Maximum number of serialised bytes of messages that are made together."""
 LARGE_BYTES = 4 * 1024
-"""Messages over it gain little: copying their bytes would take as long."""
+"""Size in bytes above which messages are made one by one: copying their bytes would take as
+long."""
 
 
 def with_messages(
@@ -24,15 +25,16 @@ def with_messages(
 ) -> Iterator[Tuple[StoredRow, Any]]:
     """Yield each row with its message.
 
-    Rows are taken before their turn, never more than were given out; what is wrong with a row, or
-    with the reading of rows, is raised when its turn comes.
+    Rows are taken ahead, never more than have been yielded. An error of a row, or of reading rows,
+    is
+    raised when its row would be yielded.
 
     Args:
-        cassandra: Where they were read; when it is closed no more are given out.
+        cassandra: Connection of the read; after it is closed no more rows are yielded.
 
     Raises:
-        CorruptMessage: The bytes of a row are no message of its type.
-        ConnectionFailed: It was closed.
+        CorruptMessage: The bytes of a row are not a message of its type.
+        ConnectionFailed: The connection was closed.
     """
     waiting: List[StoredRow] = []
     given = held = 0
@@ -59,7 +61,7 @@ def _made(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[Tuple[Sto
     messages: Iterable[Any]
     try:
         messages = _messages(rows)
-    except CassandraRosError:  # of some row; the others are fine
+    except CassandraRosError:  # one row is damaged: make the messages one by one
         messages = (row.message() for row in rows)
     for pair in zip(rows, messages):
         cassandra.require_open()
@@ -67,7 +69,7 @@ def _made(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[Tuple[Sto
 
 
 def _messages(rows: Sequence[StoredRow]) -> Iterable[Any]:
-    """Make the messages of rows, all those of a class together."""
+    """Return the messages of rows, made together for each class."""
     by_class: Dict[Any, List[int]] = {}
     for n, row in enumerate(rows):
         by_class.setdefault(row.message_class(), []).append(n)

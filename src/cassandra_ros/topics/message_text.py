@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored messages as people and other programs read them: as rostopic echo prints them, as JSON."""
+"""Stored messages as text for people and programs: as rostopic echo prints them, or as JSON."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ _Print = Callable[[bytes], str]
 
 
 class MessageText:
-    """Writes messages, in a form that is compiled once for each table.
+    """Writes messages as text; the writer is compiled once for each table.
 
     Args:
-        as_json: As rosbridge writes them: times are secs and nsecs, uint8[] base64, NaN null; else
-            as rostopic echo does.
-        elements: Of longer arrays only type and length are said; None = of none.
-        characters: Of longer strings only the length is said, in bytes; None = of none.
-        bounded: Write no text of more characters than an answer may have bytes.
+        as_json: As rosbridge writes them: times as secs and nsecs, uint8[] as base64, NaN as null.
+            False = as rostopic echo prints them.
+        elements: Maximum number of elements of an array that are written; of a longer array only
+            type and length. None = no limit.
+        characters: Maximum number of characters of a string that are written; of a longer string
+            only its length in bytes. None = no limit.
+        bounded: Refuse texts with more characters than an answer may have bytes.
     """
 
     def __init__(
@@ -50,8 +52,8 @@ class MessageText:
         """Return the text of a message.
 
         Raises:
-            AnswerTooLarge: The text is bounded, and would be longer.
-            CorruptMessage: Its bytes are no message of the type.
+            AnswerTooLarge: The text is bounded and would be longer.
+            CorruptMessage: The bytes are not a message of the type.
         """
         printed = self._prints.get(row.table.name)
         if printed is None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages into the store: the writer of serialised ones."""
+"""Class MessageWriter: stores serialised messages of any topics."""
 
 from __future__ import annotations
 
@@ -54,58 +54,58 @@ Wires = Sequence[bytes]
 
 MAX_COUNTER = (1 << COUNTER_BITS) - 1
 MAX_REMOVALS = 5
-"""A message is given up when its topic was removed so often while it was being written."""
+"""Number of removals of its topic after which a message that is being written is given up."""
 _TRIES = tuple(reversed(range(MAX_REMOVALS)))
 TABLE_PAUSE_SEC = 0.5
-"""A table that is gone is made anew; a store that is away meanwhile is asked so often."""
+"""Interval at which a silent store is asked for the table that replaces a dropped one, s."""
 MAX_HANDLES = 1024
-"""Connections whose handles are kept: anonymous publishers come without end."""
+"""Maximum number of connections with cached handles. Anonymous publishers come without end."""
 
 
 @dataclass(frozen=True)
 class Handle:
-    """An open connection of a writer: where its messages go, and how."""
+    """An open connection of a writer: the table of its messages, and how they are stored."""
 
     connection: Connection
     table: TopicTable
     conn: int
     node: str
     asked: Optional[str]
-    """Name of the format that was asked for, if any was."""
+    """Name of the requested format; None = no format was requested."""
     warning: Optional[str] = None
-    """Why the topic is kept in another way than asked for."""
+    """Reason for which the topic is stored in another way than requested."""
     blocks: Optional[BlockBuilder] = field(default=None, compare=False, repr=False)
-    """Takes the messages where a row is a block of them."""
+    """Gathers the messages into blocks; None = each message has its own row."""
 
     @property
     def topic(self) -> str:
-        """The topic's name."""
+        """Name of the topic."""
         return self.table.metadata.topic
 
     @property
     def format(self) -> str:
-        """Name of the format in which the messages are kept."""
+        """Name of the format in which the messages are stored."""
         return self.table.metadata.format
 
 
 class MessageWriter:
     """Writes messages of any topic under one writer id. Thread-safe.
 
-    The run is stored at once, and with counts at close.
+    The run is stored at once, and again with counts when the writer is closed.
 
     Args:
-        keyspace: Where to.
-        writer_id: 1 to 2**31 - 1; repeats of the same import give the same.
-        linger_sec: How long a message may wait to be sent together with others.
-        block_sec: How long one may wait in a block (format packed); None = until it is full:
-            only then the same messages make the same blocks, as repeated imports need it.
-        limits: Those of a block.
-        give_up_after_sec: How long the writing of a message is tried.
-        format, node, ttl: As addTopic takes them, for all topics; but with a ttl of None the rows
-            expire as the topic was made.
-        run: Description of the recording or import, kept in the store.
-        on_loss: Called with (topic, messages, error) for what is lost; None: the writer raises.
-        given: The caller makes the handles; a table of theirs that is gone is an error.
+        keyspace: Keyspace to write to.
+        writer_id: 1 to 2**31 - 1; a repeated import must use the same id.
+        linger_sec: How long a message may wait to be sent together with others, s.
+        block_sec: How long a message may wait in a block (format packed), s; None = until the block
+            is full. Only then equal messages make equal blocks, which repeated imports need.
+        limits: Maximum size of a block.
+        give_up_after_sec: How long the writing of a message is retried, s.
+        format, node, ttl: As in addTopic, for all topics; with ttl None rows expire as the topic
+            was made.
+        run: Description of the recording or import, stored with it.
+        on_loss: Called with (topic, number of messages, error) of losses; None = the writer raises.
+        given: The caller makes the handles; a dropped table of theirs is an error.
     """
 
     def __init__(
@@ -134,7 +134,8 @@ class MessageWriter:
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
         self.elsewhere: dict[str, WriteStats] = {}
-        """What other processes have stored for this run, by topic; counted with ours."""
+        """Messages that other processes have stored for this run, by topic; added to the own
+        numbers."""
         self._mutex, self._closed = threading.Lock(), False
         self._high = writer_id << COUNTER_BITS
         if run is not None:
@@ -151,7 +152,7 @@ class MessageWriter:
         )
 
     def _beat(self) -> None:
-        # A run in which nothing comes has no bucket that would tell of it.
+        # A run without messages has no bucket with a heartbeat.
         if self._run is not None:
             self._keyspace.registry.put_heartbeat(self.writer_id, self._run.node)
 
@@ -166,19 +167,21 @@ class MessageWriter:
         node: Optional[str] = None,
         like: Optional[TopicMetadata] = None,
     ) -> Handle:
-        """Make ready for the messages of a connection: its table, definition and header.
+        """Prepare for the messages of a connection: its table, definition and header.
 
-        A definition that is empty, broken or hostile, or does not agree with the md5sum, is
-        kept as it is and its messages as ``binary``; the handle's warning says so.
+        If its definition is empty, broken or hostile, or does not agree with the md5sum, it is
+        stored as
+        it is and the messages are stored as ``binary``; the handle's warning says so.
 
         Args:
             connection: Topic and header.
-            bucket_ns: Length of the time buckets where the table is made here, ns; None =
-                1 min for types with arrays, else 10 min.
-            span_ns: Most time that a block covers, ns, as bucket_ns; None = 10 s.
-            large: Messages over 512 KiB are to come: nothing is made for them amid the writing.
-            format, node: Other ones than the writer's.
-            like: Where the table is made here, what the topic's former one said.
+            bucket_ns: Length of the buckets if the table is made here, ns; None = 1 min for types
+                with
+                arrays, otherwise 10 min.
+            span_ns: Maximum time range of a block if the table is made here, ns; None = 10 s.
+            large: Whether messages over 512 KiB will come, so that their chunk table is made now.
+            format, node: Format and nodeID in place of the writer's.
+            like: Metadata of the topic's former table, for a table that is made here.
 
         Raises:
             SchemaConflict, StoreUnavailable: The table cannot be made.
@@ -191,7 +194,7 @@ class MessageWriter:
             stored = self._keyspace.tables.by_name(known.table.name)
             if stored is not None and stored.metadata.topic == connection.topic:
                 return known
-            # The topic was renamed or removed by another client.
+            # Another client has renamed or removed the topic.
             like = like or (known.table.metadata if stored is None else None)
         check_new_topic(connection.topic)
         asked = key[1] or (like.format if like is not None else None)
@@ -215,7 +218,7 @@ class MessageWriter:
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
 
     def _shared_table(self, connection: Connection, format_name: str) -> Optional[TopicTable]:
-        """Return the table of several types in which messages of this connection lie already."""
+        """Return the table for several types that already has messages of this connection."""
         if connection.md5sum != ANY_MD5:
             return None
         space = self._keyspace
@@ -228,7 +231,7 @@ class MessageWriter:
         return None
 
     def format_of(self, connection: Connection) -> str:
-        """Return the format in which the topic of a connection is stored, or would be unasked."""
+        """Return the format in which a connection's topic is stored, or would be by default."""
         return self._keyspace.format_for(connection.topic, connection.md5sum)
 
     def _other_ttl(self, stored: TopicMetadata) -> Optional[str]:
@@ -251,7 +254,7 @@ class MessageWriter:
             return handle
 
     def ready(self, handle: Handle) -> Handle:
-        """Return the handle with what its table needs to take messages."""
+        """Return the handle with everything that its table needs to take messages."""
         table = handle.table
         if table.packed:
             key_time = table.key_time if table.metadata.own_time else None
@@ -263,7 +266,10 @@ class MessageWriter:
         return handle
 
     def current(self, handle: Handle) -> Handle:
-        """Return the handle, or another one where its table was dropped: the topic goes on anew."""
+        """Return the handle.
+
+        If its table was dropped, one of the table in which the topic goes on.
+        """
         while handle.table.name in self._rows.gone:
             if self._given:
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
@@ -283,14 +289,14 @@ class MessageWriter:
                     node=node,
                     like=like,
                 )
-                if found.table.packed and not found.table.metadata.cut:  # another client made it
+                if found.table.packed and not found.table.metadata.cut:  # made by another client
                     change = self._keyspace.schema.change_topic
                     change(connection.topic, lambda metadata: metadata.with_(cut=True))
             _log.warning(
                 "the table of topic %s was removed or replaced by another client: what comes goes "
+                "the table of topic %s was removed or replaced by another client: new messages go "
                 "into %s",
                 handle.topic,
-                "its successor" if found.table.name != handle.table.name else "it anew",
             )
             handle = found
         return handle
@@ -298,15 +304,15 @@ class MessageWriter:
     def write(
         self, handle: Handle, t_ns: int, counter: int, wire: bytes, name: str = ""
     ) -> Optional[NewRow]:
-        """Take one serialised message; blocks while too much is on its way.
+        """Take one serialised message; blocks while too many bytes are on their way.
 
         Args:
-            t_ns: When it was received, ns, 0 to MAX_NS.
+            t_ns: Receive time, ns, 0 to MAX_NS.
             counter: Arrival order in this run (or position in the bag), 0 to 2**32 - 1.
-            name: Where the topic keeps messages under names: this one's; '' = the topic's.
+            name: Name of the message in a topic with names; '' = the topic's name.
 
         Returns:
-            Its row; None where it joins a block, or was refused and on_loss told.
+            Its row; None if it is in a block, or was refused and reported to on_loss.
 
         Raises:
             InvalidKey: Time or counter is out of range.
@@ -326,7 +332,7 @@ class MessageWriter:
                     if handle.table.name in self._rows.gone:
                         return self._put(self._current(handle), t_ns, seq, wire, name)
                     return self._put(handle, t_ns, seq, wire, name)
-                except TopicNotFound:  # another client removed it; it goes on in a new table
+                except TopicNotFound:  # another client removed it: it goes on in a new table
                     if not left:
                         raise
             raise AssertionError("the loop above returns or raises")
@@ -339,10 +345,10 @@ class MessageWriter:
             return None
 
     def write_run(self, handle: Handle, times: Longs, counters: Longs, wires: Wires) -> None:
-        """Take several messages in this order, as write does but quicker."""
+        """Take several messages in this order, like write but faster."""
         taken, low = 0, min(times.min(initial=0), counters.min(initial=0))
         known = low >= 0 and times.max(initial=0) <= MAX_NS
-        # Errors that are told instead of raised are of single messages.
+        # With on_loss, errors are reported for single messages, so these are written one by one.
         if len(wires) and known and counters.max() <= MAX_COUNTER and self._on_loss is None:
             seqs = self._high | counters
             if handle.blocks is not None:
@@ -354,7 +360,10 @@ class MessageWriter:
             self.write(handle, t_ns, counter, wire)
 
     def _put_rows(self, handle: Handle, times: Longs, seqs: Longs, wires: Wires) -> int:
-        """Hand on the rows of several messages; return of how many."""
+        """Write several messages as rows.
+
+        Return the number of messages written before the first one that needs another table.
+        """
         table, taken = handle.table, 0
         rows = table.make_rows(times.tolist(), seqs.tolist(), handle.conn, wires)
         again = partial(self._row_anew, handle)
@@ -372,7 +381,7 @@ class MessageWriter:
         self._write_anew(handle, row.t, row.seq, row.wire)
 
     def _current(self, handle: Handle) -> Handle:
-        """Return the handle as current does, waiting for a store that is away as for a row."""
+        """Return the current handle; wait for a silent store as long as for a row."""
         begun = time.monotonic()
         while True:
             try:
@@ -398,11 +407,11 @@ class MessageWriter:
 
     @property
     def pending_bytes(self) -> int:
-        """About how many bytes wait here to be stored."""
+        """Approximate number of bytes that wait here to be stored."""
         return self._rows.pending_bytes
 
     def stats(self) -> dict[str, WriteStats]:
-        """Return what became of the messages so far, by topic."""
+        """Return the numbers of stored and lost messages, by topic."""
         found: dict[str, WriteStats] = {}
         with self._mutex:
             parts = [
@@ -416,19 +425,19 @@ class MessageWriter:
         return found
 
     def hurry(self, seconds: float) -> None:
-        """Try what is on its way no longer than so many seconds from now, or from an answer on."""
+        """Limit the retries of waiting messages to ``seconds`` from now, or from an answer."""
         self._rows.patience.hurry(seconds)
 
     def flush(self) -> None:
-        """Return when every message is acknowledged or counted as lost; raises as close does."""
+        """Return when every message is acknowledged or counted as lost; raises like close."""
         self._rows.flush()
 
     def close(self, lost: Optional[Mapping[str, int]] = None) -> None:
         """Flush, close the buckets in the directory, note the end of the run. Twice is harmless.
 
         Args:
-            lost: Messages that were lost, by topic, where the caller counts more than this object
-                sees (a full buffer); kept with the run.
+            lost: Numbers of lost messages by topic, stored with the run, if the caller counts more
+                losses than this object sees (a full buffer).
 
         Raises:
             WriteFailed: Messages were given up (only without on_loss).
@@ -467,7 +476,7 @@ def make_writer(
     run: Optional[Run] = None,
     on_loss: Optional[LossCallback] = None,
 ) -> MessageWriter:
-    """Check the arguments of RosCassandra.messageWriter and make the writer; None: any id."""
+    """Check the arguments of RosCassandra.messageWriter and make the writer; None = random id."""
     if run is not None and not isinstance(run, Run):
         raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
     if run is not None:
@@ -492,7 +501,7 @@ def make_writer(
 def usable_definition(
     connection: Connection, format_name: str
 ) -> tuple[Optional[Definition], Optional[str]]:
-    """Return the definition of a connection that a format can work with, or why there is none."""
+    """Return a definition that the format can use, or None and the reason why there is none."""
     try:
         definition = _definition(connection)
         fmt = format_class(format_name)(connection.type, connection.md5sum, definition)
@@ -508,7 +517,7 @@ def usable_definition(
 def _definition(connection: Connection) -> Definition:
     text, md5sum = connection.definition_text, connection.md5sum
     if not text.strip():
-        # Some publishers leave the definition out; an installed type of the md5 is as good.
+        # Some publishers leave the definition out: use an installed type with this md5.
         with suppress(DefinitionError):
             installed = installed_definition(connection.type)
             if installed.md5sum == md5sum:

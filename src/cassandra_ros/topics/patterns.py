@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Names of topics by regular expressions, which match whole names, as rosbag's do."""
+"""Selection of topics by regular expressions, which match whole names, as in rosbag."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cassandra_ros.errors import InvalidOption, TopicNotFound
 
 
 def compiled(option: str, text: str) -> re.Pattern[str]:
-    """Compile a regular expression of an option, or raise InvalidOption."""
+    """Compile the regular expression of an option; raises InvalidOption if it is not valid."""
     try:
         return re.compile(text, re.DOTALL)
     except (re.error, OverflowError, RecursionError, TypeError) as exc:
@@ -21,14 +21,14 @@ def compiled(option: str, text: str) -> re.Pattern[str]:
 def matching(
     option: str, expressions: Iterable[str], names: AbstractSet[str], where: str
 ) -> Set[str]:
-    """Return the names that one of the expressions matches whole.
+    """Return the names that one of the expressions matches in full.
 
     Args:
-        option: What error texts call an expression.
-        where: What holds the names, for error texts: 'keyspace ros'.
+        option: Name of the option, for error texts.
+        where: The place that holds the names, for error texts: 'keyspace ros'.
 
     Raises:
-        InvalidOption: An expression is none.
+        InvalidOption: An expression is not valid.
         TopicNotFound: An expression matches no name.
     """
     found: Set[str] = set()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The recordings and imports of a keyspace: found by name, what they lost, how they began."""
+"""The runs of a keyspace: found by name or writer id, with their losses and contexts."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from cassandra_ros.tables.registry import Loss, Registry, Run
 from cassandra_ros.topics.key_selection import TimeRange, Whose, spellings
 
 Writers = Optional[FrozenSet[int]]
-"""Writer ids whose messages are meant; None = all."""
+"""Writer ids whose messages are read; None = all."""
 RunName = Union[None, str, int, FrozenSet[int]]
-"""A run's name, or its writer id as a number or text; writer ids that were found already; None =
-all runs."""
+"""A run's name, its writer id as a number or text, or a set of writer ids; None = all runs."""
 FRESH_SEC = 5.0
-"""So long it is not looked again what a writer's run is called."""
+"""How long the cached name of a writer's run is used, s."""
 
 
 class Runs:
     """Finds the runs of one keyspace. Thread-safe.
 
     Args:
-        keyspace: Its name.
-        has_written: Says whether messages of a writer id are stored: clients without a run have
-            one, too.
+        keyspace: Name of the keyspace.
+        has_written: Returns whether messages of a writer id are stored; clients without a run have
+            a writer id too.
     """
 
     def __init__(
@@ -42,15 +41,15 @@ class Runs:
         self._registry = registry
         self._has_written = has_written
         self._texts: Dict[int, Tuple[str, float]] = {}
-        """By writer, and until when it holds."""
+        """Writer id → text of its run, and monotonic time until which it is valid, s."""
         self._mutex = threading.Lock()
 
     def find(self, run: Union[str, int]) -> list[Run]:
-        """Find the runs of a name, or those of a writer id; the newest first.
+        """Return the runs with a name, or with a writer id; the newest first.
 
         Raises:
-            RunNotFound: There is none; the text gives the nearest names.
-            InvalidName: It is no text, and no writer id.
+            RunNotFound: There is no such run; the text has similar names.
+            InvalidName: ``run`` is neither a text nor a writer id.
         """
         found = self._known(check_run(run))
         if not found:
@@ -63,7 +62,7 @@ class Runs:
         return found or [each for each in every if str(each.writer) == str(run)]
 
     def writers(self, run: RunName) -> Writers:
-        """Return the writer ids of a run, or of all of its name; raises as find does."""
+        """Return the writer ids of a run, or of all runs with its name; raises like find."""
         if run is None or isinstance(run, frozenset):
             return run
         found = frozenset(each.writer for each in self._known(check_run(run)))
@@ -75,25 +74,25 @@ class Runs:
         return found
 
     def called(self, text: str) -> FrozenSet[int]:
-        """Return the writer ids of which ``text`` says so."""
+        """Return the writer ids for which ``self.text`` returns ``text``."""
         with self._mutex:
-            every = self._learn()  # what is then said of single rows agrees with this
+            every = self._learn()  # later calls of text() for single rows agree with this
         found = {writer for writer, known in every.items() if known == text}
         writer = _writer(text)
         return frozenset(found if writer is None or writer in every else found | {writer})
 
     def text(self, writer: int) -> str:
-        """Return the name of a writer's run, or its id where it has no run or that no name."""
+        """Return the name of a writer's run; its id if it has no run or the run has no name."""
         with self._mutex:
             text, until = self._texts.get(writer, ("", 0.0))
             if time.monotonic() > until:
                 text = self._learn().get(writer, str(writer))
-                # A run is noted before its first message: this is none, or of a single client.
+                # A run is stored before its first message: this one has no run, or is new.
                 self._texts[writer] = text, time.monotonic() + FRESH_SEC
             return text
 
     def _learn(self) -> Dict[int, str]:
-        """Read what the writers' runs are called; one that is imported again may change it."""
+        """Read the names of the writers' runs; a repeated import may change them."""
         found = {each.writer: each.name or str(each.writer) for each in self._registry.runs()}
         until = time.monotonic() + FRESH_SEC
         self._texts.update((writer, (text, until)) for writer, text in found.items())
@@ -107,13 +106,13 @@ class Runs:
         return f"there is no run {run!r:.80} in keyspace {self._name}; {hint}"
 
     def nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
-        """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
+        """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
         found = [run for run in self._registry.runs() if run.writer in writers]
         known = {run.writer for run in found} == writers
         return frozenset(run.node for run in found) if known and writers else None
 
     def context(self, run: RunName) -> Optional[RunContext]:
-        """Return what stood around a run at its start; None where that was not kept."""
+        """Return parameters and node graph at the start of a run; None if they were not stored."""
         for each in self.find("" if run is None or isinstance(run, frozenset) else run):
             found = self._registry.get_context(each.writer, each.node)
             if found is not None:
@@ -123,7 +122,7 @@ class Runs:
     def losses(
         self, topics: Optional[Sequence[str]], time_range: TimeRange, whose: Whose
     ) -> list[Loss]:
-        """List losses that touch a time range; of topics None = of all."""
+        """Return the losses that meet a time range; topics None = all."""
         if topics is not None:
             topics = [name for topic in topics for name in spellings(topic)]
         return [
@@ -140,6 +139,6 @@ def _began(run: Run) -> datetime:
 
 
 def _writer(text: str) -> Optional[int]:
-    """Return the writer id that a text is, as ``text`` of a run writes it; None: it is none."""
+    """Return the writer id that a text is, written without leading zeros; None if it is not one."""
     digits = text.isascii() and text.isdigit() and len(text) < 20
     return int(text) if digits and str(int(text)) == text and 0 < int(text) <= MAX_WRITER else None

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Runs as they are now: also of one that was killed it is told what it stored."""
+"""The list of runs with their present state and counts, also for runs that were killed."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 @dataclass
 class _Held:
-    """What lies in the tables of one writer."""
+    """Messages that are stored of one writer."""
 
     stored: Counts[str] = field(default_factory=Counter)
     age_sec: float = math.inf
-    """Since it last told of a bucket."""
+    """Time since its last heartbeat of a bucket, s."""
 
 
 def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
-    """List the runs with their state; of those that did not end messages are counted in tables.
+    """Return the runs with their state; for those that have not ended messages are counted.
 
-    One of which nothing was heard for STALE_SEC is interrupted.
+    A run without a sign of life for STALE_SEC is interrupted.
     """
     runs, signs = space.registry.runs(), space.registry.signs()
     left = frozenset(run.writer for run in runs if not _has_ended(run))
@@ -60,14 +60,14 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
 
 
 def _has_ended(run: Run) -> bool:
-    # An import that is made again notes its new beginning beside its old end.
+    # An import that is repeated has its new start beside its old end.
     return run.ended is not None and (run.started is None or run.started <= run.ended)
 
 
 def _held(
     directory: Directory, tables: Sequence[TopicTable], writers: FrozenSet[int]
 ) -> Dict[int, _Held]:
-    """Count what lies there of some writers, by the directory where that can be."""
+    """Count the stored messages of some writers, by the directory where possible."""
     found: Dict[int, _Held] = {}
     whose = Whose(None, writers)
     for table in tables:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Connection headers: from the store and into it, each kept once."""
+"""Connection headers in the store: each is written and read once."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ MAX_KNOWN = 1024
 
 
 class ConnectionCache:
-    """Stores and reads connection headers once each. Thread-safe."""
+    """Writes and reads connection headers, each once. Thread-safe."""
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
         self.put: Callable[[str, Connection], int] = lru_cache(MAX_KNOWN)(self._store)
-        """Store a connection of a table, by its name, before its first row; return its number."""
+        """Write a connection of a table (by name) before its first row; return its number."""
         self.get: Callable[[str, int], Connection] = lru_cache(MAX_KNOWN)(self._read)
-        """Read a connection of a table by its number, or raise CorruptMessage."""
+        """Return a connection of a table by its number; raises CorruptMessage if it is missing."""
 
     def _store(self, table: str, connection: Connection) -> int:
         topic, number, md5sum = connection.topic, connection.number, connection.md5sum
@@ -34,7 +34,7 @@ class ConnectionCache:
         return conn
 
     def has(self, table: str, connection: Connection) -> bool:
-        """Say whether a connection of a table, by its name, is stored."""
+        """Return whether a connection of a table (by name) is stored."""
         return self._registry.get_header(table, _conn(connection)) is not None
 
     def _read(self, table: str, conn: int) -> Connection:
@@ -47,13 +47,13 @@ class ConnectionCache:
         return _joined(row)
 
     def of_tables(self, tables: Container[str]) -> Iterator[tuple[str, int, Connection]]:
-        """Walk through the connections of some tables, by their names: (table, number, it)."""
+        """Yield the connections of some tables by name: (table, number, connection)."""
         for table, conn, row in self._registry.headers(tables):
             yield table, conn, _joined(row)
 
 
 def _conn(connection: Connection) -> int:
-    # Identical headers under two numbers of a bag stay two connections.
+    # Equal headers under two numbers in a bag stay two connections.
     text = f"{connection.topic}\0{connection.number}\0".encode("utf-8", "surrogateescape")
     digest = hashlib.md5(text + connection.header).digest()
     return int.from_bytes(digest[:8], "big", signed=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A stored message as the library hands it on: bytes first, an object when asked for."""
+"""A stored message: its bytes and what is known of it; an object when it is accessed."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from cassandra_ros.tables.row_table import BlockKey, Sent, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Place = Tuple[int, str, int, str]
-"""Key time, node, seq and name."""
+"""Key time (ns), node, seq and name of a message."""
 Key = Union[Stamp, RowName]
-"""What finds one stored message again: a time, or the name under which it is kept."""
+"""Key by which one stored message is found again: its time, or its name."""
 
 
 class StoredRow:
     """One message of one topic. Unpacks like rosbag's: ``topic, msg, t = row``; t is the key time.
 
     Attributes:
-        t, received: Key time, and when the message was received, ns since 1970.
-        node: nodeID, '' when nobody said.
+        t, received: Key time and receive time, ns since 1970.
+        node: nodeID; '' = not given.
         seq: Writer id << 32 | counter.
-        table, conn: The TopicTable in which it lies, and the number of its connection in that.
-        size, chunked: Serialised bytes, and whether they lie in the chunk table.
+        table, conn: The TopicTable of the message, and the number of its connection in the table.
+        size, chunked: Number of serialised bytes, and whether they are in the chunk table.
         odd: Whether some field is not held exactly in its column.
-        columns: The format's columns, undecoded: all of them, or those that were asked for.
-        name: The name under which it is kept; '' where it is found by time.
+        columns: The format's columns, undecoded: all, or those that were requested.
+        name: Name of the message; '' in topics with a time key.
     """
 
     __slots__ = (
@@ -53,7 +53,7 @@ class StoredRow:
         self.chunked = chunks > 0
         self.table = table
         self._row = row
-        # What comes out of a block was checked with it, and what has no columns was made of them.
+        # Messages of blocks were checked with their block; without columns the row has the wire.
         self._wire: Optional[bytes] = row.raw
         if self.columns:
             self._wire = self.columns[0] if block else None
@@ -76,37 +76,37 @@ class StoredRow:
 
     @property
     def topic(self) -> str:
-        """The topic under which it is stored."""
+        """Name of the topic in which the message is stored."""
         return self.table.metadata.topic
 
     @property
     def run(self) -> str:
-        """Name of the run that stored it, or its writer id where that has none."""
+        """Name of the run that stored the message, or its writer id if the run has no name."""
         return self.table.runs.text(writer_of(self.seq))
 
     @property
     def position(self) -> Position:
-        """Its place in the order of all reads."""
+        """Position of the row in the order of all reads."""
         return self._row.position
 
     @property
     def block(self) -> Tuple[Optional[BlockKey], int]:
-        """The block in which it lies, None where it has a row of its own, and its place there."""
+        """Block of the message (None = it has its own row), and its position in the block."""
         return self._row[13:15]
 
     @property
     def place(self) -> Place:
-        """What it is known by whatever table it lies in: one that is converted lies in another."""
+        """Identity of the message in all tables: a conversion moves it to another table."""
         return (self.t, self.node, self.seq, self.name)
 
     @property
     def arrival(self) -> tuple[int, str, int, str]:
-        """Its place in the order of reads by the time of reception."""
+        """Position of the row in the order of reads by receive time."""
         return (self.received, self.node, self.seq, self.table.name)
 
     @property
     def key(self) -> Key:
-        """The row key: exact time or name, and where the row lies."""
+        """Row key: exact time or name, with the place of the row."""
         if self.name:
             return RowName.of(self.position)
         return Stamp.from_ns(self.t, self.node, self.seq, self.table.name)
@@ -123,8 +123,8 @@ class StoredRow:
         return self._wire
 
     def ask(self) -> None:
-        """Ask for the chunks of a large message, which ``wire`` waits for then."""
-        with suppress(CassandraRosError):  # it is told to whoever reads it
+        """Request the chunks of a large message, for which ``wire`` then waits."""
+        with suppress(CassandraRosError):  # ``wire`` raises the error
             self._sent = ask_chunks(self.table, self._row)
 
     @property
@@ -133,7 +133,7 @@ class StoredRow:
         return self._wire is not None
 
     def _moved_wire(self) -> bytes:
-        """Read the message in the table that replaced its own; in an except clause."""
+        """Read the message from the table that replaced its own; called in an except clause."""
         heir = self.table.heir(True)
         if heir is None:
             raise
@@ -145,7 +145,7 @@ class StoredRow:
         return read_wire(heir, row)
 
     def keep_wire(self) -> bytes:
-        """Return the serialised message, and let go of the columns that it was made of."""
+        """Return the serialised message, and release the columns from which it was made."""
         wire = self.wire
         self.columns = ()
         self._row = self._row._replace(columns=(), raw=None)
@@ -153,7 +153,7 @@ class StoredRow:
 
     @property
     def connection(self) -> Connection:
-        """The connection over which it came."""
+        """The connection over which the message came."""
         return self.table.connection(self.conn)
 
     @property
@@ -180,11 +180,11 @@ class StoredRow:
 
 
 def read_wire(table: TopicTable, row: TableRow, sent: Optional[Sent] = None) -> bytes:
-    """Return the serialised message of a row, whose chunks may have been asked for already.
+    """Return the serialised message of a row; ``sent``: its chunks if they were requested before.
 
     Raises:
-        CorruptMessage: Its chunks are incomplete, or its columns give another message.
-        MessageNotFound: It was removed since some of its columns were read.
+        CorruptMessage: Its chunks are incomplete, or its columns make a message of another size.
+        MessageNotFound: It was deleted since some of its columns were read.
     """
     topic = table.metadata.topic
     if row.nchunks:
@@ -200,6 +200,6 @@ def read_wire(table: TopicTable, row: TableRow, sent: Optional[Sent] = None) -> 
     if len(wire) != row.size:
         raise CorruptMessage(
             f"the message of topic {topic} at {row.t} has {len(wire)} bytes instead of "
-            f"{row.size}: its columns were changed by somebody else"
+            f"{row.size}: its columns were changed by another program"
         )
     return wire
