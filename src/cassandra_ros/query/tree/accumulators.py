@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values made of many: count, min, max, sum, avg, of all rows or of one array. None is kept.
+"""Aggregates of many values: count, min, max, sum, avg, of all rows or of one array.
 
-Without any value count is 0 and the others None. min and max leave NaN out, and keep the first of
-equals; sum and avg are NaN when one value is, or when +inf and −inf meet. Sums of integers are
-exact integers; those of floats, and every average, are exact until they are rounded once to a float
-(a sum beyond all floats is infinite). A bool counts as 0 or 1 in them.
+The values are not kept. Without any value count is 0 and the others are None. min and max ignore
+NaN, and keep the first of equal values. sum and avg are NaN if a value is, or if +inf and −inf
+meet. Sums of integers are exact integers. Sums of floats, and all averages, are exact until they
+are rounded once to a float (a sum beyond all floats is infinite). A bool counts as 0 or 1 in them.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from typing import Any, Callable, Dict, Union
 
 
 class Count:
-    """How many values there are."""
+    """The number of values."""
 
     _count = 0
 
     def add(self, value: Any) -> None:
-        """Take a value in."""
+        """Add a value."""
         self._count += 1
 
     def value(self) -> object:
-        """Return what the values so far make."""
+        """Return the result for the values so far."""
         return self._count
 
 
 class _Extreme(Count):
-    """The least or the greatest value."""
+    """The minimum or maximum."""
 
     def __init__(self, better: Callable[[Any, Any], bool]) -> None:
         self._better = better
         self._best: Any = None
 
     def add(self, value: Any) -> None:
-        # A NaN is not equal to itself.
+        # NaN is not equal to itself.
         if value == value and (self._best is None or self._better(value, self._best)):
             self._best = value
 
@@ -48,13 +48,13 @@ class _Extreme(Count):
 
 
 class _Sum(Count):
-    """An exact sum; of integers alone an integer."""
+    """An exact sum or average; the sum of integers is an integer."""
 
     def __init__(self, mean: bool = False) -> None:
         self._mean = self._floats = mean
-        # A fraction for each row would cost thirty times as much as the row's integers.
+        # One fraction per row would take thirty times as long as integers.
         self._numerators: Dict[int, int] = defaultdict(int)
-        """By their denominators."""
+        """Sum of the numerators, by denominator."""
         self._odd = 0.0
         """Sum of infinities and NaNs."""
 
@@ -92,7 +92,7 @@ TOTALS: dict[str, Callable[[], Count]] = {
 
 
 def total_of(function: str, values: Any) -> object:
-    """Return what one of TOTALS makes of some values, of which none is missing."""
+    """Return the aggregate of some values, none missing, by one of the functions of TOTALS."""
     total = TOTALS[function]()
     for value in values:
         total.add(value)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values for the parameters of a statement, and what can be computed of values alone."""
+"""Binding of parameter values to a statement, and computation of constant expressions."""
 
 from __future__ import annotations
 
@@ -45,12 +45,14 @@ from cassandra_ros.query.tree.syntax import (
 
 
 class Binding:
-    """Puts the values of parameters where their placeholders stand.
+    """Replaces the placeholders of a statement by parameter values.
 
-    Of ``now()`` there is one value in a statement: the time of this machine when it is bound.
+    All ``now()`` of a statement have the same value: this machine's time when it is bound.
 
     Args:
-        terms: All in which there may be placeholders.
+        text: The statement.
+        params: Values of the parameters.
+        terms: All terms that may contain placeholders.
 
     Raises:
         InvalidQuery: The parameters do not fit.
@@ -63,9 +65,9 @@ class Binding:
         terms: Iterable[Term],
     ) -> None:
         given = [term for term in terms if isinstance(term, (Literal, Call))]
-        # Most statements stay as they are.
+        # Most statements have no parameters and stay unchanged.
         self._fixed = all(isinstance(term, Literal) and term.bound for term in given)
-        found = sorted(set(_placeholders(given)))  # of BETWEEN one operand stands twice
+        found = sorted(set(_placeholders(given)))  # BETWEEN repeats its operand in the tree
         _check_params(text, found, params)
         if len(found) != len(params):
             at = found[len(params)] if len(params) < len(found) else len(text)
@@ -76,7 +78,7 @@ class Binding:
         self._now = TimeNs(0 if self._fixed else time.time_ns())
 
     def select(self, select: Select) -> Select:
-        """Bind a SELECT but for its LIMIT."""
+        """Bind a SELECT except for its LIMIT."""
         if self._fixed:
             return select
         columns, condition = select.columns, select.condition
@@ -89,7 +91,7 @@ class Binding:
         )
 
     def expression(self, item: Expression) -> Expression:
-        """Bind a condition; StatementError: something in it cannot be computed."""
+        """Bind a condition; StatementError: an expression in it cannot be computed."""
         if self._fixed:
             return item
         if isinstance(item, LEAVES):
@@ -146,13 +148,13 @@ class Binding:
 
 
 def terms_of_condition(condition: Optional[Expression]) -> Iterator[Term]:
-    """Yield what stands in the comparisons of a condition."""
+    """Yield the terms in the comparisons of a condition."""
     for leaf in leaves(condition):
         yield from terms_of(leaf)
 
 
 def terms_of_statement(statement: Union[Select, Change]) -> Iterator[Term]:
-    """Yield all in a statement in which parameters may stand, but for its LIMIT."""
+    """Yield all terms of a statement that may contain parameters, except for its LIMIT."""
     if isinstance(statement, (Select, Delete)):
         yield from terms_of_condition(statement.condition)
     if isinstance(statement, Select):

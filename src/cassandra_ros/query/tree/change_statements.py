@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Statements that change the store, as trees; what they are made of stands in syntax.py."""
+"""Syntax trees of statements that change the store; their parts are in syntax.py."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Truncate:
 
 @dataclass(frozen=True)
 class IndexName:
-    """The name of an index: in lower case, unless it was quoted."""
+    """Name of an index; in lower case unless it was quoted."""
 
     text: str
     position: int
@@ -39,7 +39,7 @@ class IndexName:
 
 @dataclass(frozen=True)
 class Indexed:
-    """``topic (field)``: what an index is on."""
+    """``topic (field)``: the indexed field."""
 
     topic: str
     topic_position: int
@@ -54,7 +54,7 @@ class CreateIndex:
     on: Indexed
     name: Optional[IndexName]
     unless_exists: bool
-    """IF NOT EXISTS."""
+    """Whether the statement has IF NOT EXISTS."""
 
 
 @dataclass(frozen=True)
@@ -67,4 +67,4 @@ class DropIndex:
 
 
 Change = Union[Delete, Truncate, CreateIndex, DropIndex]
-"""What changes the store."""
+"""Any statement that changes the store."""

@@ -1,19 +1,20 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values that a statement computes: arithmetic, functions, and what is made of one array.
+"""Computed values in statements: arithmetic, functions, and aggregates of one array.
 
-What is missing makes the result missing. Integers (a bool is 0 or 1) are exact, and a product of
-more than MAX_BITS is missing; beside a float, and by ``/`` and ``sqrt``, numbers are float64 as in
-IEEE 754: x / 0 is infinite, 0 / 0 and the square root of what is negative are NaN, and what is too
-large is infinite.
+If an operand is missing, the result is missing. Integers (a bool is 0 or 1) are exact; a product
+with more than MAX_BITS is missing. Together with a float, and by ``/`` and ``sqrt``, numbers become
+float64 as in IEEE 754: x / 0 is infinite, 0 / 0 and the square root of a negative number are NaN,
+and numbers that are too large are infinite.
 
-Times and durations are integer nanoseconds. A duration is the difference of two times, or times a
-number, which is rounded to a nanosecond, half to even, and missing where there is none (1s / 0). It
-is missing, too, from 10^29 ns on, where literals are not told apart (3 million million years). A
-plain number is neither: 5s is a duration, and ``field * 1s`` makes one of a number of seconds.
+Times and durations are integer nanoseconds. A duration is the difference of two times, or a
+duration times a number, rounded to a nanosecond, half to even. An undefined duration (1s / 0) is
+missing, and so is one of 10^29 ns or more, where literals are not distinguished (3 million million
+years). A plain number is not a duration: 5s is one, and ``field * 1s`` converts a number of
+seconds.
 
-Of an array, min, max, sum and avg are what they are of all rows (see ``totals``): of one without
-elements they are missing, and len is 0.
+min, max, sum and avg of an array are as those of rows (see ``accumulators``): without elements they
+are missing, and len is 0.
 """
 
 from __future__ import annotations
@@ -40,16 +41,16 @@ from cassandra_ros.query.tree.syntax import (
 )
 
 Get = Callable[[Any], Any]
-"""From the values of a row to one; None = missing."""
+"""Function from the values of a row to one value; None = missing."""
 INTEGER = "sum"
 """Kind of an integer of any size."""
 MAX_BITS = 8192
-"""Of the integers that are computed with: Python refuses to write over 4300 digits as text."""
+"""Maximum size of a computed integer, bits. Python refuses to print more than 4300 digits."""
 NO_NUMBERS = ("string", "time", "duration")
 
 
 class Computed(NamedTuple):
-    """What is computed in the rows of one table."""
+    """A computed term for the rows of one table."""
 
     kind: str
     """ROS type, or INTEGER."""
@@ -57,35 +58,35 @@ class Computed(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Where an operand stands in the rows of one table."""
+    """The place of an operand in the rows of one table."""
 
     kind: str
-    """ROS type; of an array that of its elements."""
+    """ROS type; for an array the type of its elements."""
     place: int
     array: bool = False
 
 
 Find = Callable[[Operand, Optional[bool]], Optional[Found]]
-"""Finds an operand that is an array (True), is none, or either (None); None: the table lacks it.
-StatementError: It is of another kind."""
+"""Function that finds an operand; the flag says whether it must be an array (None = either). It
+returns None if the table lacks the operand. StatementError: the operand is of another kind."""
 
 
 def kind_name(kind: str) -> str:
-    """Return what people call a kind."""
+    """Return the name of a kind for error texts."""
     named = {INTEGER: "an integer", "int64": "an int64"}
     return named.get(kind, f"{'an' if kind[0] in 'aeiu' and kind[:2] != 'ui' else 'a'} {kind}")
 
 
 def family(kind: str) -> str:
-    """Return a kind as far as it matters to what it can be compared or computed with."""
+    """Return the group of kinds that can be compared and computed with each other."""
     return kind if kind in NO_NUMBERS else "number"
 
 
 def compile_term(term: Term, find: Find) -> Optional[Computed]:
-    """Make what gives the value of a term; None where the table lacks a field of it.
+    """Compile a term to a function; None if the table lacks one of its fields.
 
     Raises:
-        StatementError: Nothing can be computed so of values of these kinds.
+        StatementError: The operation does not exist for operands of these kinds.
     """
     if isinstance(term, Literal):
         return _constant(term)
@@ -106,7 +107,7 @@ def compile_term(term: Term, find: Find) -> Optional[Computed]:
     if made is None:
         raise StatementError(term.position, _reason(term, known))
     kind, compute = made
-    if not kind:  # of numbers
+    if not kind:  # the operands are numbers
         kinds = [part.kind for part in known]
         kind = "float64" if any(k.startswith("float") for k in kinds) else INTEGER
     gets = [part.get for part in known]
@@ -114,7 +115,7 @@ def compile_term(term: Term, find: Find) -> Optional[Computed]:
 
 
 def _compile_all(terms: Sequence[Term], find: Find) -> list[Optional[Computed]]:
-    """Compile terms, and find the fields of all of them before the first error is raised."""
+    """Compile terms; all fields are looked up before the first error is raised."""
     parts: list[Optional[Computed]] = []
     problems: list[StatementError] = []
     for term in terms:
@@ -128,7 +129,7 @@ def _compile_all(terms: Sequence[Term], find: Find) -> list[Optional[Computed]]:
 
 
 def fold(call: Call) -> Union[Literal, Call]:
-    """Compute what is made of values alone; StatementError: there is nothing."""
+    """Compute a call of constants only; StatementError: it has no value."""
     made = compile_term(call, lambda operand, array: None)
     value = None if made is None else made.get(())
     if made is None or value is None:
@@ -161,7 +162,7 @@ def _constant(literal: Literal) -> Computed:
 
 
 def _as_times(call: Call, parts: list[Computed]) -> list[Computed]:
-    """Read a quoted time beside a time or a duration as such."""
+    """Convert quoted times to times if they are added to or subtracted from times or durations."""
     if call.function not in ("+", "-") or not {p.kind for p in parts} & {"time", "duration"}:
         return parts
     return [
@@ -208,7 +209,7 @@ def _binary(compute: Callable[[Any, Any], Any], left: Get, right: Get) -> Get:
 
 
 def _number(compute: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
-    """Compute with numbers, also where an integer beside a float is beyond all floats."""
+    """Return ``compute`` for numbers; an integer beyond all floats becomes infinite."""
 
     def value(x: Any, y: Any) -> Any:
         try:
@@ -298,8 +299,8 @@ _RULES: dict[tuple[str, ...], tuple[str, Callable[..., Any]]] = {
     ("sqrt", "number"): ("float64", _root),
     ("time", "time", "duration"): ("time", lambda t, length: t - t % length),
 }
-"""By function and what it is given: kind of the result ('' = float64 beside a float, else INTEGER)
-and what computes it."""
+"""Result kind and function, by operator and operand kinds. Kind '' = float64 if an operand is a
+float, else INTEGER."""
 _OF_ARRAYS = ("len", "min", "max", "sum", "avg")
 
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The fields that a statement names, found in a message definition.
+"""Lookup of the fields that a statement names in a message definition.
 
-A topic may have several definitions. A field that one of them lacks is missing there, and only a
-field that all of them lack is an error; so problems are collected over all tables.
+A topic may have several definitions. A field that one of them lacks is missing in its messages;
+only a field that all of them lack is an error. Therefore errors are collected over all tables.
 """
 
 from __future__ import annotations
@@ -25,61 +25,61 @@ from cassandra_ros.query.tree.syntax import (
 )
 
 _TIME_PARTS = {"time": "uint32", "duration": "int32"}
-"""Type of secs and nsecs."""
+"""Type of secs and nsecs, by type of the field."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One field on the way to a value."""
+    """One field on the path to a value."""
 
     name: str
     many: bool = False
-    """An array of messages."""
+    """Whether the field is an array of messages."""
     index: Optional[int] = None
-    """The one element of the array that was asked for."""
+    """Index of the selected element of the array; None = no index."""
 
 
 Array = Tuple[Step, ...]
-"""The way to an array of messages."""
+"""The path to an array of messages."""
 
 
 @dataclass(frozen=True)
 class FieldRef:
-    """A field of primitive type, or an array of one."""
+    """A field of primitive type, or an array of a primitive type."""
 
     steps: tuple[Step, ...]
-    """From the message itself to the field."""
+    """Path from the message to the field."""
     type: str
     """Primitive type, aliases resolved."""
     is_array: bool = False
-    """A primitive array as a whole."""
+    """Whether it is a whole primitive array."""
     index: Optional[int] = None
-    """The element of a primitive array that was asked for."""
+    """Index of the selected element of a primitive array; None = no index."""
     part: str = ""
-    """'secs' or 'nsecs' of a time or duration."""
+    """'secs' or 'nsecs' of a time or duration; '' = the whole field."""
 
     @cached_property
     def column(self) -> str:
-        """The dotted name without any index: the column of the format ``ros``."""
+        """Dotted name without indexes: the column of format ``ros``."""
         return ".".join(step.name for step in self.steps)
 
     @cached_property
     def name(self) -> str:
-        """The dotted name as a column of a result."""
+        """Dotted name with indexes, as a column of a result."""
         names = [(step.name, step.index) for step in self.steps]
         names[-1] = (names[-1][0], self.index)
         return path_text(names) + (f".{self.part}" if self.part else "")
 
     @property
     def arrays(self) -> tuple[Array, ...]:
-        """The arrays of messages without an index on the way, outermost first."""
+        """Paths of the arrays of messages without an index on the path, outermost first."""
         steps = self.steps
         whole = (n for n, step in enumerate(steps, 1) if step.many and step.index is None)
         return tuple(steps[:n] for n in whole)
 
 
 class Findings:
-    """What was found wrong in some table, and what was found fine in another, by its position."""
+    """Errors in some tables, and positions that are valid in another table."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -87,7 +87,7 @@ class Findings:
         self.fine: set[int] = set()
 
     def check(self) -> None:
-        """Raise InvalidQuery for the first thing that makes sense in no table."""
+        """Raise InvalidQuery for the first position that is an error in all tables."""
         for position, problem in sorted(self.wrong.items()):
             if position not in self.fine:
                 raise InvalidQuery(self._text, problem.position, problem.reason)
@@ -95,12 +95,15 @@ class Findings:
 
 @lru_cache(maxsize=256)
 def all_fields(definition: Definition) -> tuple[FieldRef, ...]:
-    """List every field of primitive type in the order of the wire."""
+    """Return every field of primitive type in wire order."""
     return tuple(_leaves(definition, definition.type, ()))
 
 
 def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
-    """Find what a path names: one field, or all of a message; StatementError: there is none."""
+    """Return the fields that a path names: one, or all of a message.
+
+    StatementError: no such field.
+    """
     steps: tuple[Step, ...] = ()
     msg_type = definition.type
     for number, part in enumerate(path.parts):
@@ -114,9 +117,9 @@ def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
 
 
 def field_of(path: Path, definition: Definition, array: Optional[bool] = False) -> FieldRef:
-    """Find the one field that a path names, for a condition; StatementError: there is none.
+    """Return the single field that a path names, for a condition; StatementError: no such field.
 
-    ``array`` says whether it is to be an array as a whole; None = either.
+    ``array``: whether it must be a whole array; None = either.
     """
     found = fields_of(path, definition)
     if len(found) != 1 or len(found[0].steps) > len(path.parts):
@@ -133,9 +136,9 @@ def field_of(path: Path, definition: Definition, array: Optional[bool] = False) 
 
 
 def counted_field(path: Path, definition: Definition) -> FieldRef:
-    """Find a field with as many values as a path, an array or text, is long.
+    """Return a field with one value for each element of the array or text that a path names.
 
-    Of an array of messages the first field in them. StatementError: there is none.
+    For an array of messages it is their first field. StatementError: it is neither.
     """
     found = fields_of(path, definition)
     if found and len(found[0].steps) > len(path.parts):
@@ -149,7 +152,7 @@ def counted_field(path: Path, definition: Definition) -> FieldRef:
 
 
 def nearest(name: str, known: Sequence[str]) -> str:
-    """Return ' (did you mean …?)' with the names most like one, or '' where none is."""
+    """Return ' (did you mean …?)' with the most similar names, or '' without similar names."""
     lowered = {other.lower(): other for other in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=3, cutoff=0.6)
     longer = [other for other in lowered if len(name) > 1 and other.startswith(name.lower())]

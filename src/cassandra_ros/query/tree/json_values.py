@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values of a result as JSON text, and parameters out of it: what services carry."""
+"""Conversion of result values to JSON text, and of JSON text to parameters, for services."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from cassandra_ros.query.tree.syntax import DecimalText
 
 
 def to_json(value: object) -> str:
-    """Write one value of a result.
+    """Return one value of a result as JSON text.
 
     Times and durations are integer nanoseconds, uint8[] base64 text as in rosbridge, missing
-    values null; NaN, Infinity and -Infinity stand as bare words.
+    values null. NaN, Infinity and -Infinity are written as bare words.
     """
     return json.dumps(value, default=_simple)
 
 
 def json_value(value: object) -> object:
-    """Return a value of a result as other programs can read it in JSON.
+    """Return a value of a result as an object for strict JSON.
 
-    As to_json; but NaN, Infinity and -Infinity, which JSON lacks, are None, as in rosbridge.
+    Like to_json, but NaN, Infinity and -Infinity, which strict JSON lacks, are None as in
+    rosbridge.
     """
     if isinstance(value, list):
         return [json_value(element) for element in value]
@@ -35,10 +36,14 @@ def json_value(value: object) -> object:
 
 
 def from_json(text: str, name: str = "the value") -> Any:
-    """Read a parameter from JSON: a number with all its digits, "text", true, false, or a list.
+    """Return a parameter from JSON: an exact number, "text", true, false, or a list.
+
+    Args:
+        text: The JSON text.
+        name: Name of the parameter in error texts.
 
     Raises:
-        InvalidExpression: The text, of what error texts call ``name``, is none of them.
+        InvalidExpression: The text is not such a value.
     """
     try:
         value = json.loads(text, parse_float=DecimalText, parse_constant=DecimalText)

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values of a statement, fitted to what they are compared with.
+"""Conversion of literals to the values that fields are compared with.
 
-Times are compared as integer nanoseconds: an int is nanoseconds, a decimal number seconds, text
-ISO 8601. Numbers stay as they are, for Python compares int and float exactly and NaN as IEEE says.
+Times are compared as integer nanoseconds: an int means nanoseconds, a decimal number seconds, text
+ISO 8601. Numbers stay unchanged, because Python compares int and float exactly, and NaN as IEEE
+754.
 """
 
 from __future__ import annotations
@@ -33,18 +34,18 @@ from cassandra_ros.query.tree.syntax import (
 Comparable = Union[int, float, str]
 
 BEYOND_NS = 10**29
-"""Later and earlier than any time, and longer than any length; also stands for the infinities."""
+"""Limit beyond all times and lengths, ns; also used for infinities."""
 
 
 def fit_to_field(literal: Literal, ref: FieldRef) -> Comparable:
-    """Return what the values of a field can be compared with; StatementError: there is nothing."""
+    """Return the value to compare a field with; StatementError: no such value."""
     return fit_to_kind(literal, ref.type, ref.name, f"a {ref.type}{'[]' if ref.is_array else ''}")
 
 
 def fit_to_kind(literal: Literal, kind: str, name: str, is_a: str) -> Comparable:
-    """Return what values of a kind, which error texts call so, can be compared with.
+    """Return the value to compare a kind with; ``name`` and ``is_a`` describe it in error texts.
 
-    StatementError: there is nothing.
+    StatementError: the literal is of another kind.
     """
     if kind == "time":
         return fit_to_time(literal, name)
@@ -57,16 +58,16 @@ def fit_to_kind(literal: Literal, kind: str, name: str, is_a: str) -> Comparable
 
 
 def fitting(leaf: Leaf, ref: FieldRef) -> Iterator[Comparable]:
-    """Yield what the values of a field are compared with, as far as it is of their kind."""
+    """Yield the values that a field is compared with, without those of another kind."""
     for literal in given(leaf):
-        with suppress(StatementError):  # of another kind: it equals nothing here
+        with suppress(StatementError):  # a literal of another kind equals no value of the field
             yield fit_to_field(literal, ref)
 
 
 def fit_to_time(literal: Literal, name: str = "KEY") -> int:
-    """Return the nanoseconds of a value; StatementError: it is no time.
+    """Return the nanoseconds of a literal; StatementError: not a time.
 
-    Numbers may lie outside of what ROS can express: the comparison is then simply true or false.
+    Numbers may be outside ROS time: the comparison is then simply true or false.
     """
     if length_ns(literal.value) is not None:
         reason = f"{name} is a time, {literal.text} is none; now() - {literal.text} would be one"
@@ -81,7 +82,10 @@ def fit_to_time(literal: Literal, name: str = "KEY") -> int:
 
 
 def fit_to_text(literal: Literal, name: str) -> str:
-    """Return the text that NODE, or a KEY that is a name, is compared with, or StatementError."""
+    """Return the text to compare NODE, or a KEY that is a name, with.
+
+    StatementError: not a text.
+    """
     if isinstance(literal.value, str):
         return literal.value
     reason = f"{name} is text; compare it with 'text', not {_shown(literal.value)}"
@@ -105,7 +109,7 @@ def _text(value: object) -> Optional[Comparable]:
 
 
 def _number_to_ns(value: object) -> Optional[int]:
-    """Nanoseconds of an int (nanoseconds) or another number (seconds), or None."""
+    """Return the ns of an int (nanoseconds) or another number (seconds); None for other values."""
     if isinstance(value, bool) or not isinstance(value, (Real, Decimal)):
         return None
     if isinstance(value, Integral):
@@ -114,7 +118,7 @@ def _number_to_ns(value: object) -> Optional[int]:
         rough = float(value)
         if abs(rough) > BEYOND_NS / 10**9:
             return int(math.copysign(1, rough)) * BEYOND_NS
-        # Seconds as they were written: a float keeps about 200 ns of a time of today.
+        # The written seconds are used, because a float is only precise to 200 ns for today's times.
         exact = Decimal(value.text) if isinstance(value, DecimalText) else value
         return seconds_to_ns(exact)
     except (InvalidKey, ArithmeticError, TypeError):
@@ -122,7 +126,7 @@ def _number_to_ns(value: object) -> Optional[int]:
 
 
 def length_ns(value: Any) -> Optional[int]:
-    """Return the nanoseconds of an object that is a length of time (no number), or None."""
+    """Return the ns of an object whose type is a length of time; None for other types."""
     if isinstance(value, DurationNs):
         return int(value)
     with suppress(InvalidKey):
@@ -142,7 +146,8 @@ _FITS: dict[str, tuple[Callable[[object], Optional[Comparable]], str]] = {
     "string": (_text, "'text'"),
     "duration": (_duration, "500ms, say, or a number (integer nanoseconds, decimal seconds)"),
 }
-"""For the type of a field what fits a value to it (None: of another kind), and what it takes."""
+"""Conversion of a literal (None: of another kind) and accepted values for error texts, by field
+type."""
 
 
 def _shown(value: object) -> str:

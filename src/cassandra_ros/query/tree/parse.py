@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Statements and conditions from text. Whatever the text: a tree, or InvalidQuery."""
+"""Parser of statements and conditions. Any text gives a tree or InvalidQuery."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from cassandra_ros.query.tree.syntax import FUNCTIONS, Expression, Literal, Sele
 from cassandra_ros.query.tree.tree_builder import tree_builder
 
 SHORT_TEXT = 1000
-"""Texts up to here are not parsed twice."""
+"""Maximum length of a text whose tree is cached, characters."""
 MAX_STATEMENT = 1 << 20
 
 _WORDS = {
@@ -48,7 +48,7 @@ _WORDS = {
     "$END": "the end",
 }
 _KEPT_KEYWORDS = {"ASC", "DESC", "NOT", "LIKE", "CONTAINS"}
-"""Those that the grammar leaves in the tree; the names of the others begin with '_'."""
+"""Keywords that stay in the tree; the grammar's names of all other keywords begin with '_'."""
 _UNSAID = {"QUOTED", "_END", "FUNCTION", "NEAR", "TRUE", "FALSE"}
 _NEVER_CHANGED = (
     "messages are never changed: addData and the recorder store new ones, DELETE removes them"
@@ -62,7 +62,7 @@ _INSTEAD = {
     "CREATE KEYSPACE": "connectToKeyspace makes a keyspace where it is missing",
     "DROP TABLE": "removeTopic removes a topic, TRUNCATE its messages",
 }
-"""What does here what other words do in CQL."""
+"""What to use instead of CQL statements that this language lacks."""
 
 
 @lru_cache(maxsize=1)
@@ -78,10 +78,10 @@ def grammar() -> Lark:
 
 
 def parse_statement(text: str, params: Sequence[object] = ()) -> Union[Select, Change]:
-    """Parse a statement and bind its parameters: a value for each ``?`` or ``%s``, in their order.
+    """Parse a statement and bind its parameters, one value for each ``?`` or ``%s``, in order.
 
     Raises:
-        InvalidQuery: The text is no statement, or the parameters do not fit.
+        InvalidQuery: The text is not a statement, or the parameters do not fit.
     """
     found = _parse(text, "statement")
     parsed, limit = found if isinstance(found, tuple) else (found, None)
@@ -101,10 +101,10 @@ def parse_statement(text: str, params: Sequence[object] = ()) -> Union[Select, C
 
 
 def parse_select(text: str, params: Sequence[object] = ()) -> Select:
-    """Parse a statement that gives rows and changes nothing, as parse_statement does.
+    """Parse a SELECT statement and bind its parameters, like parse_statement.
 
     Raises:
-        InvalidQuery: As there; or it is another statement than SELECT.
+        InvalidQuery: As in parse_statement, or the text is another statement.
     """
     statement = parse_statement(text, params)
     if isinstance(statement, Select):
@@ -114,10 +114,10 @@ def parse_select(text: str, params: Sequence[object] = ()) -> Select:
 
 
 def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:
-    """Parse a condition, what stands behind WHERE, and bind its parameters.
+    """Parse a condition, as it follows WHERE, and bind its parameters.
 
     Raises:
-        InvalidQuery: The text is no condition, or the parameters do not fit.
+        InvalidQuery: The text is not a condition, or the parameters do not fit.
     """
     found: Expression = _parse(text, "lone_condition")
     try:
@@ -155,7 +155,7 @@ _parsed_before = lru_cache(maxsize=256)(_parsed)  # a tree is never changed
 
 
 def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
-    """Return where a text went wrong, and what would have been right."""
+    """Return the position of a syntax error, and the expected words."""
     expected: set[str] = set()
     position = len(text)
     if isinstance(error, UnexpectedCharacters):
@@ -187,9 +187,9 @@ def _explain(text: str, error: UnexpectedInput) -> tuple[int, str]:
 
 
 def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
-    """Return ' (…)' about a mistake that is known, or ''.
+    """Return ' (…)' with the remedy for a known mistake, or ''.
 
-    ``found`` stands behind ``before`` and the token ``previous`` ('' = unknown), not ``expected``.
+    ``found`` follows ``before`` and the token ``previous`` ('' = unknown), but is not ``expected``.
     """
     words = f"{before} {found}".upper().split()
     instead = _INSTEAD.get(" ".join(words)) if expected & {"_SELECT", "_INDEX"} else None
@@ -205,6 +205,6 @@ def _hint(before: str, found: str, expected: set[str], previous: str) -> str:
 
 
 def _word(text: str) -> str:
-    """The first word of a text, or its first sign; at most 40 characters."""
+    """Return the first word or sign of a text, at most 40 characters."""
     found = re.match(r"[\w/]{1,40}", text)
     return found.group() if found else text[:1]

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What may stand next in a statement that is being typed, by the grammar's own state.
+"""Completion of a statement that is being typed, from the state of the grammar.
 
-What stands before the word at the cursor is parsed as far as it goes; what the grammar accepts
-there are keywords, and places for topics, fields and values, of which whoever asks knows the names.
+The text before the word at the cursor is parsed. What the grammar accepts next are keywords, and
+names of topics, fields and values, which the caller provides.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from cassandra_ros.query.tree.parse import MAX_STATEMENT, grammar
 from cassandra_ros.query.tree.syntax import StatementError
 
 MOST = 200
-"""So many are offered."""
+"""Maximum number of offers."""
 _WORD_BACKWARDS = re.compile(r"[\w./\[\]~]*")
-"""From its end on: a search for it would begin at each character of a long text."""
+"""Pattern for the reversed text. A forward search would start at each character of a long text."""
 _TOPIC = re.compile(r"\bfrom\s+(\"(?:[^\"]|\"\")+\"|[\w/~]+)", re.IGNORECASE)
 _PLAIN_TOPIC = re.compile(r"/?[A-Za-z~_][A-Za-z0-9_/~]*")
 _KEYWORDS = {
@@ -53,46 +53,48 @@ _KEYWORDS = {
     "FALSE": "false",
     "STAR": "*",
 }
-"""How they are offered; what changes the store is not."""
+"""Keywords as they are offered, by token; those of statements that change the store are left
+out."""
 _FUNCTIONS = ("avg", "count", "len", "max", "min", "sum", "abs", "sqrt", "time", "now")
 _QUANTIFIERS = ("any", "all")
 
 
 class Offer(NamedTuple):
-    """One thing that may stand at the cursor."""
+    """One possible completion."""
 
     text: str
-    """What replaces the word there."""
+    """Text that replaces the word at the cursor."""
     kind: str
     """'topic', 'field', 'keyword', 'function' or 'value'."""
     note: str = ""
-    """The type of a field, say."""
+    """Additional information, as the type of a field."""
 
 
 class Offers(NamedTuple):
-    """What may stand at the cursor, the likeliest first."""
+    """Possible completions, best first."""
 
     start: int
-    """Where the word begins that is replaced; it ends at the cursor."""
+    """Start of the word that is replaced; it ends at the cursor."""
     offers: Sequence[Offer]
 
 
 class Known(NamedTuple):
-    """Who knows the names."""
+    """Functions that return the known names."""
 
     topics: Callable[[], Sequence[str]]
     definitions: Callable[[str], Sequence[Definition]]
-    """Of a topic, however it is spelt; none where it is not stored."""
+    """Returns the definitions of a topic in any spelling; empty if it is not stored."""
     nodes: Callable[[], Sequence[str]]
     runs: Callable[[], Sequence[str]]
 
 
 def complete(text: str, cursor: int, known: Known) -> Offers:
-    """Return what may stand at a place of a statement.
+    """Return the possible completions at a position of a statement.
 
     Args:
-        text: The statement, as far as it is typed; may go on behind the cursor.
-        cursor: The place, 0 to its length; what is beyond is taken for that.
+        text: The statement as typed so far; may continue after the cursor.
+        cursor: The position, 0 to the length of the text; a larger one is reduced to that.
+        known: Known names.
     """
     cursor = max(0, min(cursor, len(text), MAX_STATEMENT))
     before = text[:cursor]
@@ -104,14 +106,14 @@ def complete(text: str, cursor: int, known: Known) -> Offers:
     offers = _offers(accepted, previous, text, known)
     word = before[start:].lower()
     fitting = [_indexed(offer, before[start:]) for offer in offers if _fits(offer, word)]
-    # What begins with the word first; else as they are, for fields have the order of the message.
+    # Names that begin with the word come first; the sort is stable, to keep fields in wire order.
     fitting.sort(key=lambda offer: not offer.text.lower().lstrip("/").startswith(word.lstrip("/")))
     alone = len(fitting) == 1 and fitting[0].text == before[start:]
     return Offers(start, () if alone else tuple(fitting[:MOST]))
 
 
 def _begin(before: str) -> int:
-    """Return where the word begins that ends with a text, or the value in quotes."""
+    """Return the start of the last word of a text, or of its last open quote."""
     if before.count("'") % 2:
         return before.rindex("'")
     found = _WORD_BACKWARDS.match(before[::-1])
@@ -128,7 +130,7 @@ def _fits(offer: Offer, word: str) -> bool:
 
 
 def _indexed(offer: Offer, word: str) -> Offer:
-    """Return a field with the indexes that were typed already."""
+    """Return a field offer with the indexes that are typed already."""
     plain = _without_indexes(word)
     begins = offer.kind == "field" and offer.text.lower().startswith(plain.lower())
     if plain == word or not begins:
@@ -141,7 +143,7 @@ def _without_indexes(word: str) -> str:
 
 
 def _tokens(before: str) -> Optional[tuple[Set[str], Sequence[Token]]]:
-    """Return which tokens the grammar takes behind a text, and those in it; None: it is wrong."""
+    """Return the tokens accepted after a text, and those in it; None if the text is wrong."""
     parser = grammar().parse_interactive(before, start="statement")
     previous: list[Token] = []
     try:
@@ -166,7 +168,7 @@ def _offers(
         wanted = _FUNCTIONS + (_QUANTIFIERS if _is_condition(previous) else ())
         offers += [Offer(f"{name}(", "function") for name in wanted]
     if "STAR" in accepted and previous and previous[-1].type != "_SELECT":
-        accepted = accepted - {"STAR"}  # there it multiplies
+        accepted = accepted - {"STAR"}  # here it means multiplication
     offers += [Offer(word, "keyword") for name, word in _KEYWORDS.items() if name in accepted]
     return offers
 
@@ -176,7 +178,7 @@ def _topic(name: str) -> str:
 
 
 def _names_something(previous: Sequence[Token]) -> bool:
-    """Say whether a new name is to come."""
+    """Return whether a new name follows."""
     return bool(previous) and previous[-1].type == "_AS"
 
 
@@ -186,7 +188,7 @@ def _is_condition(previous: Sequence[Token]) -> bool:
 
 
 def _values(previous: Sequence[Token], accepted: Set[str], known: Known) -> Sequence[Offer]:
-    """Return the nodes and runs that there are, where one is compared with a text."""
+    """Return the known nodes or runs if NODE or RUN is compared with a text."""
     if "TEXT" not in accepted or len(previous) < 2 or previous[-1].type != "OPERATOR":
         return ()
     names = {"NODE": known.nodes, "RUN": known.runs}.get(previous[-2].type)
@@ -195,7 +197,7 @@ def _values(previous: Sequence[Token], accepted: Set[str], known: Known) -> Sequ
 
 
 def _fields(text: str, known: Known) -> Sequence[Offer]:
-    """Return the fields of the topic that the statement names, or of none while it names none."""
+    """Return the fields of the topic that the statement names; empty without a topic."""
     named = _TOPIC.search(text)
     if named is None:
         return ()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a statement says, as a tree. Positions are indexes into its text, for the caret."""
+"""Syntax trees of statements. Positions are indexes into the text, for the caret in errors."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from cassandra_ros.query.protocols import Stays
 
 @dataclass(eq=False)
 class StatementError(Exception):
-    """Something in a statement is wrong at a position; becomes an InvalidQuery."""
+    """An error at a position of a statement; the caller converts it to InvalidQuery."""
 
     position: int
     reason: str
 
 
 class DecimalText(float):
-    """A float that remembers how it was written: a time needs all its digits."""
+    """A float with its text, because a time needs all its digits."""
 
     text: str
 
     def __new__(cls, text: str) -> DecimalText:
-        """Read a decimal number."""
+        """Return the float of a decimal number."""
         value = super().__new__(cls, text)
         value.text = text
         return value
@@ -36,18 +36,18 @@ class TimeNs(int):
 
 
 class DurationNs(int):
-    """A duration that stands in a statement, as ``1h30m``: ns."""
+    """A duration in a statement, as ``1h30m``: ns."""
 
 
 UNITS = {
     **{"d": 86_400 * SECOND_NS, "h": 3600 * SECOND_NS, "m": 60 * SECOND_NS, "s": SECOND_NS},
     **{"ms": 10**6, "us": 10**3, "ns": 1},
 }
-"""Those of durations, in ns, the longest first."""
+"""Length of the units of durations in ns, longest first."""
 
 
 def value_text(value: object) -> str:
-    """Write a value as a statement does; of long ones the beginning."""
+    """Return a value as in a statement, at most 40 characters of it."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, DurationNs):
@@ -58,24 +58,24 @@ def value_text(value: object) -> str:
 
 @dataclass(frozen=True)
 class Literal:
-    """A value to compare with: int, float, str, bool; of a parameter also others."""
+    """A constant: int, float, str or bool; of a parameter also other types."""
 
     value: Any
     position: int
     bound: bool = True
-    """False: a ``?`` or ``%s`` whose value is still to come, or ``made``."""
+    """False for a ``?`` or ``%s`` whose value is not bound yet, and for ``made``."""
     made: Optional[Call] = None
-    """What gives the value, of parameters, values and ``now()``."""
+    """Call of constants, parameters and ``now()`` that computes the value."""
 
     @property
     def text(self) -> str:
-        """The value as a statement has it."""
+        """The value as in a statement."""
         return value_text(self.value) if self.bound else "?"
 
 
 @dataclass(frozen=True)
 class Part:
-    """One name of a dotted path, with the index behind it."""
+    """One name of a dotted path, with the index after it."""
 
     name: str
     index: Optional[int]
@@ -91,19 +91,19 @@ class Path:
 
     @property
     def text(self) -> str:
-        """The path as a column's name."""
+        """Path as the name of a column."""
         return path_text([(part.name, part.index) for part in self.parts])
 
     @property
     def dotted(self) -> str:
-        """The dotted name of the field without any index."""
+        """Dotted name of the field without indexes."""
         return ".".join(part.name for part in self.parts)
 
 
 def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
-    """Write names and their indexes as a statement does.
+    """Return names and their indexes as in a statement.
 
-    A field that is called KEY, NODE or RUN stands in quotes, for without them these words are ours.
+    A field called KEY, NODE or RUN is quoted, because unquoted these words have another meaning.
     """
     shown = [name if index is None else f"{name}[{index}]" for name, index in names]
     first = names[0][0]
@@ -114,7 +114,7 @@ def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
 
 @dataclass(frozen=True)
 class KeyOperand:
-    """``KEY``, the time under which a message lies."""
+    """``KEY``, the time of a message by which rows are sorted."""
 
     position: int
     text = "KEY"
@@ -122,7 +122,7 @@ class KeyOperand:
 
 @dataclass(frozen=True)
 class NodeOperand:
-    """``NODE``, the entity that produced a message."""
+    """``NODE``, the nodeID of the robot that produced a message."""
 
     position: int
     text = "NODE"
@@ -137,39 +137,39 @@ class RunOperand:
 
 
 OWN_WORDS = (KeyOperand.text, NodeOperand.text, RunOperand.text)
-"""What stands for more than a field; a field of such a name is quoted."""
+"""Words with a meaning of their own; fields with such names are quoted."""
 
 Operand = Union[Path, KeyOperand, NodeOperand, RunOperand]
 OPERANDS = (Path, KeyOperand, NodeOperand, RunOperand)
 ARITHMETIC = {"+": 1, "-": 1, "*": 2, "/": 2, "neg": 3}
-"""How closely each binds; ``neg`` is the minus before one value."""
+"""Precedence of each operator; ``neg`` is the minus before a value."""
 AGGREGATES = ("count", "min", "max", "sum", "avg")
-"""Made of all rows; of one array in a row all but count are, too."""
+"""Aggregates of all rows. All except count also apply to an array in a row."""
 QUANTIFIERS = ("any", "all")
 FUNCTIONS = (*AGGREGATES, "len", "abs", "sqrt", "time", "now", *QUANTIFIERS, "near")
-"""Those that a statement may name; ANY, ALL and NEAR stand in conditions alone."""
+"""Functions that a statement may use; ANY, ALL and NEAR only in conditions."""
 
 
 @dataclass(frozen=True)
 class Call:
-    """A value that is computed of others in a row: arithmetic, or a function."""
+    """A value computed from others in a row: arithmetic, or a function."""
 
     function: str
-    """One of ARITHMETIC, abs, sqrt, now, time (of KEY and a duration); of an array len, min, max,
-    sum, avg; while a statement is parsed also those of QUANTIFIERS, and count."""
+    """One of ARITHMETIC, abs, sqrt, now, time (of KEY and a duration); for an array len, min, max,
+    sum, avg; during parsing also those of QUANTIFIERS, and count."""
     arguments: tuple[Term, ...]
     position: int
     depth: int = field(default=1, compare=False)
-    """So many calls stand in one another."""
+    """Nesting depth of calls."""
 
     @property
     def text(self) -> str:
-        """What is computed, as a column's name."""
+        """Expression as the name of a column."""
         own = ARITHMETIC.get(self.function)
         if own is None:
             shown = self.arguments[1:] if self.function == "time" else self.arguments
             return f"{self.function}({', '.join(argument.text for argument in shown)})"
-        # What binds as closely keeps its parentheses on the right.
+        # A right operand of equal precedence keeps its parentheses.
         texts = [_within(argument, own + n) for n, argument in enumerate(self.arguments)]
         if len(texts) == 1:
             return f"-({texts[0]})" if texts[0].startswith("-") else f"-{texts[0]}"
@@ -182,58 +182,58 @@ def _within(argument: Term, closeness: int) -> str:
 
 
 Term = Union[Path, KeyOperand, NodeOperand, RunOperand, Literal, Call]
-"""What has a value in a row."""
+"""Anything that has a value in a row."""
 
 
 def inside(term: Term) -> Iterator[Term]:
-    """Yield a term and all of which it is made."""
+    """Yield a term and all terms that it contains."""
     yield term
     for argument in term.arguments if isinstance(term, Call) else ():
         yield from inside(argument)
 
 
 def is_constant(term: Term) -> bool:
-    """Say whether a term has the same value in every row."""
+    """Return whether a term has the same value in every row."""
     return not any(isinstance(part, OPERANDS) for part in inside(term))
 
 
 @dataclass(frozen=True)
 class Aggregate:
-    """``min(field)`` and its like: one value made of those of all rows."""
+    """An aggregate of all rows, as ``min(field)``."""
 
     function: str
     """One of AGGREGATES."""
     operand: Optional[Term]
-    """None = ``*``, of count only."""
+    """Aggregated term; None = ``*``, for count only."""
     position: int
 
     @property
     def text(self) -> str:
-        """The aggregate as a column's name."""
+        """Aggregate as the name of a column."""
         return f"{self.function}({'*' if self.operand is None else self.operand.text})"
 
 
 @dataclass(frozen=True)
 class Selected:
-    """What a statement selects, and the name that it gives it."""
+    """A column that a statement selects, with its alias."""
 
     what: Union[Term, Aggregate]
     alias: Optional[str] = None
 
     @property
     def text(self) -> str:
-        """The column's name."""
+        """Name of the column."""
         return self.what.text if self.alias is None else self.alias
 
     @property
     def is_path(self) -> bool:
-        """Whether it is a field, or a message, which may have any number of fields."""
+        """Whether it is a field or a message, which may have any number of fields."""
         return isinstance(self.what, Path)
 
 
 @dataclass(frozen=True)
 class Compare:
-    """``operand operator value``; the operator is one of = != < <= > >= LIKE CONTAINS."""
+    """``operand operator value``, with one of the operators = != < <= > >= LIKE CONTAINS."""
 
     operand: Term
     operator: str
@@ -242,38 +242,38 @@ class Compare:
 
 @dataclass(frozen=True)
 class Relate:
-    """``term operator term`` where both differ from row to row; the operator is no word."""
+    """``term operator term``, both varying from row to row; the operator is a sign, not a word."""
 
     operand: Term
     operator: str
     other: Term
     position: int
-    """Of the operator."""
+    """Position of the operator."""
 
     @property
     def text(self) -> str:
-        """The comparison as a statement has it."""
+        """Comparison as in a statement."""
         return f"{self.operand.text} {self.operator} {self.other.text}"
 
 
 @dataclass(frozen=True)
 class Quantified:
-    """``ANY(array) operator term``, and ``ALL``: what holds for one element, or for each."""
+    """``ANY(array) operator term`` and ``ALL``: a condition on one element, or on each."""
 
     operand: Path
     every: bool
-    """ALL."""
+    """Whether it is ALL."""
     tests: tuple[tuple[str, Term], ...]
-    """Operator (also LIKE) and what an element is compared with."""
+    """Pairs of operator (also LIKE) and the term that an element is compared with."""
     position: int
     either: bool = False
-    """One test that holds is enough (IN); else an element passes all (BETWEEN)."""
+    """Whether one true test is enough (IN); else all must be true (BETWEEN)."""
     negated: bool = False
-    """NOT IN, NOT BETWEEN, NOT LIKE: of the element, inside of ANY and ALL."""
+    """Whether the test of an element is negated (NOT IN, NOT BETWEEN, NOT LIKE)."""
 
     @property
     def text(self) -> str:
-        """The comparison as a statement has it."""
+        """Comparison as in a statement."""
         word = "OR" if self.either else "AND"
         tests = f" {word} ".join(f"{sign} {term.text}" for sign, term in self.tests)
         tests = f"NOT ({tests})" if self.negated else tests
@@ -287,7 +287,7 @@ class OneOf:
     operand: Term
     values: tuple[Literal, ...]
     whole: bool = False
-    """The one value is still to come, and is the list itself."""
+    """Whether the only value is a parameter that is not bound yet, and is the list itself."""
 
 
 @dataclass(frozen=True)
@@ -299,16 +299,16 @@ class IsNull:
 
 @dataclass(frozen=True)
 class Near:
-    """``NEAR(x, y, radius, 'frame', 'robot')``: where the robot was when a message came."""
+    """``NEAR(x, y, radius, 'frame', 'robot')``: where the robot was at the time of a message."""
 
     values: tuple[Literal, ...]
     position: int
     stays: Optional[Stays] = field(default=None, compare=False)
-    """When it was there; None until somebody who knows says so."""
+    """Times of the robot's stays; None until they are looked up."""
 
     @property
     def text(self) -> str:
-        """The condition as a statement has it."""
+        """Condition as in a statement."""
         return f"NEAR({', '.join(value.text for value in self.values)})"
 
 
@@ -328,34 +328,34 @@ class Either:
 
 @dataclass(frozen=True)
 class Negation:
-    """NOT."""
+    """A negated condition."""
 
     item: Expression
 
 
 Comparison = Union[Compare, OneOf, IsNull, Relate, Quantified]
-"""What has an operand."""
+"""Any condition with an operand."""
 Leaf = Union[Comparison, Near]
 LEAVES = (Compare, OneOf, IsNull, Relate, Quantified, Near)
 Expression = Union[Leaf, All, Either, Negation]
 
 
 def parts(expression: Expression) -> tuple[Expression, ...]:
-    """Return the conditions of which one is made."""
+    """Return the conditions that a condition consists of."""
     if isinstance(expression, (All, Either)):
         return expression.items
     return (expression.item,) if isinstance(expression, Negation) else ()
 
 
 def given(leaf: Leaf) -> tuple[Literal, ...]:
-    """Return the values that an operand is compared with in a Compare or a OneOf."""
+    """Return the values that the operand of a Compare or OneOf is compared with."""
     if isinstance(leaf, Compare):
         return (leaf.value,)
     return leaf.values if isinstance(leaf, OneOf) else ()
 
 
 def terms_of(leaf: Leaf) -> tuple[Term, ...]:
-    """Return all that stands in a comparison."""
+    """Return all terms in a comparison."""
     if isinstance(leaf, Near):
         return leaf.values
     if isinstance(leaf, Relate):
@@ -365,7 +365,7 @@ def terms_of(leaf: Leaf) -> tuple[Term, ...]:
 
 
 def leaves(expression: Optional[Expression]) -> Iterator[Leaf]:
-    """Yield the comparisons of an expression, from left to right."""
+    """Yield the comparisons of a condition, from left to right."""
     if isinstance(expression, LEAVES):
         yield expression
     elif expression is not None:
@@ -374,14 +374,14 @@ def leaves(expression: Optional[Expression]) -> Iterator[Leaf]:
 
 
 def wants_array(leaf: Comparison) -> Optional[bool]:
-    """Say whether a comparison's operand is an array as a whole; None = either."""
+    """Return whether a comparison's operand must be a whole array; None = either."""
     if isinstance(leaf, IsNull):
         return None
     return isinstance(leaf, Quantified) or getattr(leaf, "operator", "") == "CONTAINS"
 
 
 def conjuncts(expression: Optional[Expression]) -> Iterator[Expression]:
-    """Yield the conditions that must all hold for one to hold."""
+    """Yield the conditions that are joined by AND at the top of a condition."""
     if isinstance(expression, All):
         for item in expression.items:
             yield from conjuncts(item)
@@ -391,13 +391,13 @@ def conjuncts(expression: Optional[Expression]) -> Iterator[Expression]:
 
 @dataclass(frozen=True)
 class Ordering:
-    """One part of ORDER BY."""
+    """One item of ORDER BY."""
 
     what: Union[Term, Aggregate]
     descending: bool
     position: int
     place: int = -1
-    """Of the column, among ``Select.asked``; -1 until the statement is settled."""
+    """Index of the column in ``Select.asked``; -1 until select_analysis sets it."""
 
 
 @dataclass(frozen=True)
@@ -406,44 +406,44 @@ class Select:
 
     text: str
     columns: Optional[tuple[Selected, ...]]
-    """None = ``*``."""
+    """Selected columns; None = ``*``."""
     topic: str
     topic_position: int
     condition: Optional[Expression]
     descending: bool = False
-    """The rows are read from the last KEY to the first."""
+    """Whether rows are read from the last KEY to the first."""
     limit: Optional[int] = None
     distinct: bool = False
     group: tuple[Term, ...] = ()
-    """GROUP BY."""
+    """Terms of GROUP BY."""
     order: tuple[Ordering, ...] = ()
-    """ORDER BY of more than KEY alone."""
+    """Items of ORDER BY, unless it is KEY alone."""
     hidden: tuple[Selected, ...] = ()
-    """Columns that it needs and does not show, after the others; see plan/select_analysis.py."""
+    """Columns that are computed but not shown, after the others; see plan/select_analysis.py."""
 
     @property
     def aggregates(self) -> tuple[Aggregate, ...]:
-        """Those of its columns that are aggregates."""
+        """Aggregates among its columns."""
         found = (column.what for column in self.columns or ())
         return tuple(what for what in found if isinstance(what, Aggregate))
 
     @property
     def visible(self) -> tuple[Optional[Selected], ...]:
-        """The columns that it shows; None = every field."""
+        """Columns that are shown; None = every field."""
         return (Selected(KeyOperand(0)), None) if self.columns is None else self.columns
 
     @property
     def asked(self) -> tuple[Optional[Selected], ...]:
-        """All columns, also the hidden."""
+        """All columns, hidden ones included."""
         return (*self.visible, *self.hidden)
 
     @property
     def counts(self) -> bool:
-        """Whether it asks for the number of all rows, and for nothing else."""
+        """Whether only the number of all rows is selected."""
         alone = bool(self.aggregates) and not (self.group or self.order)
         return alone and all(a.operand is None for a in self.aggregates)
 
     @property
     def gathers(self) -> bool:
-        """Whether a row of the result is not simply one of the topic, in its order."""
+        """Whether rows of the result differ from the rows of the topic in number or order."""
         return bool(self.aggregates or self.group or self.order or self.distinct)

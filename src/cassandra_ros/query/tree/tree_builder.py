@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The tree of a statement, made of the words of the grammar while lark parses."""
+"""Construction of a statement's tree while lark parses the text."""
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ from cassandra_ros.query.tree.syntax import (
 _Not = Optional[Token]
 MAX_DEPTH = 100
 NEAR_VALUES = (3, 5)
-"""How many NEAR takes, at least and at most."""
+"""Minimum and maximum number of arguments of NEAR."""
 MAX_DIGITS = 400
-"""Of a number: Python converts longer ones in quadratic time, or refuses."""
+"""Maximum number of digits of a number. Python's conversion of longer ones takes quadratic time."""
 
 
 @v_args(inline=True)
 class _Builder(Transformer):  # type: ignore[type-arg]
-    """One method per rule of the grammar, called while lark parses."""
+    """One method for each rule of the grammar, called while lark parses."""
 
     def select(
         self,
@@ -103,7 +103,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return DropIndex("", index, condition is not None)
 
     def index_name(self, token: Token) -> IndexName:
-        # As CQL has it.
+        # As in CQL, an unquoted name is in lower case.
         return IndexName(_name(token) if token.type == "QUOTED" else token.lower(), _at(token))
 
     def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
@@ -159,7 +159,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return Ordering(_column(what), down, what.position)
 
     def where(self, condition: Expression) -> Expression:
-        """Refuse what is nested so deep that walking it would overflow the stack."""
+        """Refuse a condition so deeply nested that recursion would overflow the stack."""
         level, depth = [condition], 1
         while level:
             if depth > MAX_DEPTH:
@@ -292,7 +292,7 @@ def _quantifies(term: Term) -> bool:
 
 
 def _part(term: Term) -> Term:
-    """Return a term that can stand anywhere, else raise StatementError."""
+    """Return a term that is allowed anywhere, else raise StatementError."""
     if not isinstance(term, Call):
         return term
     if term.function in QUANTIFIERS:
@@ -308,7 +308,7 @@ def _part(term: Term) -> Term:
 
 
 def _column(term: Term) -> Union[Term, Aggregate]:
-    """Return what a column of a result is, an aggregate or not."""
+    """Return the term or aggregate of a column of a result."""
     if isinstance(term, Call) and term.function in AGGREGATES:
         operand = _part(term.arguments[0]) if term.arguments else None
         return Aggregate(term.function, operand, term.position)
@@ -316,7 +316,7 @@ def _column(term: Term) -> Union[Term, Aggregate]:
 
 
 def _value(term: Term) -> Literal:
-    """Return what is the same in all rows, to be computed with the parameters' values."""
+    """Return a constant term; it is computed when the parameters are bound."""
     if isinstance(term, Literal):
         return term
     if isinstance(term, Call) and is_constant(_part(term)):
@@ -329,7 +329,7 @@ _FLIPPED = {"=": "=", "!=": "!=", "<": ">", "<=": ">=", ">": "<", ">=": "<="}
 
 
 def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
-    """Return the comparison of two terms: a field, if only one is there, on the left."""
+    """Return the comparison of two terms; if only one is a field, it becomes the left operand."""
     if _quantifies(right) and not _quantifies(left):
         left, sign, right = right, _FLIPPED[sign], left
     if _quantifies(left):
@@ -358,10 +358,12 @@ def _quantified(
     made = [(sign, _value(to) if is_constant(to) else to) for sign, to in tests]
     sign, first = made[0] if made else ("", None)
     if sign == "=" and len(made) == 1 and isinstance(first, Literal) and not (every or negated):
-        return Compare(array, "CONTAINS", first)  # the same, and what more of the planner knows
+        return Compare(
+            array, "CONTAINS", first
+        )  # equivalent, and the planner can use it more often
     return Quantified(array, every, tuple(made), call.position, either, negated is not None)
 
 
 def tree_builder() -> Transformer[Token, object]:
-    """Return what makes the tree; it holds no state, so threads may share it."""
+    """Return the transformer; it has no state, so that threads can share it."""
     return _Builder()

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""In which units numbers are, as far as ROS says: those of REP 103, by type and field.
+"""Units of numbers, as far as ROS defines them: those of REP 103, by type and field.
 
-A definition has no units. What the comments of ROS's own messages say stands here as a table; what
-is in none of them has no unit.
+Definitions have no units. The table holds what the comments in ROS's own messages say; all other
+fields have no unit.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from cassandra_ros.query.tree.field_names import Step, field_of
 from cassandra_ros.query.tree.syntax import Aggregate, Call, Path, StatementError, Term
 
 SECONDS = "s"
-"""As which durations are shown."""
+"""Unit in which durations are shown."""
 _SAME = ("abs", "neg", "min", "max", "sum", "avg")
-"""What is made of values of a unit has it, too."""
+"""Functions whose result has the unit of their operand."""
 
 _METRES, _RADIANS = "m", "rad"
 _BY_NAME = {"latitude": "°N", "longitude": "°E"}
-"""Units of fields of these names, in any type. Two units, for neither can be seen in a plot whose
-axis has to hold the other one, too."""
+"""Units of fields with these names, in any type. They differ, because a plot axis that had to
+include both would hide the changes of each."""
 _UNITS = {
     "geometry_msgs/Point": {"x": _METRES, "y": _METRES, "z": _METRES},
     "geometry_msgs/Point32": {"x": _METRES, "y": _METRES, "z": _METRES},
@@ -60,10 +60,10 @@ _UNITS = {
 
 
 def unit_of_field(steps: Sequence[Step], definition: Definition) -> str:
-    """Return the unit of a field, '' = none is known."""
+    """Return the unit of a field; '' = unknown."""
     unit, msg_type = "", definition.type
     for step in steps:
-        # The innermost message that says something: an angular velocity is a plain Vector3.
+        # The innermost message with a unit decides: an angular velocity is a plain Vector3.
         unit = _UNITS.get(msg_type, {}).get(step.name, unit)
         spec = definition.specs.get(msg_type)
         fields = () if spec is None else spec.fields
@@ -72,7 +72,7 @@ def unit_of_field(steps: Sequence[Step], definition: Definition) -> str:
 
 
 def unit_of(what: Union[Term, Aggregate], definition: Definition) -> str:
-    """Return the unit of what a statement selects, '' = none is known."""
+    """Return the unit of a selected term; '' = unknown."""
     if isinstance(what, Path):
         try:
             ref = field_of(what, definition, None)
