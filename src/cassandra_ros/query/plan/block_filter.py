@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Conditions on whole blocks of messages, with numpy: which of them may match.
+"""Conditions on whole blocks of messages, with numpy: masks of the messages that may match.
 
-Every message that is left is checked again by ``evaluate``, so a mask may be true for too many and
-never for too few. It is exact for numbers, bools and times outside of arrays of messages, and for
-ANY and ALL of an array of numbers; where an array of messages is unnested a message passes if any
-element may. What is not understood here (NOT, LIKE, NULL, KEY, arithmetic) leaves out nothing.
+``condition_check`` checks every remaining message again. So a mask may be true for messages that do
+not match, but is never false for one that does. It is exact for numbers, bools and times outside
+arrays of messages, and for ANY and ALL of an array of numbers. If an array of messages is unnested,
+a message passes if any element may match. Other conditions (NOT, LIKE, NULL, KEY, arithmetic) leave
+no message out.
 """
 
 from __future__ import annotations
@@ -40,23 +41,23 @@ from cassandra_ros.query.tree.syntax import (
 
 Mask = NDArray[np.bool_]
 Sift = Callable[[Block], Optional[Mask]]
-"""From a block to a mask of the messages that may match; None = all may."""
+"""Function from a block to a mask of the messages that may match; None = all may."""
 _Test = Callable[[Stack], Mask]
 _Compare = Callable[[NumberArray], Mask]
-"""Of each number whether it compares as wanted."""
+"""Function from numbers to a bool for each: the comparison is true."""
 _Get = Callable[[Stack], NumberArray]
 
 _WHOLE = {"uint32": "time", "int32": "duration"}
-"""Of the type of secs and nsecs that of the field."""
+"""Type of the field by the type of its secs and nsecs."""
 
 
 def compile_sift(expression: Expression, definition: Definition) -> Optional[Sift]:
-    """Make a function that sifts blocks of one type; None: the condition leaves out nothing."""
+    """Return the filter of blocks of one type; None if the condition leaves no message out."""
     refs: List[FieldRef] = []
     test, finder = _compile(expression, definition, refs), stacker(definition)
     if test is None:
         return None
-    # What stands before all that varies is found in messages of any size.
+    # Fields before the first variable one have the same offset in messages of any size.
     by_head = all(_is_plain(ref) and ref.column in finder.head for ref in refs)
 
     def sift(block: Block) -> Optional[Mask]:
@@ -66,7 +67,7 @@ def compile_sift(expression: Expression, definition: Definition) -> Optional[Sif
             stacks = [finder.heads(groups)]
         else:
             stacks = [stack for group in groups for stack in finder.stacks(*group)[0]]
-        with np.errstate(invalid="ignore"):  # of signalling NaNs
+        with np.errstate(invalid="ignore"):  # signalling NaNs
             for stack in stacks:
                 mask[stack.members] = test(stack)
         return None if mask.all() else mask
@@ -81,7 +82,7 @@ def _is_plain(ref: FieldRef) -> bool:
 def _compile(
     expression: Expression, definition: Definition, refs: List[FieldRef]
 ) -> Optional[_Test]:
-    """Make the test of a condition; refs collect the fields that it looks at."""
+    """Compile a condition to a test, and append the fields that it reads to ``refs``."""
     if isinstance(expression, Negation):
         return None
     if isinstance(expression, (All, Either)):
@@ -108,7 +109,7 @@ def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[
     if isinstance(leaf, Quantified):
         return _quantified(leaf, definition, refs)
     if isinstance(leaf, Compare) and isinstance(leaf.operand, Call):
-        # The least or greatest element compares so: then any does.
+        # The minimum or maximum satisfies such a comparison only if some element does.
         call = leaf.operand
         of_array = call.function in ("min", "max") and leaf.operator != "LIKE"
         array = call.arguments[0] if of_array else None
@@ -120,7 +121,7 @@ def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[
     try:
         ref = field_of(leaf.operand, definition, wants_array(leaf))
     except StatementError:
-        return _never  # missing here, and what is missing never matches
+        return _never  # this definition lacks the field, and a missing value never matches
     refs.append(ref)
     values = list(fitting(leaf, ref))
     if not values:
@@ -157,7 +158,7 @@ def _elements(
     definition: Definition,
     refs: List[FieldRef],
 ) -> Optional[_Test]:
-    """Make the test of the elements of an array of numbers; join says how many have to pass it."""
+    """Compile a test of the elements of an array of numbers; ``join`` is np.any or np.all."""
     try:
         ref = field_of(array, definition, array=True)
     except StatementError:
@@ -186,17 +187,17 @@ def _never(stack: Stack) -> Mask:
 
 
 def _place(ref: FieldRef) -> Optional[slice]:
-    """Return which of the places of a field are meant, over an array of messages; None: unclear."""
+    """Return which offsets of a field in arrays of messages are selected; None: unknown."""
     many = [step for step in ref.steps if step.many]
     indexes = [step.index for step in many if step.index is not None]
     if not indexes:
         return slice(None)
-    # Inside of another array the number of an element does not tell its place.
+    # Inside another array the index of an element does not determine its offset.
     return slice(indexes[0], indexes[0] + 1) if len(many) == 1 else None
 
 
 def _getter(ref: FieldRef) -> Optional[_Get]:
-    """Return the function that reads a number: (places, messages)."""
+    """Return the function that reads a number: (offsets, messages)."""
     base = _WHOLE[ref.type] if ref.part else ref.type
     path, chosen = ref.column, _place(ref)
     many = any(step.many for step in ref.steps)
@@ -212,7 +213,7 @@ def _getter(ref: FieldRef) -> Optional[_Get]:
 
 
 def _part(part: str, get: _Get) -> _Get:
-    """Return the function that reads secs or nsecs of a time, or all of it."""
+    """Return the function that reads secs or nsecs of a time, or the whole time."""
     if part == "secs":
         return lambda stack: get(stack) // SECOND_NS
     if part == "nsecs":
@@ -221,18 +222,18 @@ def _part(part: str, get: _Get) -> _Get:
 
 
 def _text_test(ref: FieldRef, operator: str, values: Sequence[str]) -> Optional[_Test]:
-    """Texts are compared where they shall be equal; what is no UTF-8 is read with U+FFFD."""
+    """Compile a test for equal texts; None for values that bytes cannot be compared with."""
     chosen, path = _place(ref), ref.column
     many = any(step.many for step in ref.steps)
     if ref.index is not None:
         chosen = None if many else slice(ref.index, ref.index + 1)
     elif ref.is_array and many and chosen != slice(None):
-        chosen = None  # the elements before may hold any number of texts
+        chosen = None  # earlier elements may hold any number of texts
     if operator not in ("=", "CONTAINS") or chosen is None:
         return None
     if any("\N{REPLACEMENT CHARACTER}" in value for value in values):
         return None
-    # No text that was read has surrogates.
+    # Texts that were read contain no surrogates.
     wanted = {v.encode("utf-8") for v in values if v.isascii() or _is_utf8(v)}
     where: slice = chosen
 
@@ -257,7 +258,7 @@ def _is_utf8(text: str) -> bool:
 
 
 def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
-    """Compare as Python does: exactly, whatever the types."""
+    """Compile a comparison that is exact for all types, like Python's."""
     below, above = _neighbours(dtype, value)
     none, every = (lambda x: np.zeros(x.shape, np.bool_)), (lambda x: np.ones(x.shape, np.bool_))
     if value != value:
@@ -266,7 +267,7 @@ def _comparison(dtype: np.dtype[Any], operator: str, value: Any) -> _Compare:
         return every if below is None or below != above else lambda x: x != below
     closed = operator in ("<=", ">=") or below is None or above is None or below != above
     if operator in ("<", "<="):
-        # What is less than the value is less than its upper neighbour; NaN is neither.
+        # Numbers less than the value are less than its upper neighbour; NaN is not.
         return none if below is None else (lambda x: x <= below) if closed else lambda x: x < below
     return none if above is None else (lambda x: x >= above) if closed else lambda x: x > above
 
@@ -285,9 +286,9 @@ def _one_of(dtype: np.dtype[Any], values: Sequence[Any]) -> _Compare:
 
 
 def _neighbours(dtype: np.dtype[Any], value: Any) -> Tuple[Any, Any]:
-    """Return the greatest number of a type that is not above a value, and the least not below.
+    """Return the largest number of a type that is <= a value, and the smallest that is >= it.
 
-    They are equal where it is one itself, and None where there is none.
+    They are equal if the type can hold the value. None: the type has no such number.
     """
     if value != value:
         return None, None
@@ -310,7 +311,7 @@ def _float_neighbours(dtype: np.dtype[Any], value: Any) -> Tuple[Any, Any]:
         wide = math.inf if value > 0 else -math.inf
     with np.errstate(over="ignore"):
         near = dtype.type(wide)
-        # As Python numbers, for they compare exactly.
+        # Converted to Python numbers, which compare exactly.
         if float(near) == value:
             return near, near
         if float(near) < value:

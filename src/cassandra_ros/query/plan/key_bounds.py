@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The bounds of a condition: what of it the store can check by the place of a row alone.
+"""Bounds of a condition on KEY, NODE and RUN, which the store checks without reading rows.
 
-These are the spans of KEY, NODE and RUN. Only conjuncts are used for them, so they may be weaker
-than the condition and are never stronger.
+Only conditions joined by AND narrow the bounds. So the bounds may be weaker than the condition, but
+are never stronger.
 """
 
 from __future__ import annotations
@@ -41,26 +41,26 @@ _ORDERED = ("<", "<=", ">", ">=")
 
 @dataclass(frozen=True)
 class Bounds:
-    """Rows outside of these cannot match."""
+    """Rows outside these bounds cannot match."""
 
     low: int = 0
-    """Least KEY, included, ns."""
+    """Minimum KEY, included, ns since 1970."""
     high: int = MAX_NS
-    """Greatest KEY, included, ns."""
+    """Maximum KEY, included, ns since 1970."""
     node: Optional[str] = None
-    """The one nodeID, None = all."""
+    """The only nodeID; None = all."""
     writers: Writers = None
     name: Optional[str] = None
-    """The one name, None = all; only where messages are kept under names."""
+    """The only name; None = all. Only for messages that are kept under names."""
     empty: bool = False
-    """No row can match."""
+    """Whether no row can match."""
     whole: bool = True
-    """The bounds are the whole condition: every row inside matches."""
+    """Whether the bounds are the whole condition, so that every row inside matches."""
     spans: Optional[Spans] = None
-    """Gives the stretches of KEY outside of which no row matches; None = nobody knows."""
+    """Function that returns the ranges of KEY outside of which no row matches; None = unknown."""
 
     def within(self, low: Optional[int], high: Optional[int], node: Optional[str] = None) -> Bounds:
-        """Narrow the bounds further."""
+        """Return narrower bounds."""
         low = self.low if low is None else max(self.low, low)
         high = self.high if high is None else min(self.high, high)
         clash = None not in (node, self.node) and node != self.node
@@ -69,7 +69,7 @@ class Bounds:
         return replace(self, low=low, high=high, node=node, empty=empty)
 
     def written(self, writers: Writers) -> Bounds:
-        """Narrow the bounds to messages of some writers."""
+        """Return the bounds narrowed to messages of some writers."""
         if writers is not None and self.writers is not None:
             writers = writers & self.writers
         writers = self.writers if writers is None else writers
@@ -83,12 +83,16 @@ def bounds_of(
     writers: Writers = None,
     runs: Optional[Runs] = None,
 ) -> Bounds:
-    """Find the bounds of a statement, for messages of a node and some writers, named or not.
+    """Return the bounds of a statement, for messages of a node and some writers.
 
-    RUN bounds nothing where nobody knows the runs.
+    Args:
+        select: The statement.
+        node, writers: Robot and runs whose messages are read; None = all.
+        named: Whether the messages are kept under names.
+        runs: Finds runs by their names; without it RUN does not narrow the bounds.
 
     Raises:
-        InvalidQuery: KEY, NODE or RUN is compared with what it cannot be.
+        InvalidQuery: KEY, NODE or RUN is compared with a value of another kind.
     """
     bounds = Bounds(node=node).written(writers)
     try:
@@ -106,7 +110,7 @@ def bounds_of(
 
 
 def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
-    """Yield what KEY is compared with and looks like seconds: integers are ns."""
+    """Yield the integers compared with KEY that look like seconds; integers mean ns."""
     compared = (leaf for leaf in leaves(condition) if not isinstance(leaf, Near))
     keys = (leaf for leaf in compared if isinstance(leaf.operand, KeyOperand))
     for literal in chain.from_iterable(map(given, keys)):
@@ -122,7 +126,7 @@ def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Optional[Runs
         try:
             return bounds.within(None, None, check_node(fit_to_text(part.value, "NODE")))
         except InvalidName:
-            return replace(bounds, empty=True)  # no message can be of such a node
+            return replace(bounds, empty=True)  # no message has an invalid nodeID
     if isinstance(part, Compare) and isinstance(part.operand, KeyOperand):
         if named and part.operator == "=":
             name = fit_to_text(part.value, "KEY")

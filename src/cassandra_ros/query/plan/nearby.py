@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""NEAR in a condition: what it asks for, who knows the answer, and which times it leaves.
+"""NEAR in a condition: its arguments, the robots' stays, and the time ranges that may match.
 
-``NEAR(x, y, radius, 'frame', 'robot')`` is true of a message when its robot was on the disk then,
-false when it was elsewhere, and unknown where no pose of it is known. Whoever has the rows of a
-table also knows its keyspace's robots, by ``Table.places``.
+``NEAR(x, y, radius, 'frame', 'robot')`` is true for a message if its robot was on the disk at that
+time, false if it was elsewhere, and unknown if no pose of it is known. ``Table.places`` gives
+access to the robots of the table's keyspace.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from cassandra_ros.query.tree.syntax import (
 Span = Tuple[int, int]
 """A time range, ns, both ends included."""
 Spans = Callable[[int, int, bool], Iterator[Span]]
-"""Gives the stretches of [low, high] in order, or (True) the newest first, apart from another."""
+"""Function that yields disjoint time ranges in [low, high], ascending or (True) descending."""
 
 _METRES = ("x", "y", "the radius")
 _NAMES = ("the frame", "the robot")
@@ -47,13 +47,15 @@ def located(
     node: Optional[str] = None,
     writers: Writers = None,
 ) -> Select:
-    """Return a statement whose NEARs know when it was so.
+    """Return the statement with the stays of each NEAR filled in.
 
     Args:
-        node, writers: The robot and the runs whose messages are asked for; None = all.
+        select: The statement.
+        tables: Tables of its topic.
+        node, writers: Robot and runs whose messages are read; None = all.
 
     Raises:
-        InvalidQuery: One takes other values, or no pose answers it.
+        InvalidQuery: An argument of NEAR is invalid, or no poses are stored for it.
     """
     condition = select.condition
     if condition is None or not any(isinstance(leaf, Near) for leaf in leaves(condition)):
@@ -65,7 +67,7 @@ def located(
 
 
 class _Asked(NamedTuple):
-    """Whose messages a statement asks for."""
+    """The messages that a statement reads."""
 
     tables: Sequence[Table]
     node: Optional[str]
@@ -93,7 +95,7 @@ def _answered(near: Near, asked: _Asked) -> Near:
 
 
 def disk_of(near: Near) -> Disk:
-    """Return what NEAR asks for, its values bound; StatementError: they cannot be meant."""
+    """Return the disk of a bound NEAR; StatementError: an argument is invalid."""
     x, y, radius = (_metres(name, value) for name, value in zip(_METRES, near.values))
     texts = [_text(name, value) for name, value in zip(_NAMES, near.values[3:])]
     if radius < 0:
@@ -124,7 +126,7 @@ def _text(name: str, literal: Literal) -> str:
 def spans_of(condition: Optional[Expression]) -> Optional[Spans]:
     """Return the time ranges outside of which a condition is never true; None = all time.
 
-    They may be more than those in which it is.
+    The ranges may be too long, never too short.
     """
     if isinstance(condition, Near) and condition.stays is not None:
         return condition.stays.spans
@@ -138,7 +140,7 @@ def spans_of(condition: Optional[Expression]) -> Optional[Spans]:
 
 
 def _both(every: Sequence[Spans]) -> Spans:
-    """Return what lies in all of some spans: those of one are asked inside of those of another."""
+    """Return the intersection: the ranges of one function are requested inside those of another."""
     first, rest = every[0], every[1:]
     if not rest:
         return first
@@ -159,7 +161,7 @@ def _united(every: Sequence[Spans]) -> Spans:
         sign = -1 if reverse else 1
         streams = [each(low, high, reverse) for each in every]
         last: Optional[Span] = None
-        # The newest first by their ends, else by their beginnings.
+        # Descending ranges are merged by their ends, ascending ones by their starts.
         for span in heapq.merge(*streams, key=lambda span: sign * span[1 if reverse else 0]):
             if last is not None and last[0] <= span[1] + 1 and span[0] - 1 <= last[1]:
                 last = min(last[0], span[0]), max(last[1], span[1])

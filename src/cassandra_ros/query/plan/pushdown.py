@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What of a condition the server checks, bucket by bucket: by an index, by a filter, or nothing.
+"""Choice of the part of a condition that the server checks in each bucket: index, filter, or none.
 
-It only has to leave out what cannot match: every row that comes is checked again here. So what
-cannot be said in CQL is left away, OR becomes several queries whose rows are united, and the rows
-whose columns are not exact (``_odd``) are read besides.
+The server only leaves out rows that cannot match; every returned row is checked again here. So a
+comparison that CQL cannot express is dropped, OR becomes several queries whose rows are united, and
+rows with inexact columns (``_odd``) are read in addition.
 
-Of a packed table the server checks blocks, by their zones; what it finds is unpacked, and sifted
-before it becomes rows.
+In a packed table the server checks blocks, by their zones. The returned blocks are unpacked, and
+their messages filtered before they become rows.
 """
 
 from __future__ import annotations
@@ -56,36 +56,39 @@ from cassandra_ros.query.tree.syntax import (
 )
 
 PLANS = ("auto", "index", "filter", "client")
-"""What may be pushed: whatever is quickest; the same, with every index; no index; nothing."""
+"""Allowed plans: the fastest way; all indexes; filters without indexes; no check by the server."""
 MAX_QUERIES = 8
-"""Of one bucket: more would cost more than reading it."""
+"""Maximum number of server queries for one bucket. More would cost more than reading the bucket."""
 FEW_VALUES = 4
-"""Of IN: for more the server is asked for their span."""
+"""Maximum number of values of an IN condition that are sent as they are. Longer lists are sent as
+their range."""
 FEW_SHARE = 0.02
-"""Up to here it is quicker to fetch what a filter found than to let it answer with whole rows."""
+"""Largest share of a bucket's rows that is fetched by key after filtering. Above it the server
+returns whole rows."""
 FEW_ROWS = 20
 DENSE_SHARE = 0.05
-"""Where an index finds more of a bucket than this, a filter is quicker: it fetches row by row."""
+"""Share of a bucket's rows above which filtering is faster than an index, which reads row by
+row."""
 DENSE_ROWS = 500
-"""So few are no burden, whatever their share."""
+"""Number of rows up to which an index is used, whatever their share."""
 ZONES_SHARE = 0.5
-"""Where zones let more of the messages through than this, they are not asked any more."""
+"""Share of unpacked messages above which zones are no longer checked."""
 CROWDED_SHARE = 0.3
-"""Where more of a bucket is wanted, it is read once instead of by several queries."""
+"""Share of matching rows above which a bucket is read once instead of by several queries."""
 Query = Tuple[Tuple[Term, ...], bool]
-"""What the server is to check, all of it, and whether it finds the rows by an index."""
+"""Terms that the server checks, all of which must hold, and whether an index finds the rows."""
 _ODD: Query = ((("_odd", "=", b"\x01"),), False)
 
 Watch = Callable[[], None]
-"""Is called again and again while something is read; what it raises ends that."""
+"""Function that is called repeatedly during a read; an exception from it ends the read."""
 
 
 def unwatched() -> None:
-    """Watch nothing."""
+    """Do nothing; the default of ``watch``."""
 
 
 class _Bucket(Protocol):
-    """What one writer notes of a partition in the directory, as the store's BucketRow has it."""
+    """The directory's entry of one writer for a bucket; implemented by the store's BucketRow."""
 
     @property
     def rows(self) -> int: ...
@@ -98,39 +101,41 @@ class _Bucket(Protocol):
 
 
 class Need(NamedTuple):
-    """One comparison, as the server can check it."""
+    """One comparison, and the ways in which the server can check it."""
 
     leaf: Leaf
     filtered: Ways = None
-    """By the column of format ``ros``."""
+    """Terms on the column of format ``ros``."""
     shadow: str = ""
-    """The column with an index on the field, '' = none."""
+    """Column with an index on the field; '' = no index."""
     indexed: Ways = None
-    """By the index."""
+    """Terms on the indexed column."""
 
 
 Branch = Tuple[Need, ...]
-"""Needs that all hold."""
+"""Comparisons that must all hold."""
 Used = Dict[Tuple[int, str], Leaf]
-"""Comparisons by their identity (they may be long) and the way."""
+"""Comparisons that the server checked, by identity (comparing them may be slow) and way."""
 
 
 class Pushdown:
-    """Decides for every bucket what the server is to check; see Chooser in store/scan.py.
+    """Chooses for every bucket what the server checks; see Chooser in store/scan.py.
 
     Args:
-        expression: The condition, bound; None is always true.
+        expression: The bound condition; None is always true.
         plan: One of PLANS.
-        watch: See Watch.
+        watch: Called repeatedly, see Watch.
 
     Attributes:
-        indexed, filtered, whole, skipped: How many buckets were read by an index, by a filter
-            alone, whole, and not at all.
-        blocks, unpacked, kept: How many blocks were read, how many messages they held, and how
-            many of those became rows.
-        held: How many messages the directory counts in packed buckets that were read.
-        used: The comparisons that the server checked, each with the way: 'index', 'filter' or
-            'zones'.
+        indexed: Number of buckets read by an index.
+        filtered: Number of buckets read by a filter without an index.
+        whole: Number of buckets read whole.
+        skipped: Number of buckets not read.
+        blocks: Number of blocks read.
+        unpacked: Number of messages in these blocks.
+        kept: Number of these messages that became rows.
+        held: Number of messages in the packed buckets that were read, as the directory counts.
+        used: Comparisons that the server checked, with the way: 'index', 'filter' or 'zones'.
     """
 
     def __init__(
@@ -158,11 +163,11 @@ class Pushdown:
 
     @property
     def checks(self) -> bool:
-        """Whether there is anything to check."""
+        """Whether there is a condition to check."""
         return self._expression is not None
 
     def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[Sequence[Query]]:
-        """Return the queries whose rows include those that match; None = all rows."""
+        """Return the queries whose rows include all matching rows; None = read all rows."""
         self._watch()
         chosen = self._chosen(table, bucket)
         if table.packed:
@@ -178,11 +183,11 @@ class Pushdown:
         return chosen
 
     def few(self, table: Table) -> bool:
-        """Say whether little was found so far."""
+        """Return whether only few rows were found so far."""
         return table.name not in self._many
 
     def learn(self, table: Table, bucket: Sequence[_Bucket], found: int) -> None:
-        """Do less in the next buckets where much was found in this one."""
+        """Record the rows found in a bucket; after many rows the next buckets are checked less."""
         every = sum(row.rows for row in bucket)
         if table.packed:
             opened, passed = self._opened[table.name], self._passed[table.name] + every
@@ -197,7 +202,7 @@ class Pushdown:
                 self._crowded.add(table.name)
 
     def sift(self, table: Table) -> Optional[Sift]:
-        """Return what leaves out messages of blocks that cannot match; None = nothing does."""
+        """Return the filter of blocks for a table; None if it would leave no message out."""
         if self._plan == "client" or self._expression is None or table.definition is None:
             return None
         if table.name not in self._sifts:
@@ -205,7 +210,7 @@ class Pushdown:
         return self._sifts[table.name]
 
     def opened(self, table: Table, messages: int, kept: int) -> None:
-        """Take note of a block that was unpacked, and how many of its messages became rows."""
+        """Record an unpacked block: its number of messages, and how many became rows."""
         self._watch()
         self._opened[table.name] += messages
         self.blocks += 1
@@ -243,11 +248,11 @@ class Pushdown:
     def _queries(
         self, branch: Branch, filled: frozenset[str], used: Used, way_without: str
     ) -> Optional[list[Query]]:
-        """Return the queries for one branch; None where the server cannot check anything of it."""
+        """Return the queries of one branch; None if the server cannot check any part of it."""
         if any(NEVER in (need.filtered, need.indexed) for need in branch):
             return []
         usable = [n for n in branch if n.indexed is not None and n.shadow in filled]
-        # The index on what is to be equal finds less than one on a range.
+        # An index with an equality finds fewer rows than one with a range.
         shadow = min(usable, key=_is_range).shadow if usable else ""
         ways, count = [], 1
         chosen = [
@@ -269,7 +274,7 @@ def _is_range(need: Need) -> bool:
 
 
 def _compatible(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """Leave out what the server refuses beside others: a second bound, or one beside =."""
+    """Remove terms that the server refuses in combination: second bounds, bounds with =."""
     equal = {column for column, operator, _ in terms if operator == "="}
     kept: dict[Tuple[object, ...], Term] = {}
     for term in terms:
@@ -282,7 +287,7 @@ def _compatible(terms: Sequence[Term]) -> tuple[Term, ...]:
 
 
 def _branches(expression: Expression, table: Table) -> Optional[list[Branch]]:
-    """Bring a condition into the form (a AND b …) OR …, weaker where it cannot be said."""
+    """Convert a condition to the form (a AND b …) OR …; parts that do not fit are dropped."""
     if isinstance(expression, Negation):
         return None
     if isinstance(expression, Either):
@@ -315,7 +320,9 @@ def _need(leaf: Leaf, table: Table) -> Need:
     try:
         ref = field_of(leaf.operand, table.definition, wants_array(leaf))
     except StatementError:
-        return Need(leaf, NEVER)  # missing here, and what is missing never matches
+        return Need(
+            leaf, NEVER
+        )  # this definition lacks the field, and a missing value never matches
     values = list(fitting(leaf, ref))
     if not values or ref.part:
         return Need(leaf, None if values else NEVER)
@@ -346,7 +353,7 @@ def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comp
 
 
 def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
-    """Return the column of format ``ros`` that holds a field, or all its elements."""
+    """Return the column of format ``ros`` with a field's value or all its elements, or None."""
     if not table.by_field:
         return None
     columns = {column.name: column for column in wire_plan(table.definition).columns}

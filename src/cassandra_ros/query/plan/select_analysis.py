@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a SELECT means once the fields of its topic are known.
+"""Analysis of a SELECT when the fields of its topic are known.
 
-``min(ranges)`` of an array is a value of every row, ``min(range_min)`` of a number one of all rows;
-a name in GROUP BY or ORDER BY may be the one that AS gives; and what rows are grouped and ordered
-by has to be read, shown or not.
+``min(ranges)`` of an array is a value of each row, ``min(range_min)`` of a number is one value of
+all rows. A name in GROUP BY or ORDER BY may be an alias. Columns for grouping and ordering must be
+computed even if they are not shown.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ What = Union[Term, Aggregate]
 
 
 def settle(select: Select, tables: Sequence[Table]) -> Select:
-    """Return the statement as the tables of its topic make it, its ``hidden`` columns filled in.
+    """Return the analysed statement, with its ``hidden`` columns.
 
-    Twice is harmless.
+    Analysing it again changes nothing.
 
     Raises:
-        InvalidQuery: It shows or orders what a group of rows has not one of.
+        InvalidQuery: A shown or ordering column has more than one value in a group.
     """
     if select.hidden or not (select.aggregates or select.group or select.order):
         return select
@@ -55,7 +55,7 @@ def settle(select: Select, tables: Sequence[Table]) -> Select:
 
 
 class _Telling:
-    """Tells values of one array from those of all rows."""
+    """Distinguishes aggregates of one array from aggregates of all rows."""
 
     def __init__(self, tables: Sequence[Table]) -> None:
         self._tables = tables
@@ -76,7 +76,7 @@ def _is_array(path: Path, table: Table) -> bool:
 
 
 def _grouped(select: Select) -> Select:
-    """Put what the rows are grouped by among the hidden columns."""
+    """Add the GROUP BY terms to the hidden columns."""
     columns = select.columns or ()
     aliases = {c.alias: c.what for c in columns if c.alias and not isinstance(c.what, Aggregate)}
     terms = []
@@ -90,7 +90,7 @@ def _grouped(select: Select) -> Select:
 
 
 def _check_columns(select: Select) -> None:
-    """Refuse columns of which a group of rows has more than one value."""
+    """Refuse columns with more than one value in a group."""
     if not (select.group or select.aggregates):
         return
     if select.columns is None:
@@ -111,7 +111,7 @@ def _check_columns(select: Select) -> None:
 
 
 def _ordered(select: Select) -> Select:
-    """Give each part of ORDER BY its column, a hidden one where it is not shown."""
+    """Set the column of each ORDER BY item, a hidden one if it is not shown."""
     placed, hidden = [], list(select.hidden)
     every = len(select.visible)
     limited = bool(select.group or select.aggregates or select.distinct)
@@ -135,7 +135,7 @@ def _ordered(select: Select) -> Select:
 
 
 def _place(select: Select, what: What) -> Optional[int]:
-    """Return the place of a column among all that are asked for."""
+    """Return the index of a term among all columns, hidden ones included, or None."""
     limited = bool(select.group or select.aggregates or select.distinct)
     for place, selected in enumerate(select.asked):
         if selected is None:

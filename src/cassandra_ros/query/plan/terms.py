@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A comparison with a column as terms that the server checks, never stronger than it.
+"""Conversion of a comparison to terms that the server checks; they are never stronger.
 
-Cassandra compares otherwise than we do: −0.0 is less than 0.0 and NaN more than all, a float32
-column takes a double for the float32 nearest to it, and a bound beyond an integer column's range
-is an error. So bounds go outwards to the next value that the column can hold; what it cannot
-hold cannot match.
+Cassandra compares differently: −0.0 is less than 0.0 and NaN greater than all numbers, a double
+compared with a float32 column is rounded to a float32, and a bound outside an integer column's
+range is an error. Therefore bounds are moved outwards to the next value of the column's type; a
+value that the type cannot hold matches no row.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from cassandra_ros.messages.wire.zones import HIGH, LOW
 from cassandra_ros.query.tree.literals import Comparable
 
 MAX_TERM_BYTES = 1024
-"""Longer texts are not sent to be compared with zones."""
+"""Maximum size of a text that is compared with zones, bytes."""
 Term = Tuple[str, str, bytes]
 """Column, operator and encoded value."""
 Ways = Optional[Tuple[Tuple[Term, ...], ...]]
-"""Each way is a set of terms that all hold; what matches does so in one way at least. None: any row
-may match. Empty: none can."""
+"""Alternatives; each is a set of terms that must all hold. A matching row satisfies at least one.
+None: any row may match. Empty: no row can match."""
 
 NEVER: Ways = ()
 _BITS = {"tinyint": 8, "smallint": 16, "int": 32, "bigint": 64}
@@ -43,17 +43,18 @@ class Held:
 
     column: str
     cql_type: str
-    """Of one value."""
+    """CQL type of one value."""
     many: bool = False
-    """A list or set of values, which can only be asked for one that it contains."""
+    """Whether it is a list or set of values; only CONTAINS can be checked on it."""
     longest: int = 0
-    """Texts of more bytes may be missing, so that a range of texts is never asked for."""
+    """Maximum size of a text that is certainly in the column, bytes. Because of this limit ranges
+    of texts are not checked."""
 
 
 def ways_of(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
-    """Say how the server can check that a column compares so (= < <= > >= CONTAINS) with a value.
+    """Return the terms for a comparison of a column (= < <= > >= CONTAINS) with values.
 
-    For ``=`` and ``CONTAINS`` there may be several, of which one is to match.
+    ``=`` and ``CONTAINS`` may have several values, one of which must match.
     """
     if operator == "=" or (operator == "CONTAINS" and held.many):
         return _equal(held, "CONTAINS" if held.many else "=", values)
@@ -63,7 +64,7 @@ def ways_of(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
 
 
 def span_of(held: Held, values: Sequence[Comparable]) -> Ways:
-    """Say how the server can check that a number lies between the outermost of some."""
+    """Return the terms for a number between the minimum and maximum of some values."""
     numbers = [v for v in values if not isinstance(v, str) and v == v]
     if held.many or not numbers or len(numbers) < len(values):
         return None
@@ -80,7 +81,7 @@ def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
         raws = _exact(held, value)
         if raws is None:
             return None
-        if len(raws) == 2 and not held.many:  # both zeros, in one query
+        if len(raws) == 2 and not held.many:  # one query for −0.0 and 0.0
             ways[(held.column, ">=", raws[0]), (held.column, "<=", raws[1])] = None
         else:
             ways.update(dict.fromkeys(((held.column, operator, raw),) for raw in raws))
@@ -88,7 +89,7 @@ def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
 
 
 def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
-    """Encode all that equals a value; None where the column may lack what does."""
+    """Encode all values that equal one; None if the column may lack such a value."""
     if isinstance(value, str) != (held.cql_type == "text") or value != value:
         return []
     if isinstance(value, str):
@@ -127,7 +128,7 @@ def _bounded(held: Held, operator: str, value: Comparable) -> Ways:
 
 
 def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
-    """Encode the nearest float that is not above (upwards) or not below a value."""
+    """Encode the nearest float that is not greater (upwards) or not less than a value."""
     kind = _FLOATS[cql_type]
     try:
         wide = float(value)
@@ -135,7 +136,7 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
         wide = math.inf if value > 0 else -math.inf  # type: ignore[operator]
     with numpy.errstate(over="ignore"):
         near = kind(wide)
-        # As Python numbers, for they compare exactly.
+        # Converted to Python numbers, which compare exactly.
         if (float(near) > value) if upwards else (float(near) < value):  # type: ignore[operator]
             near = numpy.nextafter(near, kind(-math.inf if upwards else math.inf))
     found = float(near)
@@ -143,9 +144,9 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
 
 
 def zone_ways(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
-    """Say how the server can check by the zones of a column that a block may match.
+    """Return the terms on the zone columns for a block that may match a comparison.
 
-    The least and the greatest value of the block stand in two columns.
+    The zone columns hold the minimum and the maximum of the block.
     """
     if operator == "=":
         ways = [_zone_around(held, value, value) for value in values]
@@ -158,7 +159,7 @@ def zone_ways(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
 
 
 def zone_span(held: Held, values: Sequence[Comparable]) -> Ways:
-    """Say how the server can check by zones that a value may lie between the outermost of some."""
+    """Return the terms on the zone columns for values between the minimum and maximum of some."""
     fitting = [v for v in values if isinstance(v, str) == (held.cql_type == "text") and v == v]
     return _zone_around(held, min(fitting), max(fitting)) if fitting else NEVER
 
@@ -182,7 +183,7 @@ def _zone_bounded(held: Held, operator: str, value: Comparable) -> Ways:
         return _zone_text(end, operator, value)
     if held.cql_type != "boolean":
         return _bounded(end, operator, value)
-    # Two values: what is to be above false or below true is one of them.
+    # A block has a value above false, or below true, only if that bound is the other value.
     wanted = 1 if upwards else 0
     if not (_COMPARE[operator](1, value) or _COMPARE[operator](0, value)):
         return NEVER
