@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a statement was answered: what the server did, what was left to the client."""
+"""Report of how a statement was answered: the work of the server, and the work of the client."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from cassandra_ros.query.tree.syntax import (
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """How a statement was answered; ``str()`` is for people.
+    """Report of how a statement was answered; ``str()`` is for people.
 
     A bucket is a partition: a time range of one node in one table.
     """
@@ -41,34 +41,35 @@ class Explanation:
     statement: str
     topic: str
     buckets: int
-    """How many buckets the topic has."""
+    """Number of buckets of the topic."""
     indexed: int
-    """Read by an index, of the buckets that KEY, NODE and RUN leave."""
+    """Number of buckets read by an index, of those that KEY, NODE and RUN select."""
     filtered: int
-    """Read by the server and filtered there."""
+    """Number of buckets filtered by the server."""
     whole: int
-    """Read whole and filtered here."""
+    """Number of buckets read whole and filtered by the client."""
     skipped: int
-    """Not read, because nothing in them can match."""
+    """Number of buckets not read, because no row in them can match."""
     server: tuple[str, ...]
-    """What the server checked; every row is checked again here."""
+    """Comparisons that the server checked; the client checks every row again."""
     client: tuple[str, ...]
-    """What was checked here alone."""
+    """Comparisons that only the client checked."""
     rows_read: int
-    """Rows that came from the server."""
+    """Number of rows received from the server."""
     rows_returned: int
     blocks: int = 0
-    """Blocks of packed messages that were read and unpacked."""
+    """Number of blocks of packed messages that were read and unpacked."""
     unpacked: int = 0
-    """Messages in them."""
+    """Number of messages in these blocks."""
     sifted: int = 0
-    """Those of them that numpy left out before they became rows."""
+    """Number of these messages that numpy filtered out before they became rows."""
     unread: int = 0
-    """Messages in blocks that were not read, in the buckets that were, as the directory counts."""
+    """Number of messages in the unread blocks of the buckets that were read, as the directory
+    counts."""
     counted: bool = False
-    """The directory of buckets knew the answer; no row was read."""
+    """Whether the directory of buckets had the answer, so that no row was read."""
     time_ranges: Optional[int] = None
-    """Stretches of time that NEAR left; None: it leaves all of them, or is not asked."""
+    """Number of time ranges selected by NEAR; None: no NEAR, or it selects all time."""
 
     def __repr__(self) -> str:
         read = self.indexed + self.filtered + self.whole
@@ -102,7 +103,7 @@ class Explanation:
 
 
 def explain(result: QueryResult, source: Source[Row]) -> Explanation:
-    """Read a result to its end, keeping no row, and say how it was answered."""
+    """Read a result to its end without keeping rows, and return how it was answered."""
     with result:
         returned = sum(1 for _ in result)
     pushed = result.pushdown
@@ -131,7 +132,7 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
 
 
 def _alone(condition: Optional[Expression], pushed: set[Leaf]) -> Iterator[str]:
-    """Yield the parts of a condition of which the server checked nothing."""
+    """Yield the parts of a condition that the server did not check at all."""
     for part in conjuncts(condition):
         terms = chain.from_iterable(map(terms_of, leaves(part)))
         fields = any(isinstance(p, Path) for term in terms for p in inside(term))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the query language needs of the rows that it is asked about, and of their tables."""
+"""Interfaces of the query language to stored rows and their tables."""
 
 from __future__ import annotations
 
@@ -16,59 +16,61 @@ from cassandra_ros.messages.stamps import Stamp
 
 
 class Runs(Protocol):
-    """The recordings, imports and clients that stored the messages, by their writer ids."""
+    """Recordings, imports and clients that stored the messages, by their writer ids."""
 
     def called(self, text: str) -> FrozenSet[int]:
-        """Return those whose RUN is this text."""
+        """Return the writer ids of the runs with this value of RUN."""
 
 
 class Disk(NamedTuple):
-    """A spot on the ground, and whose place is asked for."""
+    """A disk on the ground, and the robot whose position is compared with it."""
 
     x: float
     y: float
     radius: float
-    """All three in metres, the rim included."""
+    """x, y and radius in metres; the rim is included."""
     frame: str = "map"
-    """The frame of x and y."""
+    """Frame of x and y."""
     robot: str = ""
-    """Its frame, or a topic of its poses; '' = to be found out."""
+    """Frame of the robot, or topic of its poses; '' = find it."""
 
 
 class Stays(Protocol):
-    """When robots were where a question asks for."""
+    """Times at which robots were on a disk."""
 
     def holds(self, node: str, run: str, t: int) -> Optional[bool]:
-        """Say whether the robot of a message was there; None where nobody knows.
+        """Return whether the robot of a message was on the disk; None if unknown.
 
         Args:
             node: nodeID of the message.
-            run: What RUN says of it.
-            t: The time under which it lies, ns.
+            run: Value of RUN for the message.
+            t: Row key of the message, ns.
         """
 
     def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[Tuple[int, int]]:
         """Yield time ranges outside of which ``holds`` is never true.
 
-        In order, or the newest first, apart from one another, both ends included, ns, all of them
-        in [low, high]. They are found while they are taken.
+        The ranges lie in [low, high], ns, both ends included; they are disjoint, and ascending or
+        (reverse) descending. They are computed when the iterator is advanced.
         """
 
 
 class Places(Protocol):
-    """Where the robots of a keyspace were."""
+    """Positions of the robots of a keyspace."""
 
     def stays(
         self, disk: Disk, node: Optional[str] = None, writers: Optional[FrozenSet[int]] = None
     ) -> Stays:
-        """Say when robots were on a disk; of one node, None = of all.
+        """Return when robots were on a disk.
 
         Args:
-            writers: The runs about whose messages it is asked: their own poses count, where they
-                recorded any. None = all runs.
+            disk: The disk.
+            node: nodeID of the robot; None = all robots.
+            writers: Writer ids of the runs whose messages are checked. If they recorded poses, only
+                these are used. None = all runs.
 
         Raises:
-            InvalidOption: No pose in its frame is stored, or several robots may be meant.
+            InvalidOption: No pose in the disk's frame is stored, or several robots may be meant.
         """
 
 
@@ -77,11 +79,11 @@ class Group(Protocol):
 
     @property
     def members(self) -> NDArray[np.int64]:
-        """Their positions in the block, ascending."""
+        """Positions of the messages in the block, ascending."""
 
     @property
     def planes(self) -> NDArray[np.uint8]:
-        """(size, members): row k holds byte k of every message."""
+        """Bytes of the messages, (size, members): row k holds byte k of every message."""
 
 
 class Block(Protocol):
@@ -91,24 +93,25 @@ class Block(Protocol):
 
     @property
     def groups(self) -> Sequence[Group]:
-        """All of its messages."""
+        """All messages of the block, by size."""
 
 
 class Table(Protocol):
     """A table of a topic: messages of one definition, in one format."""
 
     name: str
-    """Unique in its keyspace."""
+    """Name, unique in its keyspace."""
     definition: Optional[Definition]
-    """None where there is no usable one."""
+    """Definition of its messages; None if it is unusable."""
     named: bool
-    """Its rows are found by a name, not by their time."""
+    """Whether rows are found by a name instead of their time."""
     packed: bool
-    """Its messages lie in blocks, with zones that bound their fields."""
+    """Whether messages are stored in blocks, with zones that bound their fields."""
     columns: tuple[str, ...]
-    """Those of its format, in their order."""
+    """Columns of its format, in their order."""
     longest_text: int
-    """A longer text of a large message is in no column; bytes of UTF-8."""
+    """Maximum size of a text in a column, UTF-8 bytes. A longer text of a large message has no
+    column."""
 
     @property
     def msg_type(self) -> str:
@@ -116,11 +119,11 @@ class Table(Protocol):
 
     @property
     def runs(self) -> Runs:
-        """Those of its keyspace."""
+        """Runs of its keyspace."""
 
     @property
     def places(self) -> Places:
-        """Where its keyspace's robots were."""
+        """Positions of the robots of its keyspace."""
 
     @property
     def by_field(self) -> bool:
@@ -128,30 +131,30 @@ class Table(Protocol):
 
     @property
     def index_fields(self) -> Mapping[str, IndexField]:
-        """The indexes that conditions can use, by their field."""
+        """Indexes that conditions can use, by field."""
 
 
 class Row(Protocol):
-    """A stored message: its place, and its bytes when they are asked for."""
+    """A stored message: its row key, and its bytes, which may be read when they are requested."""
 
     t: int
     """Key time, ns since 1970."""
     node: str
-    """'' when nobody said."""
+    """nodeID of the robot; '' if none was given."""
     name: str
-    """The name under which it is kept; '' where it is found by time."""
+    """Name under which it is kept; '' if it is found by its time."""
     columns: tuple[Optional[bytes], ...]
-    """Columns of the format, undecoded: all of them, or those that were asked for."""
+    """Encoded columns of the format: all columns, or those that were requested."""
     size: int
-    """Serialised bytes."""
+    """Size of the serialised message, bytes."""
 
     @property
     def run(self) -> str:
-        """Name of the run that stored it, or its writer id where that has none."""
+        """Name of the run that stored it; its writer id if the run has no name."""
 
     @property
     def topic(self) -> str:
-        """The topic under which it is stored."""
+        """Topic under which it is stored."""
 
     @property
     def key(self) -> Stamp | RowName:
@@ -159,11 +162,11 @@ class Row(Protocol):
 
     @property
     def position(self) -> Position:
-        """Its place in the order of all reads."""
+        """Position in the order of all reads."""
 
     @property
     def table(self) -> Table:
-        """The table in which it lies."""
+        """Table that contains it."""
 
     @property
     def wire(self) -> bytes:

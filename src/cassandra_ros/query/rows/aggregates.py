@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values made of all rows, or of those of a group: see ``totals``. One pass, and no row is kept.
+"""Aggregates of all rows or of the rows of a group, in one pass, without keeping rows.
 
-What is missing is left out everywhere but in ``count(*)``.
+For the functions see ``tree/accumulators``. Missing values are ignored, except by ``count(*)``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cassandra_ros.query.tree.syntax import Aggregate, Select
 
 
 class Aggregation:
-    """The columns of a statement over all rows that it is given: aggregates, or the first value."""
+    """The columns of a statement over several rows: aggregates, or the value of the first row."""
 
     def __init__(self, select: Select) -> None:
         self._text = select.text
@@ -27,7 +27,7 @@ class Aggregation:
         ]
 
     def add(self, rows: Iterable[ResultRow]) -> None:
-        """Take rows in; InvalidQuery: the values of a field have no order among them."""
+        """Add rows; InvalidQuery: the values of a field cannot be compared with each other."""
         for row in rows:
             for total, asked, value in zip(self._totals, self._asked, row):
                 try:
@@ -46,7 +46,7 @@ class Aggregation:
 
 
 class _First:
-    """The first value: of what the rows are grouped by, all are the same."""
+    """The value of the first row, for GROUP BY terms, which have one value in a group."""
 
     def __init__(self) -> None:
         self._value: object = None

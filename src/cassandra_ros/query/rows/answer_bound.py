@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How large an answer may become that is made whole before it is sent or written.
+"""Limit on the size of an answer that is made whole before it is sent or written.
 
-A page ends after the row that makes it long enough, yet one row may hold a field a thousand times,
-and one message may be as large as the store takes. So each answer counts its bytes while it is
-made, and ends with an error before it takes more than MOST_BYTES.
+A page ends after the row that reaches the page size. But one row may contain a field a thousand
+times, and a message may be as large as the store accepts. Therefore each answer counts its bytes
+while it is made, and fails before it takes more than MOST_BYTES.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ _NUMBER = 2
 
 
 class AnswerBound:
-    """The bytes of one answer, counted before each part of it is made.
+    """Counter of the bytes of one answer, called before each part of it is made.
 
     Args:
-        what: What becomes too large, as the subject of the error's sentence.
-        remedy: What to ask instead, as the end of that sentence.
+        what: Name of what becomes too large, as the subject of the error's sentence.
+        remedy: What to do instead, as the end of that sentence.
 
     Attributes:
-        bytes: The size of the parts so far.
+        bytes: Size of the parts so far, bytes.
     """
 
     def __init__(self, what: str, remedy: str) -> None:
@@ -34,7 +34,7 @@ class AnswerBound:
         self.bytes = 0
 
     def take(self, size: int) -> None:
-        """Count a part that is about to be made, bytes.
+        """Count a part of ``size`` bytes that is about to be made.
 
         Raises:
             AnswerTooLarge: The answer would have more than MOST_BYTES. The part is not counted.
@@ -44,12 +44,15 @@ class AnswerBound:
         self.bytes += size
 
     def error(self) -> AnswerTooLarge:
-        """Return the error that says so."""
+        """Return the error for an answer that is too large."""
         limit = f"more than {MOST_BYTES // 2**20} MiB"
         return AnswerTooLarge(f"{self._what} would take {limit}; {self._remedy}")
 
     def json(self, value: object) -> str:
-        """Return a value of a result as JSON text, as to_json; see take."""
+        """Count a value of a result and return it as JSON text, like to_json.
+
+        Raises as ``take``.
+        """
         least = least_bytes(value)
         self.take(least)
         text = to_json(value)
@@ -58,7 +61,7 @@ class AnswerBound:
 
 
 def least_bytes(value: object) -> int:
-    """Return how many bytes a value of a result takes as text, at least."""
+    """Return the minimum size of a value of a result as text, bytes."""
     if isinstance(value, (str, bytes, bytearray)):
         return len(value)
     if not isinstance(value, list):

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows of a result straight out of stored ones: a function for a statement.
+"""A compiled function from stored rows to rows of the result, for most statements.
 
-It is compiled for what most statements are: nothing is unnested. Of format ``ros`` every field has
-to have a column; what the condition needs is decoded first, the rest only where it is true. Of a
-row that lacks one of the columns, or is malformed, it says nothing: that row is read as any other.
+It is used if nothing is unnested and, in format ``ros``, every field has a column. The fields of
+the condition are decoded first, the other fields only if the condition is true. For a row with a
+missing column or malformed values it returns None, and the row is read in the general way.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ from cassandra_ros.query.rows.evaluate import Check
 from cassandra_ros.query.rows.extract import Direct, Get
 
 Held = Sequence[Optional[bytes]]
-"""Columns of a row."""
+"""Encoded columns of a row."""
 ResultRows = List[Tuple[Any, ...]]
 CompiledRows = Callable[[Row], Optional[ResultRows]]
-"""Returns what a stored row gives; None where it cannot say."""
+"""Function that returns the result rows of a stored row; None = use the general way."""
 Shown = Sequence[Tuple[Optional[int], Optional[Get]]]
-"""For each column of the result its place (None: missing here), and how to show a value."""
+"""For each column of the result the index of its value (None: missing in this table), and the
+conversion for display."""
 _Fill = Callable[[Held, List[Any]], bool]
-"""Puts the values of some fields into their places; False: one is missing."""
+"""Function that sets the values of some fields; it returns False if one is missing."""
 _Part = Tuple[int, int, Direct]
-"""Place among the values, place among the columns, how to read it."""
+"""Index among the values, index among the columns, and the field's decoder."""
 _NONE: ResultRows = []
-"""Nobody changes it."""
+"""Shared empty result; callers do not change it."""
 
 
 def compile_rows(
@@ -47,17 +48,19 @@ def compile_rows(
     asked: int,
     stored: int,
 ) -> CompiledRows:
-    """Make the function for one statement and table.
+    """Return the function for one statement and one table.
 
     Args:
-        direct: The fields, in the order of their values, which come behind those of ``own``.
-        own: Gives the values of a row that are of no field.
-        checked: Places of the values that the condition needs.
-        key_place: Where KEY stands, which is shown as the row's key.
-        computed: Gives of the values those that stand behind them, for what is shown alone.
-        own_width: How many values are of no field.
-        asked, stored: How many columns a row has that was asked for the fields alone, and as a
-            whole.
+        direct: Fields in the order of their values, which follow the values of ``own``.
+        own: Returns the values of a row that are not fields.
+        check: The condition.
+        checked: Indices of the values that the condition needs.
+        shown: See Shown.
+        key_place: Index of KEY, which is shown as the row's key.
+        computed: Functions of the computed columns, whose values follow the others.
+        own_width: Number of values that are not fields.
+        asked: Number of columns of a row if only the needed columns are read.
+        stored: Number of columns of a whole row.
     """
     places = range(own_width, own_width + len(direct))
     spots = {asked: [d.asked for d in direct], stored: [d.stored for d in direct]}
@@ -75,7 +78,7 @@ def compile_wire_rows(
     key_place: int,
     computed: Sequence[Get] = (),
 ) -> CompiledRows:
-    """As compile_rows, of a table whose rows hold serialised messages, which ``read`` reads."""
+    """Like compile_rows, for a table whose rows hold serialised messages, read by ``read``."""
     show = _compile_show(shown, key_place, computed)
 
     def rows(row: Row) -> Optional[ResultRows]:
@@ -118,9 +121,9 @@ def _compile_rows(
 
 
 def _fills(parts: Sequence[_Part], checked: Sequence[int]) -> Tuple[_Fill, _Fill]:
-    """Return what reads the fields that are checked, and what reads the others.
+    """Return the functions that set the checked fields, and the other fields.
 
-    Where a number is checked all numbers are read: together they cost hardly more than one.
+    If one number is checked, all numbers are read: together they cost hardly more than one.
     """
     number = any(place in checked and direct.code for place, _, direct in parts)
     first = [p for p in parts if p[0] in checked or (number and p[2].code)]
@@ -129,7 +132,7 @@ def _fills(parts: Sequence[_Part], checked: Sequence[int]) -> Tuple[_Fill, _Fill
 
 def _compile_fill(parts: Sequence[_Part]) -> _Fill:
     numbers = [part for part in parts if part[2].code]
-    if len(numbers) < 2:  # what takes all at once wants two
+    if len(numbers) < 2:  # itemgetter returns a tuple only for two and more
         numbers = []
     others = [(place, at, d.decode) for place, at, d in parts if not (d.code and numbers)]
     fills = [_others(others)] if others else []
@@ -177,7 +180,7 @@ def _numbers(parts: Sequence[_Part]) -> _Fill:
 def _compile_show(
     shown: Shown, key_place: int, computed: Sequence[Get] = ()
 ) -> Callable[[Row, List[Any]], Tuple[Any, ...]]:
-    """Return what makes a row of the result of the values of a stored one, which it may change."""
+    """Return the function from the values of a row, which it may change, to a row of the result."""
     if computed:
         inner = _compile_show(shown, key_place)
         return lambda row, values: inner(row, [*values, *[get(values) for get in computed]])
@@ -187,12 +190,12 @@ def _compile_show(
     for n, (place, get) in enumerate(shown):
         if place is not None and get:
             first = made.setdefault((place, get), n)
-            # A column that is named twice is made once.
+            # A column that is selected twice is computed once.
             if first == n:
                 gets.append((n, get))
             else:
                 copies.append((n, first))
-    # A key is put behind the values.
+    # The row's key is appended to the values.
     places = [-1 if n in keys else place for n, (place, _) in enumerate(shown)]
     if None in places or len(places) < 2:
         take = _take(places)

@@ -1,25 +1,25 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a condition means. Whatever the store filters, this has the last word on every row.
+"""Meaning of conditions: the final check of every row, whatever the store has filtered.
 
-A comparison is true, false, or unknown where the value is missing: an array that is too short, a
-field that this definition of the topic lacks, a message that cannot be read. NOT keeps unknown;
-AND is false when one side is, OR true when one side is; only rows for which the whole is true
-match. So what is missing never matches, also not under NOT. ``IS NULL`` alone is never unknown:
-it is true for what is missing. NaN, '' and an empty array are values. An array of messages without
-elements gives no row, so that nothing inside it is null either.
+A comparison is true, false, or unknown if a value is missing: an index beyond the end of an array,
+a field that the message's definition lacks, an unreadable message. NOT of unknown is unknown; AND
+is false if one side is false, OR true if one side is true. Only rows for which the whole condition
+is true match. So a missing value never matches, not even under NOT. Only ``IS NULL`` is never
+unknown: it is true for a missing value. NaN, '' and an empty array are values. An unnested array of
+messages without elements gives no row, so that its fields are not null either.
 
-Values compare as Python compares them: int with float exactly, NaN as IEEE 754 says (equal to
-nothing, ``!=`` to everything), −0.0 equal to 0, text by code point, times as integer nanoseconds.
-``CONTAINS`` compares each element of an array of primitives so; ``LIKE`` the whole text with a
-pattern, in which ``%`` stands for any text, also none, ``_`` for exactly one code point, everything
-else for itself; there is no escape character, and upper and lower case differ.
+Values compare as in Python: int with float exactly, NaN as in IEEE 754 (equal to nothing, ``!=`` to
+everything), −0.0 equal to 0, text by code points, times as integer nanoseconds. ``CONTAINS``
+compares each element of an array of primitives in this way. ``LIKE`` compares the whole text with a
+pattern: ``%`` stands for any text, also the empty one, ``_`` for exactly one code point, every
+other character for itself. There is no escape character, and case matters.
 
-What is computed (see ``computed``) and fields of one message compare with one another in the same
-way. ``ANY(array) < x`` is true where it is for one element, ``ALL`` where it is for each of them,
-also where there is none; NOT, IN and BETWEEN behind them ask about the element.
+Computed values (see ``tree/expressions``) and fields of the same message compare in the same way.
+``ANY(array) < x`` is true if the comparison is true for one element, ``ALL`` if it is true for
+every element, also of an empty array. NOT, IN and BETWEEN after them apply to the element.
 
-``NEAR`` is unknown where no pose of the robot is known at the time.
+``NEAR`` is unknown if no pose of the robot is known at the time.
 """
 
 from __future__ import annotations
@@ -49,27 +49,27 @@ from cassandra_ros.query.tree.syntax import (
 )
 
 Values = Sequence[Any]
-"""The values of one message, or of one element of its array; None = missing."""
+"""Values of one message, or of one element of its unnested array; None = missing."""
 Check = Callable[[Values], Optional[bool]]
 
 
 class Fields(Protocol):
-    """What a condition names, in the rows of one table."""
+    """Lookup of the names in a condition, for the rows of one table."""
 
     def locate(self, leaf: Comparison) -> Optional[int]:
-        """Find the place of a comparison's operand among the values; None where there is none."""
+        """Return the index of a comparison's operand among the values; None if it has no index."""
 
     def whereabouts(self) -> Tuple[int, int, int]:
-        """Return the places of nodeID, run and time among the values."""
+        """Return the indices of nodeID, run and time among the values."""
 
     def compute(self, leaf: Comparison) -> Sequence[Optional[Get]]:
-        """Return what computes the terms of a comparison, but for an operand with a place.
+        """Return the functions of a comparison's terms, except of an operand with an index.
 
-        None for what is missing here, or can never be compared.
+        None stands for a term that is missing in this table, or cannot be compared.
         """
 
     def fit(self, leaf: Comparison, literal: Literal) -> Optional[Comparable]:
-        """Fit a literal to its operand; None where it can never be compared."""
+        """Convert a literal for comparison with its operand; None if they cannot be compared."""
 
 
 _SWAPPED = {
@@ -80,11 +80,11 @@ _SWAPPED = {
     ">": operator.lt,
     ">=": operator.le,
 }
-"""Their arguments are the other way round, so that ``partial`` can bind what is compared with."""
+"""Operators with swapped arguments, so that ``partial`` can bind the right operand."""
 
 
 def compile_condition(expression: Optional[Expression], fields: Fields) -> Check:
-    """Make a function that tells whether values satisfy a condition; None is always true."""
+    """Return the function from values to the truth of a condition; None is always true."""
     if expression is None:
         return lambda values: True
     if isinstance(expression, Negation):
@@ -120,7 +120,7 @@ def _leaf(leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: Fie
 
 
 def _near(leaf: Near, node: int, run: int, time: int) -> Check:
-    if leaf.stays is None:  # of a topic without tables: it has no rows
+    if leaf.stays is None:  # the topic has no tables, and therefore no rows
         return lambda values: None
     holds = leaf.stays.holds
     return lambda values: holds(values[node], values[run], values[time])
@@ -139,7 +139,7 @@ def _related(sign: str, left: Optional[Get], right: Optional[Get]) -> Check:
 
 
 def _quantified(leaf: Quantified, place: Optional[int], gets: Sequence[Optional[Get]]) -> Check:
-    """ANY and ALL: of an array without elements ANY is false and ALL true."""
+    """Return the check of ANY or ALL. For an empty array ANY is false and ALL true."""
     known = [get for get in gets if get is not None]
     if place is None or len(known) < len(gets):
         return lambda values: None
@@ -184,10 +184,12 @@ def _comparison(place: int, sign: str, wanted: Optional[Comparable]) -> Check:
 
 
 def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:
-    """``IN``: as ``=`` with each value, joined by OR."""
-    # NaN equals nothing, yet a set finds it by identity.
+    """Return the check of IN: like ``=`` with each value, joined by OR."""
+    # NaN is left out: it equals nothing, but a set would find it by identity.
     members = frozenset(value for value in listed if value is not None and value == value)
-    otherwise = None if None in listed else False  # of another kind: unknown
+    otherwise = (
+        None if None in listed else False
+    )  # a value of another kind makes the result unknown
 
     def check(values: Values) -> Optional[bool]:
         value = values[place]
@@ -205,11 +207,11 @@ def _tested(place: int, test: Callable[[Any], bool]) -> Check:
 
 
 def _like(pattern: str) -> Callable[[str], bool]:
-    """Return a function that tells whether the whole of a text matches a pattern of LIKE.
+    """Return the function that matches a whole text with a pattern of LIKE.
 
-    Its time is at worst that of text times pattern, whatever the pattern: one regular expression
-    with several ``.*`` could take for ever, so each piece between two ``%`` is looked for by
-    itself, where it comes first.
+    Its time is at most proportional to text times pattern. One regular expression with several
+    ``.*`` could take exponential time, so each piece between two ``%`` is searched separately,
+    at its first occurrence.
     """
     pieces = pattern.split("%")
     head, tail = _piece(pieces[0]), _piece(pieces[-1])
@@ -236,7 +238,7 @@ def _piece(text: str) -> Pattern[str]:
 def _holding(wanted: Comparable) -> Callable[[Any], bool]:
     if wanted != wanted:
         return lambda array: False
-    # Bytes take ints alone, and only those that a byte can be.
+    # ``in`` accepts only ints from 0 to 255 for bytes.
     byte = isinstance(wanted, (int, float)) and 0 <= wanted <= 255 and wanted == int(wanted)
 
     def test(array: Any) -> bool:
@@ -256,7 +258,7 @@ def _negation(inner: Check) -> Check:
 
 
 def _joined(checks: list[Check], decisive: bool) -> Check:
-    """AND (decisive False) or OR (decisive True): one decisive part decides."""
+    """Return the check of AND (decisive False) or OR (decisive True): one decisive part decides."""
 
     def check(values: Values) -> Optional[bool]:
         result: Optional[bool] = not decisive

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values of fields out of stored messages, without making message objects.
+"""Field values of stored messages, read without making message objects.
 
-An array of messages whose elements a statement asks for is unnested: the message gives one list of
-values per element. Other arrays of messages on the way to a field give a list of its values.
+An array of messages whose elements a statement names is unnested: the message gives one list of
+values per element. Any other array of messages on the path to a field gives a list of the field's
+values.
 """
 
 from __future__ import annotations
@@ -20,30 +21,30 @@ from cassandra_ros.query.tree.field_names import Array, FieldRef
 
 Get = Callable[[Any], Any]
 Read = List[Any]
-"""The values of some fields."""
+"""Values of some fields."""
 
 
 class Direct(NamedTuple):
-    """A field that is the whole of a column of format ``ros``, or is in it."""
+    """A field that is a column of format ``ros``, or part of one."""
 
     asked: int
-    """Where the column stands among ``Extractor.columns``."""
+    """Index of the column among ``Extractor.columns``."""
     stored: int
-    """Where it stands among all columns of the table."""
+    """Index of the column among all columns of the table."""
     decode: Get
-    """From the column's bytes to the field's value; raises BUILD_ERRORS."""
+    """Function from the column's bytes to the field's value; raises BUILD_ERRORS."""
     code: str
-    """Its struct code where it is a number of fixed size and nothing is done with it, else ''."""
+    """struct code of a number of fixed size that is returned unchanged, else ''."""
 
 
 class Extractor:
-    """Reads the values of some fields of one message type out of stored messages.
+    """Reads the values of some fields of one message type from stored messages.
 
-    Each unnested array of messages lies inside the one before.
+    Each unnested array of messages lies inside the previous one.
 
     Attributes:
-        columns: The columns of format ``ros`` that hold the fields, in their order; None where one
-            lies in no column.
+        columns: Columns of format ``ros`` that hold the fields, in order; None if a field has no
+            column.
     """
 
     def __init__(
@@ -64,9 +65,10 @@ class Extractor:
             [(n, g[at]) for n, g in enumerate(gets) if at < len(g) and g[at] is not _itself]
             for at in levels
         ]
-        """For each level of unnesting which values are to be changed, and how."""
+        """For each level of unnesting the indices of the values to convert, and the conversions."""
         self._inner = [[n for n, g in enumerate(gets) if len(g) > at] for at in levels[1:]]
-        """For each level which values are lists over the elements of its array."""
+        """For each level the indices of the values that are lists over the elements of its
+        array."""
         self._read = self._plan.reader(names)
         numbers = {column.name: n for n, column in enumerate(self._plan.columns)}
         self._stored = [numbers[name] for name in names if name in numbers]
@@ -78,16 +80,16 @@ class Extractor:
         self._gets = [each[0] for each in gets]
 
     def direct(self) -> Optional[list[Direct]]:
-        """Say how each field is read from columns alone; None where elements are unnested."""
+        """Return how each field is read from its column; None if that is impossible."""
         if self.columns is None or self._depth or not all(self._given):
             return None
         found = zip(self._projected, self._stored, self._gets)
         return [self._direct(asked, stored, get) for asked, stored, get in found]
 
     def whole(self) -> Optional[Callable[[bytes], Read]]:
-        """Return what reads all fields of a serialised message; None where some are unnested.
+        """Return the function that reads all fields of a serialised message; None if unnested.
 
-        It raises CorruptMessage.
+        The function raises CorruptMessage.
         """
         if self._depth or not all(self._given):
             return None
@@ -112,15 +114,18 @@ class Extractor:
         return Direct(asked, stored, decode, code[1:])
 
     def values(self, row: Row) -> Iterator[Read]:
-        """Yield the values of a row, once or per unnested element; CorruptMessage: it is none."""
+        """Yield the values of a row, once or per unnested element.
+
+        CorruptMessage: malformed row.
+        """
         found = iter(self._columns(row))
         return self._unnest(0, [next(found) if given else [] for given in self._given])
 
     def _columns(self, row: Row) -> Read:
-        """Values of the named columns, from the row's own where it has them."""
+        """Return the values of the columns, from the row's columns if they are set."""
         held = row.columns
         if self.columns is not None and held and row.table.by_field:
-            # A column that cannot give its field back is unset, also in an odd row.
+            # Also in a row marked odd, a column that cannot hold its field exactly is unset.
             places = self._projected if len(held) == len(self.columns) else self._stored
             raw = [held[n] for n in places]
             if None not in raw:
@@ -150,9 +155,9 @@ def _count(values: object) -> int:
 
 
 def _held_steps(ref: FieldRef, known: Container[str]) -> int:
-    """How many steps lead to the column that holds a field: its own, or the blob it lies in.
+    """Return the number of steps to the column with a field: its own, or a blob that contains it.
 
-    0: no column does, for it lies in an array of fixed length 0.
+    0: there is no such column, because the field is inside an array of fixed length 0.
     """
     names = [step.name for step in ref.steps]
     every = range(1, len(names) + 1)
@@ -160,7 +165,7 @@ def _held_steps(ref: FieldRef, known: Container[str]) -> int:
 
 
 def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]) -> list[Get]:
-    """As _gets for what lies in no column: an array of fixed length 0, or what is inside one."""
+    """Return what _gets does for a field inside an array of fixed length 0, without a column."""
     msg_type = definition.type
     for number, step in enumerate(ref.steps, 1):
         field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)
@@ -173,9 +178,9 @@ def _empty_gets(definition: Definition, ref: FieldRef, unnested: Sequence[Array]
 
 
 def _gets(ref: FieldRef, held: int, unnested: Sequence[Array]) -> list[Get]:
-    """Functions from a column's value to the field's, one more than arrays are unnested.
+    """Return the functions from a column's value to the field's, one per level of unnesting.
 
-    ``held`` steps lead to the column; the other ones lead on inside of a blob.
+    The first ``held`` steps lead to the column; the other steps lead into a blob.
     """
     gets: list[Get] = []
     get = _last(ref)
@@ -201,7 +206,7 @@ def _inside(name: str, then: Get) -> Get:
 def _each(then: Get) -> Get:
     def get(value: Any) -> object:
         if isinstance(value, int):
-            return []  # messages without bytes: their number is all that there is of them
+            return []  # only the number of messages without bytes is stored
         return None if value is None else [then(element) for element in value]
 
     return get

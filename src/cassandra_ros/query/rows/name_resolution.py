@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a statement names, in one table: where each value stands, of which kind it is.
+"""Resolution of the names in a statement for one table: the index and kind of each value.
 
-The values of a row are KEY, NODE, RUN and its time (which KEY is not where it is a name), those of
-the fields that are named, and behind them what is computed of these.
+The values of a row are KEY, NODE, RUN and its time (which differs from KEY if that is a name), then
+those of the named fields, then the computed values.
 """
 
 from __future__ import annotations
@@ -62,14 +62,15 @@ from cassandra_ros.query.tree.syntax import (
 
 KEY_PLACE, NODE_PLACE, RUN_PLACE, TIME_PLACE = 0, 1, 2, 3
 OWN_WIDTH = 4
-"""So many values are of no field."""
+"""Number of values of a row that are not fields."""
 COUNTED = "int64"
-"""Kind of a count: whatever is counted is not shown."""
+"""Kind of a count, which does not depend on the counted values."""
 _BESIDE = -1
-"""From here downwards are the marks of problems that no other table can make good."""
+"""Largest mark of errors that a valid use in another table cannot excuse; marks go downwards."""
 _PAIR = 32
-"""So many bits further are the marks of two terms that are compared: of BETWEEN one stands in two
-comparisons, and each term may be fine by itself."""
+"""Number of bits by which the first position is shifted in the mark of a pair of compared terms. A
+pair needs a mark of its own, because BETWEEN compares a term twice, and each term may be valid
+alone."""
 
 
 class Output(NamedTuple):
@@ -77,36 +78,34 @@ class Output(NamedTuple):
 
     name: str
     place: int
-    """Where its value stands among the values of a row."""
+    """Index of its value among the values of a row."""
     kind: str
     """ROS type of a value; 'sum' is an integer of any size."""
     ref: Optional[FieldRef] = None
-    """The field that it shows; None for KEY, NODE, RUN and what is computed."""
+    """Field that it shows; None for KEY, NODE, RUN and computed columns."""
     compute: Optional[Get] = None
-    """What gives its value where it has no place yet."""
+    """Function that computes its value, if the value has no index yet."""
 
 
 class Names:
-    """Finds what a statement names in one table, while it is compiled; see ``evaluate.Fields``."""
+    """Resolves the names of a statement in one table; implements ``Fields`` of the conditions."""
 
     def __init__(self, table: Table, findings: Findings) -> None:
         self._definition = table.definition
         self._named = table.named
         self._findings = findings
         self.refs: list[FieldRef] = []
-        """The fields that were found so far, in the order of their values."""
+        """Fields found so far, in the order of their values."""
         self._places: dict[FieldRef, int] = {}
         self._used: set[int] = set()
         self._counted: list[Tuple[Path, Array]] = []
         self.unnested: list[Array] = []
-        """The arrays of messages whose elements are named, outermost first."""
+        """Arrays of messages whose elements are named, outermost first."""
         self.runs = False
-        """RUN is needed."""
-
-    # ---------------------------------------------------------------- columns
+        """Whether RUN is needed."""
 
     def outputs(self, selected: Optional[Selected]) -> Sequence[Output]:
-        """Return the columns that one selected path gives; None = every field."""
+        """Return the columns of one selected path; None = every field."""
         if selected is None:
             return self._shown(() if self._definition is None else all_fields(self._definition))
         what = selected.what
@@ -123,7 +122,7 @@ class Names:
         return [output._replace(name=selected.alias) for output in columns[:1]]
 
     def single(self, selected: Selected) -> Sequence[Output]:
-        """Return the one column of a term by which rows are grouped or ordered."""
+        """Return the column of a term by which rows are grouped or ordered."""
         what = selected.what
         if isinstance(what, Aggregate):
             raise AssertionError("aggregates are ordered by the columns that show them")
@@ -151,7 +150,7 @@ class Names:
         return [found._replace(name=name, kind=kinds[function], ref=None)]
 
     def _output(self, term: Term, array: Optional[bool] = False) -> Optional[Output]:
-        """Return the column of one term; None where the table lacks it."""
+        """Return the column of one term; None if the table lacks it."""
         if isinstance(term, (Literal, Call)):
             made = self._computed(term)
             return None if made is None else Output(term.text, -1, made.kind, compute=made.get)
@@ -165,10 +164,8 @@ class Names:
             return Output(term.text, RUN_PLACE, "string")
         return Output(term.text, KEY_PLACE, "string" if self._named else "time")
 
-    # ---------------------------------------------------------------- what is computed
-
     def _computed(self, term: Term) -> Optional[Computed]:
-        """Compile a term; None where the table lacks it."""
+        """Compile a term; None if the table lacks it."""
         made = None
         try:
             made = compile_term(term, self._find)
@@ -177,7 +174,7 @@ class Names:
         if made is not None:
             self._findings.fine.update(part.position for part in inside(term))
         elif isinstance(term, Call):
-            # What of it makes sense here is no error where another definition lacks it.
+            # The valid parts of a term are no errors if another definition lacks them.
             for part in term.arguments:
                 if isinstance(part, Call):
                     self._computed(part)
@@ -193,7 +190,7 @@ class Names:
         return Found(found.kind, found.place, found.ref is not None and found.ref.is_array)
 
     def _find_counted(self, path: Path) -> Optional[Found]:
-        """Find a field with as many values as there are elements, also of an array of messages."""
+        """Return a field with one value per element, also for an array of messages."""
         found = self._resolved(path, lambda definition: [counted_field(path, definition)])
         if not found:
             return None
@@ -206,23 +203,21 @@ class Names:
         return Found(ref.type, self._place(ref), True)
 
     def check_lengths(self) -> None:
-        """Refuse to count the elements of an array each of whose elements is a row by itself."""
+        """Refuse len() of an array that is unnested."""
         for path, array in self._counted:
             if array in self.unnested:
                 reason = f"names fields inside of {path.text}, so that each element is a row; "
                 reason += "ask for their number in another statement"
                 self._refuse(path, f"the statement takes len({path.text}) and {reason}")
 
-    # ---------------------------------------------------------------- conditions
-
     def condition(self, expression: Optional[Expression]) -> tuple[frozenset[int], Check]:
-        """Compile a condition, and return the places of the values that it needs with it."""
+        """Compile a condition; return the indices of the values that it needs, and its check."""
         self._used.clear()
         check = compile_condition(expression, self)
         return frozenset(self._used), check
 
     def locate(self, leaf: Comparison) -> Optional[int]:
-        """Return the place of a comparison's operand; None where the table lacks it."""
+        """Return the index of a comparison's operand; None if the table lacks it."""
         found = self._output(leaf.operand, wants_array(leaf))
         if found is None:
             return None
@@ -230,12 +225,12 @@ class Names:
         return found.place
 
     def whereabouts(self) -> Tuple[int, int, int]:
-        """Return the places of what tells where a row's robot was: node, run and time."""
+        """Return the indices of node, run and time, which identify the robot's position."""
         self.runs = True
         return NODE_PLACE, RUN_PLACE, TIME_PLACE
 
     def compute(self, leaf: Comparison) -> Sequence[Optional[Get]]:
-        """Return what computes the terms of a comparison, but for an array's; None: missing."""
+        """Return the functions of a comparison's terms, except of an array; None: missing."""
         if isinstance(leaf, Quantified):
             return self._tests(leaf)
         made = self._computed(leaf.operand)
@@ -256,7 +251,7 @@ class Names:
     def _wanted(
         self, leaf: Quantified, array: Optional[Output], sign: str, term: Term
     ) -> Optional[Get]:
-        # A term names its fields, and makes rows of their arrays, also where the array is missing.
+        # The term is resolved even if the array is missing: naming its fields may unnest arrays.
         made = None if isinstance(term, Literal) else self._computed(term)
         if array is None:
             return None
@@ -270,7 +265,7 @@ class Names:
         return made.get
 
     def _are_alike(self, left: Term, kind: str, right: Term, other: str, position: int) -> bool:
-        """Say whether values of two kinds can be compared; note it if not."""
+        """Return whether values of two kinds can be compared; record an error if not."""
         mark = (left.position + 1) << _PAIR | right.position
         if family(kind) == family(other):
             self._findings.fine.add(mark)
@@ -281,7 +276,7 @@ class Names:
         return False
 
     def _hint_at_quotes(self, leaf: Relate, left: Optional[Computed]) -> None:
-        """Where text stands without quotes it is looked for as a field."""
+        """Extend the error for an unknown field that may be a text without quotes."""
         other = leaf.other
         problem = self._findings.wrong.get(other.position)
         single = isinstance(other, Path) and len(other.parts) == 1
@@ -290,7 +285,10 @@ class Names:
             self._findings.wrong[other.position] = StatementError(problem.position, reason)
 
     def fit(self, leaf: Comparison, literal: Literal) -> Optional[Comparable]:
-        """Fit a literal to its operand; None where they cannot be compared here."""
+        """Convert a literal for comparison with its operand.
+
+        None if they cannot be compared here.
+        """
         found = self._output(leaf.operand, wants_array(leaf))
         return None if found is None else self._fitted(leaf, found, literal)
 
@@ -302,8 +300,6 @@ class Names:
             return None
         self._findings.fine.add(literal.position)
         return fitted
-
-    # ---------------------------------------------------------------- fields
 
     def _resolved(
         self, path: Path, resolve: Callable[[Definition], list[FieldRef]]
@@ -320,13 +316,13 @@ class Names:
         return found
 
     def _unnest_inside(self, path: Path, refs: Sequence[FieldRef]) -> None:
-        """Make a row of each element of the arrays in which a path lies, however it is used."""
+        """Unnest the arrays of messages on a path, wherever the path is used."""
         for ref in refs:
-            # Those whose elements the path names, not those that it names whole.
+            # Only arrays whose elements the path names, not those that it names whole.
             for array in ref.arrays:
                 if len(array) < len(path.parts) and array not in self.unnested:
                     self._unnest(path, array)
-                    self._place(ref)  # its values are as many as the array has elements
+                    self._place(ref)  # its values give the number of elements
 
     def _unnest(self, path: Path, array: Array) -> None:
         inner = self.unnested[-1] if self.unnested else ()
@@ -341,7 +337,7 @@ class Names:
         )
 
     def _refuse(self, path: Path, reason: str) -> None:
-        """Note that a path, although there is such a field, cannot stand where it does."""
+        """Record an error: the field exists, but the path is not allowed at this place."""
         self._findings.wrong.setdefault(
             _BESIDE - path.position, StatementError(path.position, reason)
         )

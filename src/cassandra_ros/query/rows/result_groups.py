@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows of a result that are made of several: GROUP BY, DISTINCT and ORDER BY.
+"""Result rows that are made from several rows: GROUP BY, DISTINCT and ORDER BY.
 
-Values are equal as conditions compare them, but NaN equals NaN here, and what is missing is a value
-of its own. Groups and distinct rows come in the order of their first row; those of ``time(…)`` are
-given as soon as they are complete. What is ordered comes by value, rows of the same value by KEY;
-NaN and, behind it, what is missing come last, whether ASC or DESC.
+Values are equal as in conditions, but here NaN equals NaN, and missing is a value of its own.
+Groups and distinct rows come in the order of their first row; groups of ``time(…)`` are returned as
+soon as they are complete. Ordered rows are sorted by value, equal ones by KEY; NaN and, after it,
+missing values come last, for ASC and DESC.
 
-MEMORY_BYTES bound what is kept meanwhile: with LIMIT n about 2 n rows to be ordered, else all of
-them; one row of each group, one of all that are alike.
+MEMORY_BYTES limits the rows that are kept: for ORDER BY about 2 n rows with LIMIT n, else all; one
+row of each group; one of each set of equal rows.
 """
 
 from __future__ import annotations
@@ -23,26 +23,27 @@ from cassandra_ros.query.rows.projection import ResultRow
 from cassandra_ros.query.tree.syntax import Call, Ordering, Select
 
 MEMORY_BYTES = 256 * 1024 * 1024
-"""So much a statement keeps at most, as Python counts it."""
+"""Maximum memory for the kept rows of one statement, bytes, as Python counts it."""
 TOTAL_BYTES = 1024
-"""About what one aggregate takes."""
+"""Approximate memory of one aggregate, bytes."""
 LEAST_KEPT = 1000
-"""Fewer rows are not thinned out."""
+"""Minimum number of kept rows at which rows beyond LIMIT are dropped."""
 
 
 def gather(
     select: Select, names: Sequence[Sequence[str]], rows: Iterable[ResultRow], most: Optional[int]
 ) -> Iterator[ResultRow]:
-    """Make the rows of a result of those with all columns that a statement asks for.
+    """Make the rows of a result from rows with all columns, hidden ones included.
 
     Args:
-        select: The statement, settled.
-        names: The columns of each path that it asks for.
-        most: So many rows are taken; None = all.
+        select: The analysed statement.
+        names: Column names of each selected path.
+        rows: Rows with all columns.
+        most: Maximum number of rows that are taken; None = all.
 
     Raises:
-        InvalidQuery: More than MEMORY_BYTES would have to be kept, or values that are to be ordered
-            are of different kinds.
+        InvalidQuery: More than MEMORY_BYTES would have to be kept, or values to be ordered are of
+            different kinds.
     """
     starts = [0, *accumulate(map(len, names))]
     shown = starts[len(select.visible)]
@@ -60,21 +61,21 @@ def gather(
 
 
 class _Memory:
-    """What is kept, within its bound."""
+    """The memory of the kept rows, with its limit."""
 
     def __init__(self, select: Select, position: int, remedy: str) -> None:
         self._text, self._position, self._remedy = select.text, position, remedy
         self._bytes = 0
 
     def take(self, row: ResultRow, more: int = 0) -> None:
-        """Count a row; InvalidQuery: it is one too many."""
+        """Count a row; InvalidQuery: the limit is exceeded."""
         self._bytes += _size(row) + more
         if self._bytes > MEMORY_BYTES:
             reason = f"more than {MEMORY_BYTES // 2**20} MiB would have to be kept"
             raise InvalidQuery(self._text, self._position, f"{reason}; {self._remedy}")
 
     def clear(self) -> None:
-        """Count from nothing."""
+        """Reset the count."""
         self._bytes = 0
 
 
@@ -92,7 +93,7 @@ def _total(select: Select, rows: Iterable[ResultRow]) -> Iterator[ResultRow]:
 
 
 def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[ResultRow]:
-    """Yield a row for each group, with what it is grouped by behind its columns."""
+    """Yield a row for each group, with the values of GROUP BY after its columns."""
     remedy = "group by less, or by time(1h), or choose fewer rows by WHERE KEY > …"
     memory = _Memory(select, select.group[0].position, remedy)
     widths = slice(shown, shown + len(select.group))
@@ -102,7 +103,9 @@ def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[
     for row in rows:
         by = row[widths]
         key = tuple(map(_identity, by))
-        if times and groups and key[times[0]] != latest:  # rows come by KEY: these are complete
+        if (
+            times and groups and key[times[0]] != latest
+        ):  # rows are sorted by KEY, so these groups are complete
             yield from _finished(groups)
             groups.clear()
             memory.clear()
@@ -133,7 +136,7 @@ def _distinct(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator
 
 
 def _identity(value: Any) -> Any:
-    """Return what is equal, and has the same hash, for values that are alike."""
+    """Return a key that is equal, with equal hash, for equal values."""
     if isinstance(value, list):
         return tuple(map(_identity, value))
     if hasattr(value, "to_nsec"):
@@ -180,7 +183,7 @@ def _ordered(
 
 
 def _first(kept: list[Tuple[Key, ResultRow]], most: Optional[int]) -> list[Tuple[Key, ResultRow]]:
-    kept.sort(key=lambda pair: pair[0])  # which keeps the order of equals
+    kept.sort(key=lambda pair: pair[0])  # stable: equal rows keep their order
     return kept[:most]
 
 
@@ -197,7 +200,7 @@ def _rank(value: Any, descending: bool) -> Tuple[int, Any]:
 
 
 class _Down:
-    """Orders values from the greatest to the least."""
+    """Reverses the order of a value."""
 
     __slots__ = ("_value",)
 
