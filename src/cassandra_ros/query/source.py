@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the query language needs of a topic: whoever has the stored messages provides it."""
+"""The interface to a topic that the query language needs; the caller provides it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from cassandra_ros.query.plan.pushdown import Pushdown
 from cassandra_ros.query.protocols import Row, Table
 
 Columns = Callable[[Table], Optional[Sequence[str]]]
-"""Gives for a table those of its columns that are to be read, in their order; None = all."""
+"""Function from a table to the names of its columns to be read, in their order; None = all."""
 Writers = Optional[FrozenSet[int]]
-"""Writer ids whose messages are meant; None = all."""
+"""Writer ids whose messages are read; None = all."""
 RowT_co = TypeVar("RowT_co", bound=Row, covariant=True)
 
 
@@ -23,11 +23,14 @@ class Source(Protocol[RowT_co]):
 
     @property
     def name(self) -> str:
-        """The topic's name."""
+        """Name of the topic."""
 
     @property
     def tables(self) -> Sequence[Table]:
-        """Its tables, one for each definition and format; none before the first message."""
+        """Tables of the topic, one for each definition and format.
+
+        Empty before the first message.
+        """
 
     def rows(
         self,
@@ -43,10 +46,10 @@ class Source(Protocol[RowT_co]):
         run: Writers = None,
         wanted: Optional[int] = None,
     ) -> Iterator[RowT_co]:
-        """Walk through the rows with a time in [key, to_key], ns, in its order; None = open.
+        """Yield the rows with a time in [key, to_key], ns, in time order; None = open.
 
         Args:
-            wanted: How many are probably taken; None = limit.
+            wanted: Number of rows that will probably be taken; None = limit.
         """
 
     def versions(
@@ -57,7 +60,7 @@ class Source(Protocol[RowT_co]):
         reverse: bool = False,
         run: Writers = None,
     ) -> Iterator[RowT_co]:
-        """Walk through the rows under one name, by time; InvalidKey: none can have such a name."""
+        """Yield the rows with a name, in time order; InvalidKey: the name is invalid."""
 
     def countTopicData(
         self,
@@ -67,7 +70,7 @@ class Source(Protocol[RowT_co]):
         *,
         run: Writers = None,
     ) -> int:
-        """Count the rows with a time in [key, to_key]."""
+        """Return the number of rows with a time in [key, to_key]."""
 
     def countBuckets(self) -> int:
-        """Count its partitions: time ranges of a node in a table."""
+        """Return the number of partitions: time ranges of a node in a table."""
