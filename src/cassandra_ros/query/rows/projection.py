@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a statement makes of the rows of one table."""
+"""The rows of the result that one table's rows give for a statement."""
 
 from __future__ import annotations
 
@@ -24,45 +24,46 @@ from cassandra_ros.query.tree.syntax import Select
 _log = logging.getLogger(__name__)
 
 ResultRow = Tuple[Any, ...]
-"""A value for each column of the result."""
+"""One value for each column of the result."""
 Own = Tuple[Union[int, str], str, str, int]
-"""KEY, NODE and RUN of a row, and its time."""
+"""KEY, NODE and RUN of a row, and its time, ns."""
 
 
 @dataclass(frozen=True)
 class Projection:
-    """Reads, filters and shows the rows of one table; made by ``compile``.
+    """Reads, checks and shows the rows of one table; made by ``compile``.
 
-    The values of a row are its KEY, NODE and RUN, and those of the fields that the statement names.
+    The values of a row are its KEY, NODE and RUN, its time, and those of the named fields.
     """
 
     groups: tuple[tuple[Output, ...], ...]
-    """What each selected path gives: one column, or those of a whole message."""
+    """Columns of each selected path: one, or those of all fields of a message."""
     check: Check
     """The condition."""
     columns: Optional[Sequence[str]]
-    """Columns of its table that are read, in their order; None = all."""
+    """Columns of the table that are read, in order; None = all."""
     unnested: tuple[Array, ...]
-    """The arrays of messages each of whose elements is a row, outermost first."""
+    """Arrays of messages each of whose elements becomes a row, outermost first."""
     named: bool
-    """KEY is a name."""
+    """Whether KEY is a name."""
     extractor: Optional[Extractor]
     width: int
-    """How many values a row has."""
+    """Number of values of a row."""
     runs: bool = False
-    """RUN is needed; else its value is ''."""
+    """Whether RUN is needed; else its value is ''."""
     shown: tuple[tuple[Optional[int], Optional[Get]], ...] = ()
-    """For each column of the result its place (None: missing here), and how to show a value."""
+    """For each column of the result the index of its value (None: missing in this table), and the
+    conversion for display."""
     checked: frozenset[int] = frozenset()
-    """Places of the values that the condition needs."""
+    """Indices of the values that the condition needs."""
     stored: int = 0
-    """How many columns its table has."""
+    """Number of columns of the table."""
     computed: tuple[Get, ...] = ()
-    """What gives the values that are computed of the others; they stand behind them."""
+    """Functions of the computed values, which follow the others."""
 
     @classmethod
     def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
-        """Find out what a statement means in a table; findings collect what it names in vain."""
+        """Compile a statement for a table; ``findings`` collects the names that the table lacks."""
         names = Names(table, findings)
         groups = [names.outputs(selected) for selected in select.visible]
         groups += [names.single(selected) for selected in select.hidden]
@@ -82,7 +83,7 @@ class Projection:
         return made.showing([[output.name for output in group] for group in groups])
 
     def showing(self, names: Sequence[Sequence[str]]) -> Projection:
-        """Return one that shows these columns of each selected path, None where it lacks one."""
+        """Return a projection with these columns for each selected path, None for missing ones."""
         shown: list[tuple[Optional[int], Optional[Get]]] = []
         for group, wanted in zip(self.groups, names):
             known = {output.name: (output.place, _show_of(output)) for output in group}
@@ -91,7 +92,7 @@ class Projection:
 
     @cached_property
     def compiled(self) -> Optional[CompiledRows]:
-        """What makes the rows of nearly all stored ones, and quickly."""
+        """Fast function for the rows of nearly all stored rows; see compiled_rows."""
         if self.extractor is None:
             return None
         if not self.stored:
@@ -118,7 +119,7 @@ class Projection:
         )
 
     def own(self, row: Row) -> Own:
-        """Return the values of a row that are of no field."""
+        """Return the values of a row that are not fields."""
         t = row.t
         return (row.name if self.named else t, row.node, row.run if self.runs else "", t)
 
@@ -132,22 +133,22 @@ class Projection:
             for found in self.extractor.values(row):
                 yield (*own, *found)
         except MessageNotFound:
-            return  # removed since its columns were read
+            return  # the message was deleted after its columns were read
         except CorruptMessage as exc:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
             yield (*own, *[None] * (self.width - OWN_WIDTH))
 
     def hits(self, row: Row) -> Iterator[bool]:
-        """Say of each unnested element of a stored row whether it satisfies the condition."""
+        """Yield for each unnested element of a stored row whether it satisfies the condition."""
         return (self.check(values) is True for values in self.values(row))
 
     def hit(self, row: Row) -> bool:
-        """Say whether a row, or one unnested element of it, satisfies the condition."""
+        """Return whether a row, or one of its unnested elements, satisfies the condition."""
         found = None if self.compiled is None else self.compiled(row)
         return any(self.hits(row)) if found is None else bool(found)
 
     def rows(self, row: Row) -> Iterable[ResultRow]:
-        """Return the rows of the result that a stored row gives, of elements one by one."""
+        """Return the rows of the result that a stored row gives; unnested elements lazily."""
         compiled = self.compiled
         found = None if compiled is None else compiled(row)
         if found is not None:
@@ -155,7 +156,7 @@ class Projection:
         return (self._row(row, v) for v in self.values(row) if self.check(v) is True)
 
     def complete(self, values: Values) -> Values:
-        """Return the values of a row, also those that are computed for the result."""
+        """Return the values of a row, followed by the computed ones."""
         return [*values, *[get(values) for get in self.computed]] if self.computed else values
 
     def _row(self, row: Row, values: Values) -> ResultRow:
@@ -170,7 +171,7 @@ class Projection:
             elif show is None:
                 found.append(values[place])
             else:
-                # A column that is named twice is made once.
+                # A column that is selected twice is computed once.
                 if place not in made:
                     made[place] = show(values[place])
                 found.append(made[place])
@@ -178,13 +179,13 @@ class Projection:
 
 
 class Projections:
-    """The projections of a statement, one for each table of a topic, also of those made since.
+    """The projections of a statement, one for each table of a topic, also for tables added later.
 
     Attributes:
-        names: The columns of each selected path, over all tables, those that are hidden last.
+        names: Column names of each selected path, over all tables, hidden columns last.
 
     Raises:
-        InvalidQuery: The statement names what no table has.
+        InvalidQuery: The statement names a field that no table has.
     """
 
     def __init__(self, select: Select, tables: Sequence[Table]) -> None:
@@ -196,7 +197,7 @@ class Projections:
         if made:
             same = zip(*(projection.groups for projection in made.values()))
             found = [list(dict.fromkeys(o.name for o in chain(*groups))) for groups in same]
-            # What is computed of fields of several definitions may be missing in all tables.
+            # A column computed from fields of several definitions may be missing in all tables.
             self.names = [
                 names or ([] if selected is None or selected.is_path else [selected.text])
                 for names, selected in zip(found, select.asked)
@@ -207,25 +208,25 @@ class Projections:
         return iter(self._made.values())
 
     def of(self, table: Table) -> Projection:
-        """Return the projection of a table; ``names`` are its columns, whatever it has."""
-        if table.name not in self._made:  # made since
+        """Return the projection of a table, with the columns ``names`` whatever fields it has."""
+        if table.name not in self._made:  # the table was added later
             projection = Projection.compile(self._select, table, Findings(self._select.text))
             self._made[table.name] = projection.showing(self.names)
         return self._made[table.name]
 
     def columns(self, table: Table) -> Optional[Sequence[str]]:
-        """Return the columns of a table that are read, in their order; None = all."""
+        """Return the columns of a table that are read, in order; None = all."""
         return self.of(table).columns
 
     def hit(self, row: Row) -> bool:
-        """Say whether a row, or one unnested element of it, satisfies the condition."""
+        """Return whether a row, or one of its unnested elements, satisfies the condition."""
         return self.of(row.table).hit(row)
 
 
 def _place_computed(
     groups: Sequence[Sequence[Output]], width: int
 ) -> tuple[tuple[tuple[Output, ...], ...], tuple[Get, ...]]:
-    """Give what is computed its places behind the other values."""
+    """Assign indices after the other values to the computed values."""
     computed: list[Get] = []
     placed: list[tuple[Output, ...]] = []
     for group in groups:
@@ -252,23 +253,26 @@ def _time(ns: int) -> Union[Stamp, int]:
     try:
         return Stamp.from_ns(ns)
     except InvalidKey:
-        return ns  # nsecs beyond a second at the very end of time, or computed beyond it
+        return ns  # outside ROS time: computed, or nsecs over a second at its end
 
 
 def _duration(ns: int) -> object:
     try:
         origin = Stamp.from_ns(0)
-        # genpy's Duration, without importing genpy here.
+        # Same representation as genpy's Duration, without importing genpy here.
         return Stamp.from_ns(ns) - origin if ns >= 0 else origin - Stamp.from_ns(-ns)
     except InvalidKey:
-        return ns  # what was computed is longer than any
+        return ns  # a computed duration may be too long for genpy
 
 
 _SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}
 
 
 def _show_of(output: Output) -> Optional[Get]:
-    """Return how to show a value; None = as it is, of KEY the row's key."""
+    """Return the conversion of a value for display.
+
+    None = unchanged, or KEY, shown as the row's key.
+    """
     if output.place == KEY_PLACE:
         return _itself if output.kind == COUNTED else None
     return _SHOWS.get(output.kind)
