@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run a statement, or a condition by itself, over the stored rows of a source."""
+"""Execution of a statement, or of a condition alone, over the stored rows of a source."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def bounded_rows(
     limit: Optional[int] = None,
     wanted: Optional[int] = None,
 ) -> Iterator[RowT_co]:
-    """Walk through the rows of a topic inside of bounds; see Source.rows."""
+    """Yield the rows of a topic within bounds, see Source.rows."""
     if bounds.empty:
         return iter(())
     node, run = bounds.node, bounds.writers
@@ -63,7 +63,7 @@ def bounded_rows(
     try:
         every = source.versions(bounds.name, nodeID=node, reverse=reverse, run=run)
     except InvalidKey:
-        return iter(())  # no message can have such a name
+        return iter(())  # no message has an invalid name
     inside = (row for row in every if bounds.low <= row.t <= bounds.high)
     behind = (
         row
@@ -74,7 +74,7 @@ def bounded_rows(
 
 
 def _time_ranges(bounds: Bounds, after: Optional[Position], reverse: bool) -> Iterator[Span]:
-    """Yield the time ranges that are read, in the direction of reading."""
+    """Yield the time ranges to be read, in the direction of reading."""
     low, high = bounds.low, bounds.high
     if bounds.spans is None:
         return iter([(low, high)])
@@ -84,7 +84,7 @@ def _time_ranges(bounds: Bounds, after: Optional[Position], reverse: bool) -> It
 
 
 def _is_at(row: Row, place: Optional[Position], source: Source[RowT_co]) -> bool:
-    """Say whether a place is that of a row, also where another table has replaced its own."""
+    """Return whether a row is at a position, also if its table was replaced since."""
     at = row.position
     if place is None or at[:3] != place[:3]:
         return False
@@ -92,16 +92,16 @@ def _is_at(row: Row, place: Optional[Position], source: Source[RowT_co]) -> bool
 
 
 class Condition:
-    """What stands behind WHERE, for the messages of one source.
+    """A condition (as after WHERE) on the messages of one source.
 
     Args:
-        where: The condition, or the statement in which it stands: errors show the whole of it.
+        where: The condition, or the statement that contains it, which errors then show whole.
         params: Values of the ``?`` or ``%s`` in a text.
-        node: Only messages of this node; None = of all.
-        run: Only messages of these writers; None = of all.
+        node: nodeID of the robot whose messages are read; None = all.
+        run: Writer ids whose messages are read; None = all.
 
     Raises:
-        InvalidQuery: The text is no condition, or the parameters do not fit.
+        InvalidQuery: The text is not a condition, or the parameters do not fit.
     """
 
     def __init__(
@@ -118,16 +118,16 @@ class Condition:
         self._node, self._run = node, run
 
     def bounds(self, tables: Sequence[Table] = ()) -> Bounds:
-        """Return what of it the store can check in the tables of a topic; see bounds_of."""
+        """Return the bounds of the condition in the tables of a topic, see bounds_of."""
         named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
         return bounds_of(self._select, self._node, named, self._run, runs)
 
     def test(self, tables: Sequence[Table]) -> Callable[[Row], bool]:
-        """Return a function that tells whether a row of these tables satisfies the condition.
+        """Return a function that checks the condition on a row of these tables.
 
         Raises:
             InvalidQuery: The condition names a field that no definition of the topic has, or
-                compares one with a value of another kind.
+                compares a field with a value of another kind.
         """
         bounds = self.bounds(tables)
         select = located(self._select, tables, bounds.node, bounds.writers)
@@ -144,10 +144,10 @@ class Condition:
         bare: bool = False,
         wanted: Optional[int] = None,
     ) -> Iterator[RowT_co]:
-        """Walk through the rows that satisfy the condition; bare rows fetch their messages late.
+        """Yield the rows that satisfy the condition; bare rows read their messages on request.
 
         Args:
-            wanted: How many are probably taken; None = all.
+            wanted: Number of rows that will probably be taken; None = all.
         """
         tables = source.tables
         bounds = self.bounds(tables).within(key, to_key)
@@ -160,18 +160,18 @@ class Condition:
 
 
 class Place(NamedTuple):
-    """Place in a result: behind some row of the message at a position."""
+    """A place in a result: after some of the rows that the message at a position gives."""
 
     given: int
-    """Rows given so far, for the statement's LIMIT."""
+    """Number of rows returned so far, for the statement's LIMIT."""
     skip: int
-    """Rows of the message at the position that were given; 0 = all."""
+    """Number of rows returned of the message at the position; 0 = all of them."""
     position: Optional[Position]
-    """None = the beginning."""
+    """Position of the message; None = the beginning."""
 
     @property
     def text(self) -> str:
-        """The cursor that ``read_place`` understands; '' at the beginning."""
+        """Cursor text for ``read_place``; '' at the beginning."""
         at = self.position
         return "" if at is None else f"{self.given}.{self.skip}.{encode_cursor(at)}"
 
@@ -180,7 +180,7 @@ START = Place(0, 0, None)
 
 
 def read_place(cursor: Cursor) -> Place:
-    """Read a cursor; a bare position: behind the message there. InvalidKey: it is none."""
+    """Parse a cursor; a bare position means after its message. InvalidKey: malformed cursor."""
     if cursor is None or cursor == "":
         return START
     if isinstance(cursor, Position):
@@ -193,36 +193,36 @@ def read_place(cursor: Cursor) -> Place:
 
 
 _NOWHERE = Position(0, "", 0, "")
-"""Where a row lies that is made of several: it is counted alone."""
+"""Position of rows that are made from several rows; only their number is used."""
 
 
 class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples of any values
-    """The rows of a SELECT statement, read while they are taken.
+    """The rows of a SELECT statement, read when the iterator is advanced.
 
     Args:
-        select: The statement, its parameters bound.
-        source: The topic that it names.
-        node: Only messages of this node; None = of all.
-        run: Only messages of these writers; None = of all.
-        limit: At most so many rows, besides the statement's LIMIT; None = no bound.
-        after: ``cursor`` of an earlier result of the same statement: go on behind its last row.
-            Groups, distinct rows and those in another order than KEY's are made anew for it.
-        plan: What the server may check, one of pushdown.PLANS; the answer is always the same.
+        select: The statement with its parameters bound.
+        source: The topic that the statement names.
+        node: nodeID of the robot whose messages are read; None = all.
+        run: Writer ids whose messages are read; None = all.
+        limit: Maximum number of rows in addition to the statement's LIMIT; None = no limit.
+        after: ``cursor`` of an earlier result of the same statement: continue after its last row.
+            Groups, distinct rows and rows in another order than KEY's are computed again for it.
+        plan: What the server may check, one of pushdown.PLANS; the answer does not depend on it.
         watch: See pushdown.Watch.
 
     Attributes:
         columns: Names of the columns.
-        direct: To look for one more row costs nothing: every message that the store gives is one,
-            or all are known with the first.
+        direct: Whether looking for one more row is cheap: every message from the store gives a row,
+            or all rows are known with the first.
         select: The statement.
-        pushdown: What the server checks of it.
-        read: How many rows have come from the server.
-        stretches: How many time ranges NEAR has left so far.
-        counted: The directory knew the answer.
+        pushdown: Choice of what the server checks.
+        read: Number of rows received from the server.
+        stretches: Number of time ranges that NEAR has selected so far.
+        counted: Whether the directory had the answer.
 
     Raises:
-        InvalidQuery: The statement names what the topic has not.
-        InvalidKey: ``after`` is no cursor.
+        InvalidQuery: The statement names a field that the topic lacks.
+        InvalidKey: ``after`` is not a cursor.
     """
 
     def __init__(
@@ -250,7 +250,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._place = place = read_place(after)
         self._given = self._skip = 0
         self._row: Optional[Row] = None
-        """The last one of which rows were taken."""
+        """Row of which the last result rows were taken."""
         self._projections = Projections(select, tables)
         shown = self._projections.names[: len(select.visible)]
         self.columns = tuple(name for names in shown for name in names)
@@ -274,22 +274,25 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     @property
     def bounded_by_place(self) -> bool:
-        """Whether NEAR leaves only some time ranges."""
+        """Whether NEAR selects only some time ranges."""
         return self._spans is not None
 
     @property
     def cursor(self) -> str:
-        """Where to go on behind the last row that was taken; '' at the beginning."""
+        """Cursor to continue after the last row that was taken; '' at the beginning."""
         row = self._row
         return (self._place if row is None else Place(self._given, self._skip, row.position)).text
 
     @property
     def position(self) -> Optional[Position]:
-        """Place of the message that gave the last row; None: several did, or none was taken."""
+        """Position of the message of the last row.
+
+        None: made of several messages, or no row taken.
+        """
         return None if self._row is None else self._row.position
 
     def close(self) -> None:
-        """Stop reading. Twice is harmless."""
+        """Stop reading. Can be repeated."""
         self._rows.close()
 
     def __enter__(self) -> QueryResult:
@@ -319,7 +322,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                 number += 1
                 if number > skip:
                     given += 1
-                    # All rows of the message: go on behind it, without looking at it again.
+                    # All rows of the message were returned: continue after it.
                     self._given, self._skip = given, 0 if following is None else number
                     self._row = row
                     yield values
@@ -331,8 +334,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         reverse, at, bounds = self.select.descending, place.position, self._bounds
         if at is None or not (place.skip or reverse):
             return self._read(bounds, at, reverse, self._left if self.direct else None)
-        # Begin with the message at the cursor: some of its rows may be still to come, and the
-        # store goes on behind a position only upwards.
+        # Begin with the message at the cursor, because some of its rows may be missing, and the
+        # store can continue after a position only in ascending order.
         narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
         return (
             row
@@ -362,7 +365,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             yield row
 
     def _spanned(self, bounds: Bounds) -> Bounds:
-        """Return bounds that leave the time ranges that NEAR leaves, and count these."""
+        """Return bounds restricted to the time ranges that NEAR selects, and count these ranges."""
         self._spans, self.time_ranges = spans_of(self.select.condition), 0
         return replace(bounds, spans=None if self._spans is None else self._counted_spans)
 
@@ -373,7 +376,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             yield span
 
     def _gathered(self, given: int) -> _Rows:
-        """Yield rows that are made of several, behind so many that were given before."""
+        """Yield rows that are made from several rows, after the first ``given`` ones."""
         one = bool(self.select.aggregates) and not self.select.group
         if (given and one) or self._left == 0:
             return
@@ -387,7 +390,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         select, bounds, projections = self.select, self._bounds, self._projections
         if self.counted and not bounds.empty:
             ends = (bounds.low, bounds.high)
-            # Names have no order: where all is counted no end is named.
+            # Names have no order, so the count of all rows has no bounds.
             low, high = (None, None) if ends == (0, MAX_NS) else map(Stamp.from_ns, ends)
             count = self._source.countTopicData(low, high, bounds.node, run=bounds.writers)
             return iter([(count,) * len(select.aggregates)])
@@ -406,7 +409,7 @@ def _warn_of_seconds(select: Select) -> None:
 
 
 class Rows(list):  # type: ignore[type-arg]
-    """All rows of a result: a list of tuples that knows its columns."""
+    """All rows of a result: a list of tuples with the names of its columns."""
 
     def __init__(self, rows: Iterable[ResultRow], columns: Sequence[str]) -> None:
         super().__init__(rows)
