@@ -57,7 +57,7 @@ def put_block(rosCas, table, node, conn, messages, received=None, **changed):
         "_gone": None,
         "_data": data,
     }
-    bounds, _, odd = table.zones(wires)
+    bounds, _, odd = table.format.zones(wires)
     values.update(zip(table.zone_columns, bounds))
     values.update({"_odd": b"\x01"} if odd else {})
     values = {name: raw for name, raw in values.items() if raw is not None or name == "_gone"}

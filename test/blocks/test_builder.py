@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.blocks.block_builder import Builders, make_block
 from cassandra_ros.blocks.codec import unpack_block
+from cassandra_ros.formats.binary import CassandraTopic_binary
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.tables import block_limits as limits
 from cassandra_ros.tables.block_limits import ALL_BYTES, Limits, limits_for
@@ -30,9 +31,7 @@ class Table:
     def __init__(self, name="t_1"):
         self.name = name
         self.metadata = TopicMetadata("/a", "x/Y", "", "packed", BUCKET, span_ns=SPAN)
-
-    def zones(self, wires):
-        return (), (), False
+        self.encoder = CassandraTopic_binary("x/Y", "", None)
 
 
 class Cutter:

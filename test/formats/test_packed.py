@@ -45,7 +45,7 @@ def test_a_table_of_blocks_has_zones(rosCas):
     assert columns["_min.latitude"] == columns["_max.latitude"] == "double"
     assert columns["_min.header.stamp"] == "bigint" and columns["_max.status.status"] == "tinyint"
     assert not [name for name in columns if "covariance[" in name or name.startswith("_ix")]
-    zones = table.zones([b""])
+    zones = table.format.zones([b""])
     assert zones[2] and set(zones[0]) == {None} and len(zones[0]) == len(table.zone_columns)
 
 

@@ -99,7 +99,7 @@ def make_block(
         times, seqs = [times[n] for n in order], [seqs[n] for n in order]
         wires = [wires[n] for n in order]
         received = None if received is None else [received[n] for n in order]
-    zones, nan, odd = table.zones(wires)
+    zones, nan, odd = table.encoder.zones(wires)
     if len(wires[0]) <= CHUNK_BYTES:
         data = pack_block(times, seqs, wires, received)
         crc = crc32(data)

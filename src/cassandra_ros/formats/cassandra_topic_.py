@@ -11,6 +11,7 @@ from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.classes import deserialize, message_class, raw_class, serialize
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.message_stacks import Int64Array
+from cassandra_ros.messages.wire.zones import NO_ZONES, ZoneMap, Zones
 
 
 class EncodedMessage(NamedTuple):
@@ -43,6 +44,8 @@ class CassandraTopic_(ABC):
     """Whether encode_together is faster than encode_wire for each message."""
     COLUMNS: Mapping[str, str]
     """CQL type of each column by name, if they are the same for all message types."""
+    zone_map: ZoneMap | None = None
+    """Finds the bounds of the values in a block; None where a row is no block."""
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         self.msg_type = msg_type
@@ -62,6 +65,16 @@ class CassandraTopic_(ABC):
     def getColValidationClasses(self) -> dict[str, str]:
         """Return the CQL type of each column by name, in column order."""
         return dict(self.COLUMNS)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns, in their order."""
+        return tuple(self.getColValidationClasses())
+
+    @property
+    def zone_columns(self) -> tuple[str, ...]:
+        """Names of the columns that bound the values in a block."""
+        return () if self.zone_map is None else tuple(self.zone_map.columns)
 
     def table_columns(self) -> dict[str, str]:
         """Return the CQL type of each column of its tables that not all formats have, by name."""
@@ -96,6 +109,10 @@ class CassandraTopic_(ABC):
             malformed.
         """
         return [None] * len(starts)
+
+    def zones(self, wires: Sequence[bytes]) -> Zones:
+        """Return the bounds of the values in serialised messages; any bytes will do."""
+        return NO_ZONES if self.zone_map is None else self.zone_map.measure(wires)
 
     @abstractmethod
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from cassandra_ros.formats.binary import CassandraTopic_binary
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.zones import zone_map
+from cassandra_ros.messages.wire.zones import ZoneMap, zone_map
 
 BLOCK_COLUMNS = {
     "_last": "bigint",  # key time of the last message, ns
@@ -33,8 +33,8 @@ class CassandraTopic_packed(CassandraTopic_binary):
 
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
-        self.zones = zone_map(self._usable())
+        self.zone_map: ZoneMap = zone_map(self._usable())
 
     def table_columns(self) -> dict[str, str]:
         """Return the columns of a block."""
-        return {**BLOCK_COLUMNS, **self.zones.columns}
+        return {**BLOCK_COLUMNS, **self.zone_map.columns}

@@ -19,13 +19,13 @@ from cassandra.query import BatchStatement, BatchType, BoundStatement
 from cassandra_ros.blocks.block_builder import Block
 from cassandra_ros.connection.protocol import EncodedRows, Prepared
 from cassandra_ros.tables.directory import BucketTotals
+from cassandra_ros.tables.row_encoder import Shadows
 from cassandra_ros.tables.row_table import (
     INLINE_COLUMN_BYTES,
     ODD,
     UNSET,
     NewRow,
     RowTable,
-    Shadows,
     encode_int,
     encode_long,
     encode_own,
@@ -196,9 +196,11 @@ class OpenBucket:
 
     def _statement(self, row: NewRow, chunks: Chunks | None = None) -> Prepared:
         """Return the statement that stores a row, and count the row in the batch."""
+        wire = row.wire
         if row.columns is None:
-            row = self.table.encode(row)
-        columns, odd, wire = row.columns or (), row.odd, row.wire
+            columns, odd, raw = self.table.encoder.encode_wire(wire)
+        else:
+            columns, odd, raw = row.columns, row.odd, row.raw
         if chunks:
             columns = [None if len(c or b"") > INLINE_COLUMN_BYTES else c for c in columns]
             odd = odd or None in columns
@@ -207,11 +209,11 @@ class OpenBucket:
             columns = (*columns, *(UNSET if value is None else value for value in values))
             odd = odd or lost
         head = encode_own(row.t, row.seq, row.conn, len(wire))
-        if not (chunks or odd or row.raw is not None):
+        if not (chunks or odd or raw is not None):
             self.batch.nbytes += len(wire) + _ROW_OVERHEAD
             return True, self._plain_id, (*self._place, *head, *columns)
         flag = ODD if odd else None
-        own: Sequence[bytes | None] = (None, None, flag, row.raw)
+        own: Sequence[bytes | None] = (None, None, flag, raw)
         if chunks:
             own = (encode_int(chunks.number), encode_long(chunks.crc), flag, None)
         rest = (UNSET if value is None else value for value in (*own, *columns))
@@ -276,7 +278,7 @@ class OpenBucket:
         others = (
             [row for row in rows if not isinstance(row, NewRow)] if len(later) < len(rows) else []
         )
-        every = self.table.encode_together([row.wire for row in later])
+        every = self.table.encoder.encode_together([row.wire for row in later]) if later else ()
         columns = [each for each in every if each is not None]
         if len(columns) < len(later):
             for row, each in zip(later, every):

@@ -92,7 +92,7 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence
     if heads is None:
         return None
     sizes = heads.values["size"].astype(np.int64)
-    wires = table.decode_together(page.body, heads.begins, heads.ends, sizes)
+    wires = table.encoder.decode_together(page.body, heads.begins, heads.ends, sizes)
     if wires.count(None) == len(wires):
         return None
     found: List[TableRow] = []

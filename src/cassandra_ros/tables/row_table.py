@@ -14,10 +14,10 @@ from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Stat
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.cql_names import chunk_table_name, qualified, quote_name
 from cassandra_ros.connection.paging import Asked, OnPage, RawRow, Refused, answered, retried
-from cassandra_ros.connection.raw_page import Places
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.tables.row_encoder import IndexEncoder, RowEncoder, Shadows
 
 UNSET = UNSET_VALUE
 CHUNK_BYTES = 512 * 1024
@@ -43,11 +43,6 @@ _OLDER = "USING TIMESTAMP ? "
 _NEWEST = ' ORDER BY "_t" DESC, "_seq" DESC'
 _T = TypeVar("_T")
 
-Indexed = Tuple[Sequence[Optional[bytes]], bool]
-"""Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
-Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
-"""Encoded values of the zone columns (None = unset), names of the fields with a NaN value (sorted),
-and whether the block must be marked odd."""
 Terms = Tuple[Tuple[str, str, bytes], ...]
 """Conditions for the server, joined by AND: column, operator and encoded value of each."""
 Order = Tuple[int, int]
@@ -69,20 +64,11 @@ class NewRow(NamedTuple):
     conn: int
     wire: bytes
     columns: Optional[Sequence[Optional[bytes]]]
-    """Encoded values of the format's columns and of the columns with the receive time; None for one
-    =
-    unset. None for all = they are encoded when the batch of the row is sent."""
+    """Encoded values of the format's columns and of the columns with the receive time (None =
+    unset). None instead of all: they are encoded when the batch of the row is sent."""
     odd: bool = False
     raw: Optional[bytes] = None
     name: str = ""
-
-
-class Shadows(NamedTuple):
-    """The columns on which a table's indexes are."""
-
-    names: Tuple[str, ...]
-    values: Callable[[bytes], Indexed]
-    """Returns the values of the columns for a serialised message."""
 
 
 class Sent(NamedTuple):
@@ -138,7 +124,8 @@ class RowTable:
     """One topic table: its statements, prepared when first needed, and its rows.
 
     Args:
-        columns: Names of the format's columns, in the format's order.
+        encoder: Turns messages into the columns of its rows, and back.
+        indexes: Turns messages into the columns that carry its indexes.
 
     Attributes:
         named: Rows are found by a name, not by their time.
@@ -149,7 +136,6 @@ class RowTable:
     """
 
     longest_text = INLINE_COLUMN_BYTES
-    zone_columns: Tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -157,14 +143,18 @@ class RowTable:
         keyspace: str,
         name: str,
         metadata: TopicMetadata,
-        columns: Sequence[str],
+        encoder: RowEncoder,
+        indexes: IndexEncoder,
     ) -> None:
         self._cassandra = cassandra
         self.name = name
         self.qualified = qualified(keyspace, name)
         self._chunks = qualified(keyspace, chunk_table_name(name))
         self.metadata = metadata
-        self.columns = tuple(columns)
+        self.encoder = encoder
+        self.columns = tuple(encoder.columns)
+        self.zone_columns = tuple(encoder.zone_columns)
+        self._indexes = indexes
         self.named = metadata.named
         self.partition = metadata.partition
         self.packed = metadata.packed
@@ -209,29 +199,11 @@ class RowTable:
         return (*place, *map(encode_long, self.stored_order(row.t, row.seq)))
 
     def shadows(self) -> Shadows | None:
-        """Return the indexes that a bucket which is opened now is filled with; None = none."""
-        return None
+        """Return the columns of the indexes that a bucket opened now is filled with.
 
-    def zones(self, wires: Sequence[bytes]) -> Zones:
-        """Find the bounds of the values in serialised messages; any bytes will do."""
-        return (), (), False
-
-    def encode(self, row: NewRow) -> NewRow:
-        """Return a row with its columns made of its message."""
-        raise NotImplementedError
-
-    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
-        """Return the columns of messages, each behind its size; None = encode is to be asked."""
-        return [None] * len(wires)
-
-    def decode_together(
-        self, data: bytes, starts: Places, ends: Places, sizes: Places
-    ) -> Sequence[bytes | None]:
-        """Return the messages, of these sizes, of columns that lie from place to place in data.
-
-        Each column is behind its size; None = they are to be looked at by themselves.
+        None where the table has no index.
         """
-        return [None] * len(starts)
+        return self._indexes.shadows(self.metadata.indexes)
 
     # ---------------------------------------------------------------- statements
 

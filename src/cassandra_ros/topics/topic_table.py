@@ -9,11 +9,10 @@ import logging
 import threading
 from functools import lru_cache, partial
 from itertools import repeat
-from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, List, Optional, Sequence
 
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.connection.raw_page import Places
-from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName
+from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import MAX_NS
@@ -22,12 +21,12 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
-from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.protocols import Places as RobotPlaces
-from cassandra_ros.tables.row_table import Indexed, NewRow, RowTable, Shadows, Zones, encode_long
+from cassandra_ros.tables.row_table import NewRow, RowTable, encode_long
 from cassandra_ros.tables.schema import Schema
 from cassandra_ros.tables.succession import Listing
+from cassandra_ros.topics.index_columns import IndexColumns
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
 
@@ -37,8 +36,6 @@ MAX_CLASSES = 1024
 """Connections of a table whose message class is kept: anonymous publishers come without end."""
 MAX_LATER_BYTES = 64 * 1024
 """Larger messages are turned into rows one by one: there is nothing to gain."""
-_Value = Callable[[bytes], Tuple[Optional[bytes], bool]]
-"""From a serialised message to its value in an index, None = unset, and whether it is odd."""
 
 
 _new_row = partial(tuple.__new__, NewRow)  # _make is a function of Python
@@ -63,12 +60,8 @@ class TopicTable(RowTable):
         self.format: CassandraTopic_ = format_class(metadata.format)(
             metadata.msg_type, metadata.md5sum, definition
         )
-        columns = tuple(self.format.getColValidationClasses())
-        # Decided by the format, which tells what the columns of the table are.
-        self.zone_map = zone_map(definition) if definition and self.format.PACKED else None
+        self.zone_map = self.format.zone_map
         """What bounds the values in a block, where a row is one."""
-        super().__init__(cassandra, keyspace, name, metadata, columns)
-        self.zone_columns = tuple(self.zone_map.columns) if self.zone_map else ()
         # A definition that lacks the field has neither index nor receive time; rows lie by time.
         able = metadata.own_time or metadata.key_part in metadata.indexes
         found = definition if able and metadata.key_format == "msg_part" else None
@@ -80,6 +73,8 @@ class TopicTable(RowTable):
         part = self.value_part
         self.digest = part if part is not None and part.digest else None
         """The key field whose index holds the md5 of a whole array, where there is one."""
+        self._index_columns = IndexColumns(metadata.topic, definition, self.digest)
+        super().__init__(cassandra, keyspace, name, metadata, self.format, self._index_columns)
         self.msg_type = metadata.msg_type
         self.by_field = self.format.BY_FIELD
         self.connections = connections
@@ -89,7 +84,6 @@ class TopicTable(RowTable):
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
         """Return the class for a connection, by its number: installed, generated or RawMessage."""
         self._later = metadata.key_format == "time" and self.format.TOGETHER
-        self._indexes: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
 
     def __repr__(self) -> str:
         return f"<TopicTable {self.name} of {self.metadata.topic}: {self.msg_type}>"
@@ -110,20 +104,7 @@ class TopicTable(RowTable):
     @property
     def index_fields(self) -> dict[str, IndexField]:
         """The indexes that conditions can use, by their field, as the comment lists them now."""
-        indexes, definition = self.metadata.indexes, self.definition
-        known, fields = self._indexes
-        if definition is not None and known != indexes:
-            fields = {}
-            for field, shadow in indexes.items():
-                if self.digest is not None and self.digest.field == field:
-                    continue  # holds whole arrays, not their elements
-                try:
-                    fields[field] = IndexField(definition, field, shadow)
-                except InvalidName as exc:
-                    topic = self.metadata.topic
-                    _log.warning("an index of topic %s is not used: %s", topic, exc)
-            self._indexes = indexes, fields
-        return fields
+        return self._index_columns.fields(self.metadata.indexes)
 
     def connection(self, conn: int) -> Connection:
         """Read a connection by its number; CorruptMessage where there is none."""
@@ -151,31 +132,6 @@ class TopicTable(RowTable):
             topic = self.metadata.topic
             _log.debug("messages of topic %s are given back as bytes: %s", topic, exc)
             return raw_class(connection.type, md5sum)
-
-    def shadows(self) -> Optional[Shadows]:
-        """Return the indexes that a bucket which is opened now is filled with; None = none."""
-        values: dict[str, _Value] = {i.shadow: i.value for i in self.index_fields.values()}
-        part = self.digest
-        if part is not None:
-            values[self.metadata.indexes[part.field]] = partial(_digest, part)
-        if not values:
-            return None
-        every = tuple(values.values())
-
-        def together(wire: bytes) -> Indexed:
-            encoded: list[Optional[bytes]] = []
-            odd = False
-            for value in every:
-                one, is_odd = value(wire)
-                encoded.append(one)
-                odd = odd or is_odd
-            return encoded, odd
-
-        return Shadows(tuple(values), together)
-
-    def zones(self, wires: Sequence[bytes]) -> Zones:
-        """Find the bounds of the values in serialised messages; any bytes will do."""
-        return super().zones(wires) if self.zone_map is None else self.zone_map.measure(wires)
 
     def make_row(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
         """Make the row of a message: its columns, and its place by the topic's key format.
@@ -215,21 +171,6 @@ class TopicTable(RowTable):
         t = None if self.key_part is None else self.key_part.time(wire)
         # What has no time lies where it was received; nsecs may pass the end of time.
         return received if t is None else min(t, MAX_NS)
-
-    def encode(self, row: NewRow) -> NewRow:
-        """Return a row with its columns made of its message."""
-        columns, odd, raw = self.format.encode_wire(row.wire)
-        return row._replace(columns=columns, odd=odd, raw=raw)
-
-    def encode_together(self, wires: Sequence[bytes]) -> Sequence[Optional[bytes]]:
-        """Return the columns of messages, each behind its size; None = encode is to be asked."""
-        return self.format.encode_together(wires)
-
-    def decode_together(
-        self, data: bytes, starts: Places, ends: Places, sizes: Places
-    ) -> Sequence[Optional[bytes]]:
-        """Return the messages of columns in data; None = they are to be looked at themselves."""
-        return self.format.decode_together(data, starts, ends, sizes)
 
 
 class WholeTopic(List[TopicTable]):
@@ -329,11 +270,6 @@ class TopicTables:
         heirs = (listing.heirs.get(table.name, table.name) for table in was)
         found = self._whole(topic, listing, [name for name in heirs if name in listing.visible])
         return found or was
-
-
-def _digest(part: KeyPart, wire: bytes) -> tuple[Optional[bytes], bool]:
-    value = part.value(wire)
-    return (None, True) if value is None else (part.index(value), False)
 
 
 def definition_in(metadata: TopicMetadata) -> Optional[Definition]:

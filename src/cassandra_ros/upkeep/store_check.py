@@ -27,10 +27,10 @@ from cassandra_ros.store.fetch import fetch_row, list_names
 from cassandra_ros.store.orphans import old_us, orphans, partitions, remove_orphans, rows_at
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
+from cassandra_ros.tables.row_encoder import Zones
 from cassandra_ros.tables.row_table import (
     ALL,
     TableRow,
-    Zones,
     decode_long,
     encode_texts,
 )
@@ -243,7 +243,7 @@ class _Check:
         else:
             wires = block.unpacked.wires()
         self._count(len(places), int(block.sizes[places].sum()))
-        self._bounds(table, node, row, bounds, table.zones(wires))
+        self._bounds(table, node, row, bounds, table.format.zones(wires))
 
     def _bounds(
         self, table: TopicTable, node: str, row: BlockRow, said: RawRow, measured: Zones

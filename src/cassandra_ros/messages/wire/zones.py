@@ -53,6 +53,10 @@ class Zones(NamedTuple):
     """Whether a field may have values outside its bounds: the block must then always be read."""
 
 
+NO_ZONES = Zones((), (), False)
+"""The bounds where no field has any."""
+
+
 class ZoneMap:
     """Computes the bounds of the fields of one message type.
 

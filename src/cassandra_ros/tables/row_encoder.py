@@ -1,0 +1,69 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a table is given when it is made: the components that turn messages into columns."""
+
+from __future__ import annotations
+
+from typing import Callable, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
+
+from cassandra_ros.connection.raw_page import Places
+
+Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
+"""Encoded values of the format's columns (None = unset), whether the row must be marked odd, and
+the message where the columns cannot give it back."""
+Indexed = Tuple[Sequence[Optional[bytes]], bool]
+"""Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
+Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
+"""Encoded values of the zone columns (None = unset), the fields of which a value is NaN (sorted),
+and whether the block must be marked odd."""
+
+
+class RowEncoder(Protocol):
+    """Turns serialised messages into the columns of rows, and back."""
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Names of the format's columns, in the format's order."""
+
+    @property
+    def zone_columns(self) -> Sequence[str]:
+        """Names of the columns that bound the values in a block."""
+
+    def encode_wire(self, wire: bytes) -> Encoded:
+        """Return the columns of a message."""
+
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[Optional[bytes]]:
+        """Return the columns of each message, each column after its size; None = encode_wire does.
+
+        One result for each message.
+        """
+
+    def decode_together(
+        self, data: bytes, starts: Places, ends: Places, sizes: Places
+    ) -> Sequence[Optional[bytes]]:
+        """Return the messages, of these sizes, whose columns lie from starts to ends in data.
+
+        Each column follows its size. None = the row must be decoded by itself.
+        """
+
+    def zones(self, wires: Sequence[bytes]) -> Zones:
+        """Return the bounds of the values in serialised messages; any bytes will do."""
+
+
+class Shadows(NamedTuple):
+    """The columns that carry a table's indexes."""
+
+    names: Tuple[str, ...]
+    values: Callable[[bytes], Indexed]
+    """From the serialised message."""
+
+
+class IndexEncoder(Protocol):
+    """Turns serialised messages into the columns that carry indexes."""
+
+    def shadows(self, indexes: Mapping[str, str]) -> Optional[Shadows]:
+        """Return the columns of a table's indexes; None where it has no index.
+
+        Args:
+            indexes: Indexed field → shadow column, as the table's comment says.
+        """
