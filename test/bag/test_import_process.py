@@ -174,17 +174,16 @@ def test_a_signal_ends_an_import_and_the_next_completes_it(
 
 
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("jobs", sparing([1, 2], kept=[1, 2]))
 @pytest.mark.fault
 def test_the_first_signal_ends_an_import_whose_store_is_silent(
-    rosCas, cassandra, keyspace, cql, tmp_path, signal_number, jobs
+    rosCas, cassandra, keyspace, cql, tmp_path, signal_number
 ):
     """It does not wait until what is on its way is given up, which would be another error."""
     path = write_bag(tmp_path / "a.bag", 60_000, 100)
     with Proxy(cassandra.host, cassandra.port) as proxy:
         held = proxy.catch(lambda f: f.opcode == BATCH and b"A" * 90 in f.body, failed=False)
         held.hold()
-        child = start_import(proxy, keyspace, path, "--jobs", str(jobs))
+        child = start_import(proxy, keyspace, path)
         held.wait()
         proxy.freeze()
         child.send_signal(signal_number)

@@ -11,9 +11,8 @@ import pytest
 from bag.test_import_export import counts_agree
 from bag.test_import_process import spawn_import
 from bag.truth import string_connection, string_wire
-from campaign import sparing
 
-from cassandra_ros.bag import job_process
+from cassandra_ros.bag import importer
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.importer import import_bag
@@ -57,7 +56,7 @@ def table_rows(rosCas, cql):
 
 @pytest.fixture
 def small_blocks(monkeypatch):
-    monkeypatch.setattr(job_process, "limits_for", lambda connections: Limits(100, 20_000))
+    monkeypatch.setattr(importer, "limits_for", lambda connections: Limits(100, 20_000))
 
 
 def test_a_repeated_import_ends_in_the_same_rows(rosCas, cql, tmp_path, small_blocks):
@@ -117,9 +116,8 @@ def test_a_deleted_message_is_there_again_after_the_import(rosCas, cql, tmp_path
     assert sum(counts_agree(rosCas, cql).values()) == 500
 
 
-@pytest.mark.parametrize("jobs", sparing([1, 2], kept=[1]))
 def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
-    rosCas, cql, tmp_path, monkeypatch, jobs
+    rosCas, cql, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(replacement, "SETTLE_SEC", 0.05)
     monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
@@ -131,7 +129,7 @@ def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
     import_bag(rosCas, path, format="binary")
     rosCas.convertTopic("/a", "packed")
     rosCas.convertTopic("/b", "packed")
-    report = import_bag(rosCas, path, jobs=jobs)
+    report = import_bag(rosCas, path)
     assert {topic.format for topic in report.topics.values()} == {"packed"}
     assert verify_bag(rosCas, path).equal
     expected = {name: topic.messages for name, topic in report.topics.items()}

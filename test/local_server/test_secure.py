@@ -25,7 +25,6 @@ from cassandra_ros.cli import cassandra_bag, local_cassandra
 from cassandra_ros.errors import (
     AccessDenied,
     CertificateRefused,
-    InvalidOption,
     LoginFailed,
     ServerError,
     TlsMismatch,
@@ -142,7 +141,6 @@ def test_who_is_not_let_in_is_told_why(
     foreign = make_certificate("foreign")
     with RosCassandra(cqlshrc=cqlshrc) as store:
         assert store.cassandra.port == cluster.settings.port
-        assert {"password": None, "cqlshrc": cqlshrc}.items() <= store.cassandra.arguments().items()
     await_true(lambda: not lets_in(cluster, "cassandra", "cassandra"))  # cached for two seconds
     for user, password in (("cassandra", "cassandra"), ("nobody", "x"), ("ros", "")):
         with pytest.raises(LoginFailed, match=f"refuses the user name '{user}'") as caught:
@@ -201,7 +199,7 @@ def test_a_viewer_reads_and_nothing_else(enter):
             with pytest.raises(AccessDenied, match=f"viewer_1 lacks the right {right} on") as told:
                 use()
             assert told.value.right == right
-    with RosCassandra(cqlshrc=store.cassandra.arguments()["cqlshrc"], keyspace=KEYSPACE) as ours:
+    with enter("owner") as ours:
         assert ours.getTopic("/a").countTopicData() == 1
 
 
@@ -215,12 +213,11 @@ def test_a_recorder_writes_but_drops_nothing(enter, tmp_path):
         with pytest.raises(AccessDenied, match="lacks the right DROP on table") as told:
             store.removeTopic("/a")
         assert told.value.right == "DROP"
-        # What makes a connection does so in other processes, too.
         with BagWriter(tmp_path / "a.bag") as writer:
             number = writer.connection(api_connection("/c", definition_of(String), ""))
             for n in range(20):
                 writer.write(number, n * 10**9, message(String(str(n))))
-        import_bag(store, tmp_path / "a.bag", jobs=2)
+        import_bag(store, tmp_path / "a.bag")
         assert store.getTopic("/c").countTopicData() == 20
     with enter("owner") as store:
         store.removeTopic("/b")
@@ -275,13 +272,6 @@ def test_programs_find_their_login_by_the_environment(cqlshrc, users, tmp_path, 
     status, text, err = run("--credentials", stranger)
     assert (status, text, err.count("\n")) == (1, "", 1)
     assert "refuses the user name 'ann'" in err and "secret" not in err
-
-
-def test_an_ssl_context_of_ones_own_is_of_one_process(cluster, cqlshrc):
-    context = cluster.security.context()
-    with RosCassandra(cqlshrc=cqlshrc, ssl_context=context) as store:
-        with pytest.raises(InvalidOption, match="ssl_context is of one process"):
-            store.cassandra.arguments()
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ import hashlib
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from struct import Struct
-from typing import AbstractSet, Iterable, Mapping, NamedTuple, Union
+from typing import Iterable, Mapping, NamedTuple, Union
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -48,9 +48,6 @@ class BagContent(NamedTuple):
     """64 hex digits that differ if a connection, a time or a byte of any message differs."""
     sizes: dict[int, int]
     """Size of the serialised messages by connection number, bytes."""
-    unordered: AbstractSet[int] = frozenset()
-    """Numbers of the connections with a message that is older than the one before it in the file,
-    or whose time is outside the time range that the index states for its chunk."""
 
     def writer_id(self, node: str = "") -> int:
         """Return the writer id of an import for a robot: 1 to 2**31 - 1."""
@@ -74,8 +71,7 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
         BagTooLarge: The bag would unpack to more bytes than the Allowance permits.
     """
     digest, rank = _begin(b"cassandra_ros bag 2", reader)
-    sizes, latest = dict.fromkeys(rank, 0), dict.fromkeys(rank, 0)
-    unordered: set[int] = set()
+    sizes = dict.fromkeys(rank, 0)
     sent = hashlib.sha256()
     with ThreadPoolExecutor(1) as hashing:  # one chunk is hashed while the next one is read
         hashed = hashing.submit(_update, digest, [])
@@ -85,7 +81,6 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
             try:
                 content, messages = reader.chunk_content(chunk)
                 parts = _parts(content, messages, rank)
-                _add_times(messages, reader.chunk_times(chunk), latest, unordered)
                 sent.update(_sent(reader.chunk_publish_times(chunk)))
             except BagTooLarge:
                 raise  # nothing of the file is stored yet
@@ -99,7 +94,7 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
                 reading(len(messages.ids), int(messages.sizes.sum()))
     if reader.has_publish_times:
         digest.update(sent.digest())
-    return BagContent(digest.hexdigest(), sizes, unordered)
+    return BagContent(digest.hexdigest(), sizes)
 
 
 def _sent(times: PublishTimes | None) -> bytes:
@@ -149,19 +144,6 @@ def _parts_at_once(
     small = changed.tobytes()
     ends = zip((begins - first).tolist(), (messages.stops - first).tolist())
     return [b"".join([small[begin:stop] for begin, stop in ends])]
-
-
-def _add_times(
-    messages: ChunkMessages, ends: tuple[int, int], latest: dict[int, int], unordered: set[int]
-) -> None:
-    """Add the connections of a chunk whose messages are not in the order of time."""
-    for number in np.unique(messages.ids).tolist():
-        times = messages.times[messages.ids == number]
-        if (np.diff(times, prepend=latest[number]) < 0).any() or not (
-            ends[0] <= times.min() and times.max() <= ends[1]
-        ):
-            unordered.add(number)
-        latest[number] = int(times[-1])
 
 
 def _begin(head: bytes, reader: MessageFile) -> tuple[hashlib._Hash, dict[int, int]]:

@@ -7,26 +7,29 @@ from __future__ import annotations
 import logging
 import os
 from dataclasses import dataclass, field
-from functools import partial
-from typing import AbstractSet, Iterable, Mapping, Sequence
+from typing import AbstractSet, Iterable, Iterator, Mapping
 
-from cassandra_ros.arguments import check_integer, check_new_topic
+from cassandra_ros.arguments import check_new_node, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.bag_read_ahead import ReadAhead
 from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.file_runs import source_of
 from cassandra_ros.bag.identity import BagContent
-from cassandra_ros.bag.job_process import ImportTask, bag_writer, connect, read_batches
-from cassandra_ros.bag.jobs import MAX_JOBS, run_tasks, spans_of_jobs
-from cassandra_ros.bag.message_file import MessageFile, MessageProgress, connections_of_topics
+from cassandra_ros.bag.message_file import (
+    MessageBatch,
+    MessageFile,
+    MessageProgress,
+    connections_of_topics,
+)
 from cassandra_ros.bag.publish_times import store_publish_times
 from cassandra_ros.bag.salvage import SalvageReport
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import message_kind
-from cassandra_ros.store.writer import WriteStats
+from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
@@ -86,7 +89,6 @@ def import_bag(
     nodeID: str = "",
     progress: MessageProgress | None = None,
     reading: MessageProgress | None = None,
-    jobs: int = 1,
     salvage: bool = False,
     large_chunks: bool = False,
 ) -> ImportReport:
@@ -111,8 +113,6 @@ def import_bag(
         large_chunks: Also read chunks of more than 256 MiB of content, and files that unpack to
             more than 1000 times their size. Only for files that you trust: a file that was made
             to do harm can fill the memory and the disk.
-        jobs: Number of processes that store the messages, 1 to 64; the rows are the same. More
-            processes help if there are cores that Cassandra does not need.
 
     Returns:
         What was stored. A topic whose message definition is empty, broken or hostile is stored as
@@ -127,9 +127,7 @@ def import_bag(
         TopicNotFound: The bag has no such topic.
         WriteFailed, StoreUnavailable: The store did not acknowledge all messages.
     """
-    jobs = check_integer("jobs", jobs, 1, MAX_JOBS)
     keyspace = ros_cas.catalog.keyspace
-    store = {**ros_cas.cassandra.arguments(), "keyspace": ros_cas.keyspace} if jobs > 1 else {}
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
         content = identity.read_content(reader, reading)
@@ -141,22 +139,31 @@ def import_bag(
         run = _run(reader, nodeID, writer_id, format, content)
         formats = _formats(keyspace, reader, numbers, run)
         lengths = table_lengths(reader, content.sizes)
-        with bag_writer(keyspace, reader, writer_id, nodeID, format=format, run=run) as writer:
+        # Blocks are not sealed by time, nor do they depend on the topics that are chosen.
+        limits = limits_for(len(reader.connections))
+        node = check_new_node(nodeID)
+        with MessageWriter(
+            keyspace, writer_id, format=format, node=node, run=run, limits=limits
+        ) as writer:
             handles = {
-                n: connect(writer, connection, lengths[n], formats[n])
+                n: _connect(writer, connection, lengths[n], formats[n])
                 for n, connection in reader.connections.items()
                 if n in numbers
             }
             _name_topics(handles, report)
             _remove_other_blocks(keyspace, handles, run)
             store_publish_times(keyspace.side_tables, reader, run)
-            opening = reader.path, salvage, large_chunks
-            task = partial(ImportTask, opening, formats, lengths, writer_id, nodeID, store)
-            tasks = list(map(task, spans_of_jobs(reader, handles, content, jobs)))
-            if not _write_tasks(reader, writer, handles, report, progress, tasks):
-                _write_messages(reader, writer, handles, report, progress)
+            _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
+
+
+def _connect(
+    writer: MessageWriter, connection: Connection, lengths: Lengths, format_name: str
+) -> Handle:
+    """Make ready for the messages of a connection of the bag."""
+    bucket_ns, span_ns, large = lengths
+    return writer.connect(connection, bucket_ns, span_ns=span_ns, large=large, format=format_name)
 
 
 def _name_topics(handles: Mapping[int, Handle], report: ImportReport) -> None:
@@ -278,6 +285,15 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
             delete_time_range(keyspace, [table], 0, MAX_NS, whose)
 
 
+def _batches(reader: MessageFile, numbers: AbstractSet[int]) -> Iterator[MessageBatch]:
+    """Read the messages of some connections; chunks without any are not unpacked.
+
+    The index says which they are: where it is wrong messages are missed.
+    """
+    for chunk in range(reader.chunk_count):
+        yield from reader.batches(chunk, numbers)
+
+
 def _write_messages(
     reader: MessageFile,
     writer: MessageWriter,
@@ -285,9 +301,8 @@ def _write_messages(
     report: ImportReport,
     progress: MessageProgress | None,
 ) -> None:
-    whole = dict.fromkeys(handles, (0, MAX_NS + 1))
     try:
-        with ReadAhead(read_batches(reader, whole)) as ahead:
+        with ReadAhead(_batches(reader, handles.keys())) as ahead:
             for (number, positions, times, wires), size in ahead:
                 handle = handles[number]
                 writer.write_run(handle, times, positions, wires)
@@ -302,36 +317,6 @@ def _write_messages(
             f"{exc}; the {report.messages} messages before it are stored. {_REPAIRED}"
         ) from exc
     writer.flush()
-
-
-def _write_tasks(
-    reader: MessageFile,
-    writer: MessageWriter,
-    handles: dict[int, Handle],
-    report: ImportReport,
-    progress: MessageProgress | None,
-    tasks: Sequence[ImportTask],
-) -> bool:
-    """Store the messages by several processes. Return whether all messages were stored."""
-    counts: dict[int, list[int]] = {}
-    if len(tasks) < 2:
-        return False  # one task needs no further process
-    try:
-        run_tasks(tasks, progress, counts)
-    except BagError as exc:
-        messages = sum(count for count, _ in counts.values())
-        raise BagError(f"{exc}; {messages} messages beside it are stored. {_REPAIRED}") from exc
-    finally:
-        for number, (messages, size) in counts.items():
-            name = handles[number].topic
-            writer.elsewhere.setdefault(name, WriteStats()).store(messages, size)
-    if {n: count for n, (count, _) in counts.items()} != {n: reader.counts[n] for n in handles}:
-        # Some messages are outside the time ranges of the index, by which the work was divided.
-        writer.elsewhere.clear()
-        return False
-    for name, stats in writer.elsewhere.items():
-        report.topics[name].messages, report.topics[name].bytes = stats.stored, stats.bytes
-    return True
 
 
 @dataclass

@@ -9,7 +9,7 @@ from bisect import bisect_left
 from collections import Counter
 from difflib import get_close_matches
 from functools import cached_property
-from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTuple, TypeVar
+from typing import AbstractSet, Callable, Iterable, Iterator, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -179,21 +179,18 @@ class MessageFile(ABC):
                 if numbers is None or number in numbers:
                     yield RawMessage(position, number, t_ns, content[start:stop])
 
-    def batches(self, chunk: int, spans: Mapping[int, tuple[int, int]]) -> Iterator[MessageBatch]:
+    def batches(self, chunk: int, numbers: AbstractSet[int]) -> Iterator[MessageBatch]:
         """Read the messages of a chunk in batches, connection by connection; see messages.
 
         Args:
-            spans: Connections to read: number -> time range, ns; its end is not included.
+            numbers: Connections to read.
         """
         info = self.chunk_info(chunk)
-        numbers = [number for number in info.counts if number in spans]
-        if not numbers:
+        if numbers.isdisjoint(info.counts):
             return
         content, messages = self.chunk_content(chunk)
-        for number in numbers:
-            since, until = spans[number]
-            fits = (messages.ids == number) & (messages.times >= since) & (messages.times < until)
-            rows = np.flatnonzero(fits)
+        for number in filter(numbers.__contains__, info.counts):
+            rows = np.flatnonzero(messages.ids == number)
             for first in range(0, len(rows), MAX_BATCH):
                 page = rows[first : first + MAX_BATCH]
                 ends = zip(messages.starts[page].tolist(), messages.stops[page].tolist())

@@ -58,7 +58,6 @@ from cassandra_ros.connection.schema_changes import SchemaChanges
 from cassandra_ros.connection.sessions import Link, Links
 from cassandra_ros.errors import (
     ConnectionFailed,
-    InvalidOption,
     KeyspaceNotFound,
     StoreUnavailable,
     TopicNotFound,
@@ -126,13 +125,6 @@ class Cassandra:
         )
         self.schema_changes = SchemaChanges()
         self.consistency = _consistency_level(consistency)
-        self._given = {
-            "consistency": consistency,
-            "username": username,
-            "password": password,
-            "cqlshrc": cqlshrc,
-            "credentials": credentials,
-        }
         self._ssl_context = ssl_context
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
@@ -237,16 +229,6 @@ class Cassandra:
     def closed(self) -> bool:
         """Whether this connection was closed and can neither read nor write any more."""
         return self._closed
-
-    def arguments(self) -> dict[str, object]:
-        """Return the arguments with which another process makes the same connection.
-
-        Raises:
-            InvalidOption: The connection has an ssl_context, which cannot be passed to a process.
-        """
-        if self._ssl_context is not None:
-            raise InvalidOption("jobs: a connection with an ssl_context is of one process; use 1")
-        return {"host": list(self.hosts), "port": self.port, **self._given}
 
     def __repr__(self) -> str:
         return f"<Cassandra {self._where}{', closed' if self._closed else ''}>"

@@ -133,9 +133,6 @@ class MessageWriter:
         self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
-        self.elsewhere: dict[str, WriteStats] = {}
-        """Messages that other processes have stored for this run, by topic; added to the own
-        numbers."""
         self._mutex, self._closed = threading.Lock(), False
         self._high = writer_id << COUNTER_BITS
         if run is not None:
@@ -414,11 +411,7 @@ class MessageWriter:
         """Return the numbers of stored and lost messages, by topic."""
         found: dict[str, WriteStats] = {}
         with self._mutex:
-            parts = [
-                *self._rows.stats.items(),
-                *self._refused.items(),
-                *self.elsewhere.items(),
-            ]
+            parts = [*self._rows.stats.items(), *self._refused.items()]
             topics = dict(self._topics)
         for name, part in parts:
             found.setdefault(topics.get(name, name), WriteStats()).add(part)

@@ -112,14 +112,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "store what stands before the damage, and say what that is (default: refuse it)",
     )
     add_large_chunks_option(parser)
-    add(
-        "--jobs",
-        metavar="N",
-        type=int,
-        default=1,
-        help="so many processes store the messages of each bag (default: 1): faster where cores "
-        "are free beside those that Cassandra keeps busy",
-    )
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
     add_json_option(parser)
     add_store_options(parser)
@@ -198,7 +190,6 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
             nodeID=options.node_id,
             progress=shown_by(second),
             reading=shown_by(first),
-            jobs=options.jobs,
             salvage=options.salvage,
             large_chunks=options.allow_large_chunks,
         )
