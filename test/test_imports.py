@@ -178,3 +178,21 @@ def test_no_module_is_called_after_nothing():
     vague = {"utils", "util", "common", "helpers", "helper", "misc", "msg", "srv"}
     for path in PACKAGE.rglob("*"):
         assert path.stem not in vague, name_of(path)
+
+
+# Module -> why it may stand in several rooms.
+SAME_KIND = {
+    "__init__.py": "each room has one",
+    "player.py": "the program in cli/, and the class in nodes/ that it starts",
+    "recorder.py": "the program in cli/, and the class in nodes/ that it starts",
+}
+
+
+def test_no_file_name_stands_in_two_rooms():
+    rooms = {}
+    for path in modules():
+        rooms.setdefault(path.name, []).append(name_of(path))
+    several = {name: paths for name, paths in rooms.items() if len(paths) > 1}
+    unknown = {name: paths for name, paths in several.items() if name not in SAME_KIND}
+    assert not unknown, f"rename what is not the same kind of thing: {unknown}"
+    assert set(several) == set(SAME_KIND), "the list names what stands in one room alone"
