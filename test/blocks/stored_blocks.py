@@ -35,7 +35,7 @@ def make_table(rosCas, topic="/p", msg_class=String, **said):
         span_ns=said.pop("span_ns", 20 * MS),
         **said,
     )
-    table = rosCas.catalog.keyspace.make_table(metadata, definition)
+    table = rosCas.catalog.keyspace.new_tables.make(metadata, definition)
     with rosCas.messageWriter() as writer:
         handle = writer.connect(api_connection(topic, definition, "/x"), format="packed")
     assert handle.table is table

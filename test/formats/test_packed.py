@@ -13,7 +13,7 @@ from std_msgs.msg import Float64, Header
 from cassandra_ros.errors import InvalidOption, InvalidQuery
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata, from_comment
-from cassandra_ros.topics.keyspace import UNKNOWN_SPAN_NS
+from cassandra_ros.tables.directory import UNKNOWN_SPAN_NS
 
 SEC = 10**9
 
@@ -55,8 +55,8 @@ def test_the_span_of_blocks_stays_within_a_bucket(rosCas):
     for topic, (bucket, span, expected) in wanted.items():
         about = (f"/{topic}", definition.type, definition.md5sum)
         metadata = TopicMetadata(*about, "packed", bucket, definition.text, span_ns=span)
-        assert space.make_table(metadata, definition).metadata.span_ns == expected
-        other = space.make_table(metadata.with_(format="binary"), definition)
+        assert space.new_tables.make(metadata, definition).metadata.span_ns == expected
+        other = space.new_tables.make(metadata.with_(format="binary"), definition)
         assert other.metadata.span_ns == 0 and not other.packed
 
 

@@ -255,7 +255,7 @@ def _formats(
                 rows = keyspace.directory.buckets(table.name, first, last, (run.node,))
                 if any(row.writer == run.writer for row in rows):
                     stored.add(table.metadata.format)
-        new = keyspace.format_for(connection.topic, connection.md5sum, run.format)
+        new = keyspace.new_tables.format_for(connection.topic, connection.md5sum, run.format)
         usable, _ = usable_definition(connection, new)
         if run.format and stored - {new if usable is not None else FALLBACK_FORMAT}:
             raise TopicExists(

@@ -50,7 +50,7 @@ def plan_topics(
     found = []
     for topic, msg_type in sorted(types.items()):
         wanted = settings.of(topic)
-        fmt = catalog.keyspace.format_for(topic, asked=wanted.format)
+        fmt = catalog.keyspace.new_tables.format_for(topic, asked=wanted.format)
         own = [m for m in tables if m.topic == topic and m.format == fmt]
         found.append(
             PlannedTopic(

@@ -30,7 +30,7 @@ from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.descriptions import topic_html, topic_line
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
 from cassandra_ros.topics.key_selection import AnyKey, TimeRange, Whose
-from cassandra_ros.topics.keyspace import Keyspace, Wish
+from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_objects import with_messages
 from cassandra_ros.topics.row_finder import Filter, Finder, Where
 from cassandra_ros.topics.row_reader import Columns
@@ -38,6 +38,7 @@ from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key, StoredRow
 from cassandra_ros.topics.stored_totals import count_buckets
 from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
+from cassandra_ros.topics.topic_wish import Wish
 
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""
@@ -157,7 +158,7 @@ class CassandraTopic:
             InvalidKey, InvalidName, ClockNotSet, WriteFailed.
         """
         node = self._wish.metadata.nodeID if nodeID is None else check_new_node(nodeID)
-        table = self._keyspace.table_for(self._wish, msg)
+        table = self._keyspace.new_tables.for_message(self._wish, msg)
         kind = table.metadata.key_format
         if kind == "manual":
             return self._adder.add(table, msg, None, node, check_message_name(self.name, key))

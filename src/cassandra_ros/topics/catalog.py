@@ -44,7 +44,8 @@ from cassandra_ros.topics.key_selection import (
     Whose,
     spellings,
 )
-from cassandra_ros.topics.keyspace import Keyspace, Wish, check_packed
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.new_tables import check_packed
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.row_finder import Filter, Where, time_range_between
 from cassandra_ros.topics.run_finder import RunName
@@ -52,6 +53,7 @@ from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import TopicInfo, count_rows, describe
 from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.topic_wish import Wish
 
 _log = logging.getLogger(__name__)
 
@@ -82,7 +84,7 @@ class Catalog:
         if wanted.indexes:
             check_unnamed(topic, wanted.key_format)
         self.keyspace.schema.tables(fresh=True)
-        format_name = self.keyspace.format_for(topic, asked=wanted.format)
+        format_name = self.keyspace.new_tables.format_for(topic, asked=wanted.format)
         wish = Wish(wanted.with_(format=format_name), asked=wanted.format != "", pending=True)
         stored = self.keyspace.tables.of_topic(topic)
         if format_class(format_name).PACKED:
@@ -99,7 +101,7 @@ class Catalog:
                 self._pending[topic] = wish
         if definition is not None:
             try:
-                self.keyspace.wished_table(wish, definition)
+                self.keyspace.new_tables.for_wish(wish, definition)
             except CassandraRosError:
                 with self._mutex:
                     self._pending.pop(topic, None)
@@ -245,7 +247,7 @@ class Catalog:
             blank = tables[0].with_(
                 **dict.fromkeys(("msg_type", "md5sum", "definition", "date"), ""),
                 bucket_ns=0,
-                format=self.keyspace.format_for(name),
+                format=self.keyspace.new_tables.format_for(name),
                 indexes={},
                 index_names={},
             )

@@ -195,7 +195,7 @@ class MessageWriter:
             like = like or (known.table.metadata if stored is None else None)
         check_new_topic(connection.topic)
         asked = key[1] or (like.format if like is not None else None)
-        wanted = self._keyspace.format_for(connection.topic, connection.md5sum, asked)
+        wanted = self._keyspace.new_tables.format_for(connection.topic, connection.md5sum, asked)
         definition, warning = usable_definition(connection, wanted)
         metadata = replace(
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
@@ -209,7 +209,7 @@ class MessageWriter:
         )
         table = self._shared_table(connection, metadata.format)
         if table is None:
-            table = self._keyspace.make_table(metadata, definition, large=large)
+            table = self._keyspace.new_tables.make(metadata, definition, large=large)
         warning = warning or self._other_ttl(table.metadata)
         conn = self._keyspace.connections.put(table.name, connection)
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
@@ -229,7 +229,7 @@ class MessageWriter:
 
     def format_of(self, connection: Connection) -> str:
         """Return the format in which a connection's topic is stored, or would be by default."""
-        return self._keyspace.format_for(connection.topic, connection.md5sum)
+        return self._keyspace.new_tables.format_for(connection.topic, connection.md5sum)
 
     def _other_ttl(self, stored: TopicMetadata) -> Optional[str]:
         if self._ttl in (None, stored.ttl):

@@ -33,7 +33,8 @@ from cassandra_ros.tables.directory import STALE_SEC, span_for
 from cassandra_ros.tables.expiry import set_lifetime
 from cassandra_ros.tables.schema import Planned
 from cassandra_ros.topics.key_selection import EVERYBODY
-from cassandra_ros.topics.keyspace import Keyspace, check_packed
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.new_tables import check_packed, planner
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.upkeep.table_copy import Copy, Progress
@@ -303,7 +304,7 @@ class Conversion:
 
         def planned(olds: Sequence[TopicMetadata]) -> Planned:
             # The plan already contains what the metadata of the other tables say.
-            return self._space.planner(wanted, self._plan.newest.definition)([wanted])
+            return planner(wanted, self._plan.newest.definition)([wanted])
 
         name, metadata = replacement.begin(self._space.schema, planned, self._topic, self._names)
         new = self._space.tables.get(name, metadata)

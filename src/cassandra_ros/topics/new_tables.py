@@ -1,0 +1,233 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Tables for new messages: in which one they are kept, how a new one is planned and made."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from datetime import datetime, timezone
+from typing import Any, Optional, Sequence
+
+from cassandra_ros.errors import (
+    InvalidKey,
+    InvalidName,
+    InvalidOption,
+    TopicNotFound,
+    TypeMismatch,
+    WriteFailed,
+)
+from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, format_class
+from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
+from cassandra_ros.messages.definition import Definition, definition_of
+from cassandra_ros.messages.index_field import IndexField
+from cassandra_ros.messages.key_part import KeyPart
+from cassandra_ros.metadata import TopicMetadata, shadow_column
+from cassandra_ros.tables.directory import MIN_SPAN_NS, UNKNOWN_SPAN_NS, limit_for_ttl
+from cassandra_ros.tables.schema import Planned, Planner, Schema
+from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition_in
+from cassandra_ros.topics.topic_wish import Wish
+
+_log = logging.getLogger(__name__)
+
+
+class NewTables:
+    """Chooses the tables for new messages of a keyspace, and makes those that are missing."""
+
+    def __init__(self, schema: Schema, tables: TopicTables) -> None:
+        self._schema = schema
+        self._tables = tables
+
+    def format_for(self, topic: str, md5sum: str = "", asked: Optional[str] = None) -> str:
+        """Decide in which format new messages of a topic are kept.
+
+        That is the one that was asked for, or raises UnknownFormat; else that of the table that was
+        made last, of this md5 where there is one: a stored topic stays in its format.
+        """
+        if asked is not None and asked != "":
+            format_class(asked)
+            return asked
+        tables = [m for m in self._schema.tables().values() if m.topic == topic]
+        # One publisher without a usable definition must not decide for all others.
+        chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
+        newest = max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format), default=None)
+        return DEFAULT_FORMAT if newest is None else newest.format
+
+    def make(
+        self, metadata: TopicMetadata, definition: Optional[Definition], *, large: bool = False
+    ) -> TopicTable:
+        """Find the table for a topic, kind and format, or make it.
+
+        Args:
+            metadata: What its comment is to say; columns, date and what is '' or 0 are completed
+                here, and what the topic's other tables say holds for this one. Of its indexes the
+                fields count; one that the type has not is left out.
+            definition: The checked definition, or None.
+            large: The table for large messages, too, for which they would wait later.
+
+        Raises:
+            InvalidKey: The type has no such field as key_part, and the topic is new.
+        """
+        key = (metadata.topic, metadata.kind, metadata.format)
+        name = self._schema.ensure_table(key, planner(metadata, definition))
+        found = self._tables.by_name(name)
+        if found is None:
+            raise WriteFailed(
+                f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
+                "client removes this topic; try again"
+            )
+        if large:
+            with suppress(TopicNotFound):  # removed since: the first message meets that again
+                self._schema.ensure_chunk_table(found)
+        return found
+
+    def for_wish(self, wish: Wish, definition: Definition) -> TopicTable:
+        """Find or make the table for messages of this definition, in the format asked for."""
+        for path in wish.metadata.indexes:
+            IndexField(definition, path, "")  # raises InvalidName where there is none
+        kind, md5sum, text = definition.type, definition.md5sum, definition.text
+        metadata = wish.metadata.with_(msg_type=kind, md5sum=md5sum, definition=text)
+        table = self.make(metadata, definition)
+        wish.check(table.metadata, None)  # another client may have been quicker
+        return table
+
+    def for_message(self, wish: Wish, msg: Any) -> TopicTable:
+        """Find or make the table for a message; TypeMismatch where it is none of the topic's."""
+        topic = wish.metadata.topic
+        if not hasattr(type(msg), "_md5sum"):  # nor has a class, in place of its object
+            raise TypeMismatch(
+                f"{msg!r:.80} is no message: give topic {topic} a message object, as "
+                "std_msgs.msg.String(data='x'); nothing was stored"
+            )
+        definition = definition_of(type(msg))
+        tables = self._tables.of_topic(topic)
+        fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
+        wished = [t for t in fitting if t.metadata.format == wish.metadata.format]
+        if wished or (fitting and not wish.asked):
+            return (wished or fitting)[0]
+        if tables and not fitting:
+            stored = tables[0].metadata
+            raise TypeMismatch(
+                f"topic {topic} holds {stored.msg_type} [{stored.md5sum}], the message is "
+                f"{definition.type} [{definition.md5sum}]; nothing was stored"
+            )
+        return self.for_wish(wish, definition)
+
+
+def planner(metadata: TopicMetadata, definition: Optional[Definition]) -> Planner:
+    """Return what plans the table for NewTables.make, given what the topic's other tables say."""
+    fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
+
+    def plan(others: Sequence[TopicMetadata]) -> Planned:
+        wanted = _beside(metadata, others)
+        if fmt.PACKED:
+            check_packed(wanted, definition)
+            wanted = wanted.with_(indexes={})
+        wanted, shadows = _indexed(wanted, definition, new=not others)
+        bucket_ns = wanted.bucket_ns or _default_bucket(definition)
+        bucket_ns = limit_for_ttl(bucket_ns, wanted.ttl)
+        wanted = wanted.with_(
+            key_format=wanted.key_format or "time",
+            bucket_ns=bucket_ns,
+            span_ns=_span(wanted.span_ns, bucket_ns) if fmt.PACKED else 0,
+            columns=tuple(fmt.describe()),
+            replaces=(),
+            filling=False,
+            date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        )
+        return wanted, fmt.table_columns(), shadows
+
+    return plan
+
+
+def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMetadata:
+    """Return the metadata of a table beside others of its topic: what they say holds for it."""
+    if not others:
+        return metadata
+    first = others[0]
+    if all(other.kind != metadata.kind for other in others):
+        was, now = (f"{each.msg_type} [{each.md5sum}]" for each in (first, metadata))
+        text = "topic %s was stored with type %s and goes on with %s in a table of its own; "
+        _log.warning(text + "reading merges both", metadata.topic, was, now)
+    elif metadata.format not in (formats := {other.format for other in others}):
+        was, now = ", ".join(sorted(formats)), metadata.format
+        text = "topic %s is stored in format %s and goes on in format %s in a table of its own; "
+        text += "reading merges both, and 'cassandra_bag convert' makes one of them"
+        _log.warning(text, metadata.topic, was, now)
+    return metadata.with_(
+        key_format=first.key_format,
+        key_part=first.key_part,
+        ttl=metadata.ttl or first.ttl,
+        nodeID=metadata.nodeID or first.nodeID,
+        comment=metadata.comment or first.comment,
+        user=metadata.user or first.user,
+        indexes={**metadata.indexes, **{field: "" for m in others for field in m.indexes}},
+    )
+
+
+def _indexed(
+    metadata: TopicMetadata, definition: Optional[Definition], new: bool
+) -> tuple[TopicMetadata, dict[str, str]]:
+    """Return the metadata with the indexes of the table, and the columns that carry them."""
+    wished, shadows, by_hash = list(metadata.indexes), {}, metadata.key_format == "hash"
+    metadata = metadata.with_(own_time=by_hash, indexes={}, index_count=0)
+    if metadata.key_format == "msg_part":
+        try:
+            if definition is None:
+                none = "has no usable definition to find a key field in"
+                raise InvalidKey(f"{metadata.msg_type} {none}")
+            part = KeyPart(definition, metadata.key_part)
+        except InvalidKey as exc:
+            if new:
+                raise
+            _log.warning("messages of topic %s: %s; these are found by time", metadata.topic, exc)
+        else:
+            metadata = metadata.with_(own_time=part.is_time)
+            if not part.is_time:
+                metadata = metadata.with_index(part.field, 0)
+                shadows[shadow_column(0)] = part.cql_type
+    for path in wished:
+        if definition is None or metadata.named or path in metadata.indexes:
+            continue
+        try:
+            index = IndexField(definition, path, shadow_column(metadata.next_shadow))
+        except InvalidName as exc:
+            _log.info("messages of topic %s are stored without an index: %s", metadata.topic, exc)
+            continue
+        metadata = metadata.with_index(path, metadata.next_shadow)
+        shadows[index.shadow] = index.cql_type
+    return metadata, shadows
+
+
+def check_packed(metadata: TopicMetadata, definition: Optional[Definition] = None) -> None:
+    """Raise InvalidOption where messages cannot lie in blocks, for their key is no time."""
+    key_format, part = metadata.key_format, metadata.key_part
+    if key_format not in NAMED_FORMATS and key_format != "msg_part":
+        return
+    if key_format == "msg_part":
+        if definition is None:
+            return
+        try:
+            if KeyPart(definition, part).is_time:
+                return
+        except InvalidKey:
+            return  # these messages are found by time
+    what = f"key_part={part!r}, which is no time" if part else f"key_format={key_format!r}"
+    raise InvalidOption(
+        f"topic {metadata.topic} cannot be kept in format packed, whose messages lie in blocks by "
+        f"their time, with {what}: choose another format for it, or key_format='time' for a new "
+        "topic"
+    )
+
+
+def _span(wanted: int, bucket_ns: int) -> int:
+    """Return how much time a block may cover, ns; wanted 0 = nobody knows the rate."""
+    return min(max(wanted or UNKNOWN_SPAN_NS, MIN_SPAN_NS), bucket_ns)
+
+
+def _default_bucket(definition: Optional[Definition]) -> int:
+    """Return the bucket length where the rate is unknown: 1 min for types with arrays."""
+    arrays = definition is None or any(
+        field.is_array for spec in definition.specs.values() for field in spec.fields
+    )
+    return (60 if arrays else 600) * SECOND_NS

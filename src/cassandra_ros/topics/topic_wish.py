@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What addTopic asks of a topic, kept until its first message tells the type."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Mapping, Optional, Sequence
+
+from cassandra_ros.arguments import (
+    check_fields,
+    check_key_format,
+    check_new_node,
+    check_new_topic,
+    check_text,
+    check_ttl,
+    check_user_keys,
+)
+from cassandra_ros.errors import TopicExists
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.metadata import TopicMetadata
+
+
+def wished_topic(
+    topic: str,
+    format: Optional[str],
+    node: str,
+    ttl: int,
+    comment: str,
+    user: Optional[Mapping[str, Any]],
+    index: Sequence[str],
+) -> TopicMetadata:
+    """Check what addTopic was given, and return it as metadata without a type."""
+    return TopicMetadata(
+        topic=check_new_topic(topic),
+        msg_type="",
+        md5sum="",
+        format="" if format is None else format,
+        bucket_ns=0,
+        nodeID=check_new_node(node),
+        ttl=check_ttl(ttl),
+        comment=check_text("comment", comment),
+        user=check_user_keys({} if user is None else user),
+        indexes=dict.fromkeys(check_fields("index", index), ""),
+    )
+
+
+def with_key(wanted: TopicMetadata, key_format: Optional[str], key_part: str) -> TopicMetadata:
+    """Return them with the key that was asked for, '' = as the topic is stored."""
+    return wanted.with_(key_format=check_key_format(key_format, key_part), key_part=key_part)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What addTopic asked for; kept until the first message tells the type."""
+
+    metadata: TopicMetadata
+    """Without a type; key_format '' = as it is stored, else 'time'; indexes are to be made."""
+    asked: bool
+    """addTopic named the format; else it is the one that is stored."""
+    pending: bool
+    """Added in this process, perhaps without a table yet."""
+
+    def check(self, stored: TopicMetadata, definition: Optional[Definition]) -> None:
+        """Raise TopicExists where the topic is stored in another way than asked for."""
+        wrong, wanted = [], self.metadata
+        if definition is not None and definition.md5sum != stored.md5sum:
+            wrong.append(f"type {stored.msg_type} [{stored.md5sum}]")
+        key = (wanted.key_format, wanted.key_part)
+        if wanted.key_format and key != (stored.key_format, stored.key_part):
+            wrong.append(f"key_format {stored.key_format} {stored.key_part}".rstrip())
+        if wanted.ttl and wanted.ttl != stored.ttl:
+            wrong.append(f"ttl {stored.ttl} s")
+        if wrong:
+            raise TopicExists(
+                f"topic {stored.topic} is stored already with {', '.join(wrong)}; give the "
+                "same, or remove the topic first"
+            )
