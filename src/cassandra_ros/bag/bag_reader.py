@@ -85,7 +85,7 @@ class BagReader(BagIndex, MessageFile):
                 place.file.close()
                 return None
             except BagError:
-                found.why = "has an index that cannot be read"
+                found.end("has an index that cannot be read")
         self.salvaged = found
         return place
 

@@ -207,12 +207,12 @@ class McapReader(MessageFile):
         position, file_bytes = damaged.start, os.fstat(self._file.fileno()).st_size
         self._stated = None
         if damaged.kind in (Opcode.STATISTICS, Opcode.FOOTER):
-            self.salvaged.why = "has a damaged summary"
+            self.salvaged.end("has a damaged summary")
             return
-        self.salvaged.why = f"is cut short or damaged at byte {position} of {file_bytes}"
+        why = f"is cut short or damaged at byte {position} of {file_bytes}"
         if isinstance(error, BagTooLarge):
-            self.salvaged.why = f"is read up to byte {position} of {file_bytes} only ({error})"
-        self.salvaged.lost_bytes = file_bytes - position
+            why = f"is read up to byte {position} of {file_bytes} only ({error})"
+        self.salvaged.end(why, file_bytes - position)
         chunk = Record(damaged.kind, position + mcapformat.RECORD.size, file_bytes)
         self._file.seek(position)
         if damaged.kind == mcapformat.CUT and self._file.read(1) == bytes([Opcode.CHUNK]):
@@ -222,9 +222,8 @@ class McapReader(MessageFile):
                 part = mcapformat.unpack_part(head, self._bytes(place))
                 self._chunks.append(_Chunk(place, head, salvaged=part))
                 where = f"in the chunk at byte {position} of {file_bytes}"
-                self.salvaged.why = f"is cut short or damaged {where}"
-                if head.compression == "none":
-                    self.salvaged.lost_bytes = file_bytes - place.start - len(part)
+                read = place.start + len(part) if head.compression == "none" else position
+                self.salvaged.end(f"is cut short or damaged {where}", file_bytes - read)
 
     def _check_chunks(self) -> None:
         """Count the messages of the chunks; leave out the first damaged chunk and all after it."""
@@ -234,8 +233,9 @@ class McapReader(MessageFile):
                 found = mcapformat.find_messages(content, self._where(place))
             except BagError:
                 file_bytes, position = os.fstat(self._file.fileno()).st_size, chunk.record.start
-                self.salvaged.why = f"is damaged in the chunk at byte {position} of {file_bytes}"
-                self.salvaged.lost_bytes, self._stated = file_bytes - position, None
+                why = f"is damaged in the chunk at byte {position} of {file_bytes}"
+                self.salvaged.end(why, file_bytes - position)
+                self._stated = None
                 del self._chunks[place:]
                 return
             chunk.counts = Counter(found.channels.tolist())

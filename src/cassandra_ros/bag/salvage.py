@@ -49,6 +49,11 @@ class SalvageReport:
     cut: CutChunk | None = None
     """The damaged chunk, if messages before the damage can be read."""
 
+    def end(self, why: str, lost_bytes: int = 0) -> None:
+        """Note the damage, and how many bytes of the file cannot be read."""
+        self.why = why
+        self.lost_bytes = lost_bytes
+
     def told(self, path: str) -> str:
         """Return a sentence about the damage and what can be read; '' if nothing is damaged."""
         if not self.why:
@@ -91,22 +96,21 @@ class _Scan:
                     data_bytes = self._length()
                     self.file.seek(data_bytes, os.SEEK_CUR)
                     if self.file.tell() > size:  # the chunk before it has been read
-                        self.salvaged.why = f"is cut short after {size} bytes"
+                        self.salvaged.end(f"is cut short after {size} bytes")
                 else:
                     raise BagError(f"a record of kind {kind}")
             except BagTooLarge as exc:
-                self._end(f"is read up to byte {position} of {size} only ({exc})", size - position)
+                why = f"is read up to byte {position} of {size} only ({exc})"
+                self.salvaged.end(why, size - position)
             except BagError:
-                self._end(f"is cut short or damaged at byte {position} of {size}", size - position)
+                why = f"is cut short or damaged at byte {position} of {size}"
+                self.salvaged.end(why, size - position)
         if not self.salvaged.why:
-            self.salvaged.why = "has no index, for it was not closed"
+            self.salvaged.end("has no index, for it was not closed")
 
     def _length(self) -> int:
         raw = self.file.read(4)
         return int(bagformat.U32.unpack(raw)[0]) if len(raw) == 4 else 2**32
-
-    def _end(self, why: str, lost_bytes: int) -> None:
-        self.salvaged.why, self.salvaged.lost_bytes = why, lost_bytes
 
     def _chunk(self, position: int, fields: bagformat.Fields, size: int) -> None:
         where = f"{self.path}: chunk {len(self.infos) + 1}"
@@ -137,7 +141,7 @@ class _Scan:
             why = f"is cut short or damaged in the chunk that begins at byte {position} of {size}"
             if large:
                 why += f" (it states {declared} bytes of content, --allow-large-chunks reads it)"
-            self._end(why, size - data_pos - end * (compression == "none"))
+            self.salvaged.end(why, size - data_pos - end * (compression == "none"))
 
     def _records(self, content: bytes, where: str) -> tuple[int, list[int], Counter[int]]:
         """Read the records of a chunk up to the damage.

@@ -270,7 +270,7 @@ class History:
             self._looked = now
             self._written = self._past.is_written(self._queue.now_ns())
             self._doubtful = self._written or self._past.may_be_written()
-            self._queue.recorded = self._written
+            self._queue.note_recorded(self._written)
 
     # ---------------------------------------------------------------- the place
 

@@ -106,6 +106,10 @@ class LiveQueue:
         except ClockNotSet:
             return 0
 
+    def note_recorded(self, recorded: bool) -> None:
+        """Note whether the store gets what comes."""
+        self.recorded = recorded
+
     def begin(self) -> bool:
         """Say whether the time is known; from then on what came before it has it, too."""
         with self._changed:

@@ -154,8 +154,7 @@ class Player:
 
     def togglePauseTopics(self) -> bool:
         """Pause before messages of the pause topics, or do no more; return whether it does."""
-        self._playback.pauses_for_topics = not self._playback.pauses_for_topics
-        return self._playback.pauses_for_topics
+        return self._playback.toggle_pause_topics()
 
     def stop(self, abandon: bool = False) -> None:
         """End playing; what was published reaches the subscribers, unless it is abandoned."""

@@ -88,7 +88,7 @@ class Playback:
             self.pace.hold(AT_ONCE)
         if options.paused:
             self.pace.hold(PAUSED)
-        self.pauses_for_topics = bool(options.pause_topics)
+        self._pauses_for_topics = bool(options.pause_topics)
         """Whether it pauses before messages of the topics that are given for that."""
         self._changed = threading.Condition()
         self._steps = 0
@@ -137,6 +137,11 @@ class Playback:
     def resume(self) -> bool:
         """Go on; return whether it stood."""
         return self._set(PAUSED, False)
+
+    def toggle_pause_topics(self) -> bool:
+        """Pause before messages of the pause topics, or do no more; return whether it does."""
+        self._pauses_for_topics = not self._pauses_for_topics
+        return self._pauses_for_topics
 
     def set_rate(self, rate: float) -> None:
         """Go on faster or slower; InvalidOption: it is no rate."""
@@ -369,7 +374,7 @@ class Playback:
                     self._changed.wait(WAKE_SEC)
                 elif not due:
                     due = self._await_time(played)
-                elif pauses and self.pauses_for_topics:
+                elif pauses and self._pauses_for_topics:
                     pauses = False
                     self.pace.hold(PAUSED)
                 elif self._lags(played.t):

@@ -54,6 +54,26 @@ class _TimeRange:
         begins, ends = self.loss.first_ns, self.loss.last_ns
         return begins - (0 if self.told else STRETCH_NS) <= first_ns <= ends + STRETCH_NS
 
+    def grow(self, messages: int, first_ns: int, last_ns: int) -> None:
+        """Take in a further loss."""
+        old = self.loss
+        self.loss = replace(
+            old,
+            first_ns=min(old.first_ns, first_ns),
+            last_ns=max(old.last_ns, last_ns),
+            count=old.count + messages,
+        )
+        self.saved = False
+
+    def tell(self) -> Loss:
+        """Return the loss for the store, where its first time is its key from now on."""
+        self.told = True
+        return self.loss
+
+    def save(self, loss: Loss) -> None:
+        """Note that the store knows a loss, where it is this one as it is now."""
+        self.saved = self.saved or self.loss == loss
+
 
 class LossLog:
     """The losses of one run. Thread-safe.
@@ -90,11 +110,7 @@ class LossLog:
                 new = Loss(topic, self._node, self._writer, kind, first_ns, last_ns, messages)
                 time_ranges.append(_TimeRange(new))
             else:
-                old = found.loss
-                begins, ends = min(old.first_ns, first_ns), max(old.last_ns, last_ns)
-                count = old.count + messages
-                found.loss = replace(old, first_ns=begins, last_ns=ends, count=count)
-                found.saved = False
+                found.grow(messages, first_ns, last_ns)
             return sum(each.count for each in totals.values())
 
     def of(self, topic: str) -> Mapping[LossKind, LossTotal]:
@@ -118,16 +134,14 @@ class LossLog:
             every = [
                 s for time_ranges in self._time_ranges.values() for s in time_ranges if not s.saved
             ]
-            for time_range in every:
-                time_range.told = True
-            return [time_range.loss for time_range in every]
+            return [time_range.tell() for time_range in every]
 
     def saved(self, loss: Loss) -> None:
         """Note that the store knows a loss; one that has grown since stays unsaved."""
         with self._mutex:
             time_ranges = self._time_ranges[loss.topic, loss.kind]
             for time_range in time_ranges:
-                time_range.saved = time_range.saved or time_range.loss == loss
+                time_range.save(loss)
             # Only the last ones grow.
             time_ranges[:-2] = [
                 time_range for time_range in time_ranges[:-2] if not time_range.saved

@@ -78,6 +78,28 @@ class Source:
         self._seen_bytes += len(item.wire)
         self.waiting.append(item)
 
+    def submit(self) -> None:
+        """Note that the table is being made."""
+        self.submitted = True
+
+    def stand(self, handle: Handle) -> None:
+        """Note where the messages go: the table stands."""
+        self.handle = handle
+
+    def fail(self, error: str) -> None:
+        """Note why the messages cannot be stored."""
+        self.error = error
+
+    def note_conflict(self) -> None:
+        """Note that another client's schema change came between."""
+        self.conflicts += 1
+
+    def tell(self) -> bool:
+        """Note that people know that it waits for its table; say whether they did not before."""
+        first = not self.told
+        self.told = True
+        return first
+
     def is_ripe(self) -> bool:
         """Whether enough was seen to fix the bucket length."""
         enough = self._seen >= FIRST_MESSAGES or self._seen_bytes >= FIRST_BYTES

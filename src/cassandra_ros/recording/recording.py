@@ -84,7 +84,7 @@ class Recording:
         places: Note where the robot is, where that is recorded; see PlaceKeeper.
     """
 
-    refusal = ""
+    _refusal = ""
     """Why nothing may be stored for now: what comes is lost; '' = it may."""
     problem = ""
     """Why the store will never take this run: all of it is lost; '' = it does, or may."""
@@ -162,6 +162,10 @@ class Recording:
         thread.start()
         return thread
 
+    def refuse(self, reason: str) -> None:
+        """Store nothing that comes from now on, for this reason; '' = store it again."""
+        self._refusal = reason
+
     def expect(self, topic: str) -> None:
         """Let a topic appear in the reports even if nothing ever comes."""
         self._counts.expect(topic)
@@ -220,8 +224,8 @@ class Recording:
         if not self._filters.passes(topic, header, t, wire):
             self._counts.leave_out(topic, paused=False)
             return ()
-        if self.refusal:
-            self._lose(topic, LossKind.REFUSED, self.refusal, t)
+        if self._refusal:
+            self._lose(topic, LossKind.REFUSED, self._refusal, t)
             return ()
         return self._put(feed, t, wire)
 
@@ -306,8 +310,13 @@ class Recording:
         with self._lock:
             self._accepting = False
             if self._limit:
-                later._before = self._kept()
+                later._go_on_counting(self._kept())
+            later.refuse(self._refusal)
             switch()
+
+    def _go_on_counting(self, before: Mapping[str, int]) -> None:
+        """Count messages of an earlier run, by topic, for the limit too."""
+        self._before = before
 
     def _kept(self) -> dict[str, int]:
         """Return how many messages of each topic count for the limit by now."""
@@ -400,7 +409,7 @@ class Recording:
         ending = self._buffer.ended
         for source in self._waiting:
             if not source.submitted and (ending or source.is_ripe()):
-                source.submitted = True
+                source.submit()
                 self._tables.make(source)
         if ending:  # a store that is gone is not waited for much longer
             self._tables.hurry()

@@ -228,7 +228,7 @@ class Series:
             return False
         if time.monotonic() >= self._look:
             self._look = time.monotonic() + SPACE_SEC
-            current.refusal = self._space.refusal()
+            current.refuse(self._space.refusal())
         full = bool(options.size) and current.received_bytes >= options.size
         late = bool(options.duration) and time.monotonic() >= self._since + options.duration
         if not (full or late):
@@ -258,7 +258,6 @@ class Series:
             latched = list(self._latched.items())
         for (topic, _), (header, wire) in latched:
             new.received(topic, header, wire)
-        new.refusal = old.refusal
 
         def switch() -> None:
             with self._mutex:

@@ -166,6 +166,20 @@ class _Writing:
         else:
             self.recording.follow(kept)
 
+    def begin(self, recording: Recording) -> None:
+        """Hand on what came before the run had begun; what comes from now on goes to it at once."""
+        while self.late:
+            recording.follow(self.late.popleft())
+        self.recording = recording
+
+    def end(self) -> None:
+        """Take nothing more."""
+        self.follows = False
+
+    def abandon(self) -> None:
+        """Note that somebody has reported on it already."""
+        self.abandoned = True
+
 
 class Snapshots:
     """Keeps the newest messages, and writes them as a run when somebody asks. Thread-safe.
@@ -268,9 +282,7 @@ class Snapshots:
     ) -> None:
         try:
             with self._mutex:
-                while writing.late:
-                    recording.follow(writing.late.popleft())
-                writing.recording = recording
+                writing.begin(recording)
             recording.restore(kept)
             kept.clear()
             if writing.follows:
@@ -279,7 +291,7 @@ class Snapshots:
             _log.error("the snapshot %s could not be written whole: %s", recording.name, exc)
         finally:
             with self._mutex:
-                writing.follows = False
+                writing.end()
             reports = recording.close()
             with self._mutex:
                 self._writing.remove(writing)
@@ -291,7 +303,7 @@ class Snapshots:
         with self._mutex:
             runs = list(self._writing)
             for writing in runs:
-                writing.abandoned = True
+                writing.abandon()
         for writing in runs:
             if writing.recording is None:
                 _log.error("a snapshot that was asked for is not written: its run did not begin")

@@ -80,21 +80,21 @@ class TableMaker:
     def _decide(self, source: Source) -> bool:
         """Return whether it is decided what becomes of a source."""
         try:
-            source.handle = self._connect(source)
+            source.stand(self._connect(source))
             return True
         except (StoreUnavailable, SchemaConflict) as exc:
-            source.conflicts += isinstance(exc, SchemaConflict)
+            if isinstance(exc, SchemaConflict):
+                source.note_conflict()
             if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
-                if not source.told:
+                if source.tell():
                     _log.warning("topic %s waits for its table: %s", source.topic, exc)
-                source.told = True
                 return False
-            source.error = str(exc)
+            source.fail(str(exc))
         except CassandraRosError as exc:
-            source.error = str(exc)
+            source.fail(str(exc))
         except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
             _log.exception("the table of topic %s could not be made", source.topic)
-            source.error = f"internal error: {type(exc).__name__}: {exc}"
+            source.fail(f"internal error: {type(exc).__name__}: {exc}")
         _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
         return True
 

@@ -107,6 +107,23 @@ class CheckReport:
         """Number of damages that were not mended."""
         return self.found - self.mended
 
+    def count_bucket(self) -> None:
+        """Count a bucket that was read."""
+        self.buckets += 1
+
+    def count_writing(self) -> None:
+        """Count a bucket whose counts in the directory cannot be compared yet."""
+        self.writing += 1
+
+    def count(self, messages: int, nbytes: int) -> None:
+        """Count messages that could be read."""
+        self.messages += messages
+        self.bytes += nbytes
+
+    def count_unsummed(self) -> None:
+        """Count a message without a checksum."""
+        self.unsummed += 1
+
     def add(self, damage: Damage) -> None:
         """Add a damage."""
         self.found += 1
@@ -185,7 +202,7 @@ class _Check:
                 groups.setdefault((node, int(where)), [])
         total = sum(row.rows for row in listed)
         for (node, bucket), rows in sorted(groups.items()):
-            self.report.buckets += 1
+            self.report.count_bucket()
             self._read(table, node, bucket, rows, total)
             self._compare(table, node, bucket)
         self._slots(table, set(groups))
@@ -227,7 +244,8 @@ class _Check:
             wire = read_wire(table, row)
         except MessageNotFound:
             return  # removed meanwhile
-        self.report.unsummed += not row.nchunks
+        if not row.nchunks:
+            self.report.count_unsummed()
         self._count(1, len(wire))
 
     def _block(self, table: TopicTable, node: str, row: Optional[BlockRow], bounds: RawRow) -> None:
@@ -268,8 +286,7 @@ class _Check:
         )
 
     def _count(self, messages: int, size: int) -> None:
-        self.report.messages += messages
-        self.report.bytes += size
+        self.report.count(messages, size)
         self._done += messages
 
     def _tell(self, total: int) -> None:
@@ -289,7 +306,7 @@ class _Check:
         if [_sign(row) for row in directory.find(table.name, node, bucket)] != [
             _sign(row) for row in before
         ]:
-            self.report.writing += 1
+            self.report.count_writing()
             return
         known = {row.writer: row for row in before}
         for writer in sorted({*counted, *known}):
@@ -328,7 +345,7 @@ class _Check:
     def _settle(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
         """Count a bucket that is not closed; that its counts are estimates is no damage."""
         if row.age_sec <= STALE_SEC:
-            self.report.writing += 1
+            self.report.count_writing()
         elif self._repair:
             self._space.directory.put_recount(table.name, row, totals, table.metadata.ttl)
 

@@ -84,6 +84,19 @@ class _Outcome:
     report: ImportReport | None = None
     error: str = ""
 
+    def succeed(self, report: ImportReport) -> None:
+        """Note that the messages of the file are stored, as far as the report says."""
+        self.report = report
+        if report.lost or report.salvaged.lost_bytes:
+            self.state = "incomplete"
+        else:
+            self.state = "salvaged" if report.salvaged.why else "stored"
+
+    def fail(self, error: str = "") -> None:
+        """Note that the file could not be stored whole; '' = the reason is not known yet."""
+        self.state = "failed"
+        self.error = error
+
 
 _WHOLE = ("stored", "salvaged")
 LOOK_SEC = 0.2
@@ -145,19 +158,14 @@ def run(options: argparse.Namespace) -> int:
 
 def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) -> None:
     """Import a bag; an error that says nothing of the others is told and noted."""
-    outcome.state = "failed"
+    outcome.fail()
     try:
-        report = outcome.report = _import(ros_cas, outcome.path, options)
+        outcome.succeed(_import(ros_cas, outcome.path, options))
     except CassandraRosError as exc:
-        outcome.error = str(exc)
+        outcome.fail(str(exc))
         if not isinstance(exc, _OF_ONE_FILE):
             raise
         print(error_line("cassandra_bag", " ".join(outcome.error.split())), file=sys.stderr)
-        return
-    if report.lost or report.salvaged.lost_bytes:
-        outcome.state = "incomplete"
-    else:
-        outcome.state = "salvaged" if report.salvaged.why else "stored"
 
 
 def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:

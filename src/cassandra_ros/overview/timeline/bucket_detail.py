@@ -32,7 +32,20 @@ class _Budget:
     """Numbers of keys and headers that may still be read."""
 
     def __init__(self) -> None:
-        self.keys, self.blocks = MAX_KEYS, MAX_BLOCKS
+        self.keys = MAX_KEYS
+        self.blocks = MAX_BLOCKS
+
+    def take_keys(self, count: int) -> bool:
+        """Take keys that were read; say whether they were not more than what was left."""
+        enough = count <= self.keys
+        self.keys = max(0, self.keys - count)
+        return enough
+
+    def take_blocks(self, count: int) -> bool:
+        """Take blocks as take_keys takes keys."""
+        enough = count <= self.blocks
+        self.blocks = max(0, self.blocks - count)
+        return enough
 
 
 def refined(
@@ -98,9 +111,8 @@ def _keys(
     for bucket in map(int, buckets):
         scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
         some = [(t, writer_of(seq), size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
-        budget.keys -= len(some)
-        if budget.keys < 0:  # the bucket has more messages than the directory says
-            budget.keys = 0
+        # The bucket may have more messages than the directory says.
+        if not budget.take_keys(len(some)):
             return None
         rows += [row for row in some if whose.writers is None or row[1] in whose.writers]
     return Keys(*np.array(rows, np.int64).reshape(-1, 3).T)
@@ -113,9 +125,7 @@ def _blocks(
     for bucket in map(int, buckets):
         read = headers(piece.table, piece.node, bucket, scale.start, scale.end, whose.writers)
         some = list(islice(read, budget.blocks + 1))
-        budget.blocks -= len(some)
-        if budget.blocks < 0:
-            budget.blocks = 0
+        if not budget.take_blocks(len(some)):
             return None
         rows += [
             (r.t, r.last, r.left, r.size, r.writer, not len(r.gone), bucket) for r in some if r.left
