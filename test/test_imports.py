@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -196,3 +197,78 @@ def test_no_file_name_stands_in_two_rooms():
     unknown = {name: paths for name, paths in several.items() if name not in SAME_KIND}
     assert not unknown, f"rename what is not the same kind of thing: {unknown}"
     assert set(several) == set(SAME_KIND), "the list names what stands in one room alone"
+
+
+# Public in all but their name: the API of named tuples, and types of the standard library.
+PUBLIC = {"_replace", "_asdict", "_make", "_fields", "_repr_html_"}
+STANDARD = {"argparse._ActionsContainer", "argparse._ArgumentGroup", "hashlib._Hash", "os._exit"}
+STANDARD |= {"signal._HANDLER"}
+
+
+def is_private(name):
+    return name.startswith("_") and not name.startswith("__") and name not in PUBLIC
+
+
+def foreign_names(tree):
+    """Names that a file imports from other packages than ours."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and not node.module.startswith("cassandra_ros"):
+            yield from (alias.asname or alias.name for alias in node.names)
+
+
+def own_names(tree):
+    """Names that a file defines: functions, classes, variables, attributes of self."""
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)):
+            yield node.name
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            if ast.unparse(node.value) in ("self", "cls"):
+                yield node.attr
+
+
+def inherited_names(tree):
+    """Private names that classes with a foreign base use of themselves, or define."""
+    foreign = set(foreign_names(tree))
+    for cls in ast.walk(tree):
+        if isinstance(cls, ast.ClassDef) and foreign & {ast.unparse(base) for base in cls.bases}:
+            for node in ast.walk(cls):
+                if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("self", "cls"):
+                    yield node.attr
+
+
+def private_uses(path):
+    """Private names of other packages that a file uses."""
+    tree = tree_of(path)
+    used = {name for name in foreign_names(tree) if is_private(name)}
+    used.update(inherited_names(tree))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls"):
+            if ast.unparse(node) not in STANDARD:
+                used.add(node.attr)
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "getattr":
+            used.add(getattr(node.args[1], "value", ""))
+    return {name for name in used if is_private(str(name))} - set(own_names(tree))
+
+
+def listed_private_names():
+    """(file, name) of the table in doc/architecture.md."""
+    text = (ROOT / "doc" / "architecture.md").read_text(encoding="utf-8")
+    table = text.split("## Private names")[1].split("\n## ")[0]
+    for line in table.splitlines():
+        cells = line.split("|")
+        if len(cells) == 6 and "`" in cells[1]:
+            for file in re.findall(r"`([\w/]+\.py)`", cells[1]):
+                yield from ((file, name) for name in re.findall(r"`(\w+)`", cells[2]))
+
+
+def test_private_names_of_other_packages_are_listed():
+    listed = set(listed_private_names())
+    ours = {("messages/classes.py", "_definition"), ("messages/definition.py", "_definition")}
+    for path in modules():
+        for name in private_uses(path):
+            assert (name_of(path), name) in listed | ours, f"list {name} in doc/architecture.md"
+    for file, name in listed:
+        text = (PACKAGE / file).read_text(encoding="utf-8")
+        assert re.search(rf"\b{name}\b", text), f"{file} uses {name} no more"
