@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
 # Known to all; they know only each other.
-GROUND = {"errors", "keys", "metadata", "arguments", "printable", "installation"}
+GROUND = {"errors", "keys", "metadata", "arguments", "printable", "installation", "read"}
 
 # Room -> the rooms below it that it may use.
 CASSANDRA = {"connection", "tables", "blocks", "store"}
@@ -25,6 +25,7 @@ BELOW = {
     "metadata": {"errors", "keys"},
     "arguments": {"errors", "keys", "metadata"},
     "printable": set(),
+    "read": {"keys"},
     "installation": {"errors"},
     "messages": set(),
     "formats": {"messages"},

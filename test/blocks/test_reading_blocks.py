@@ -17,13 +17,12 @@ from cassandra_ros.blocks import block_stream as streams
 from cassandra_ros.blocks.block_stream import stream
 from cassandra_ros.blocks.bucket_read import BucketRead
 from cassandra_ros.keys import Position, writer_of
+from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store import bucket_walk as walk
 from cassandra_ros.store import reader
 from cassandra_ros.store.fetch import Wanted, fetch_rows, first_at
 from cassandra_ros.store.reader import read_rows
 from cassandra_ros.store.row_counts import recount
-from cassandra_ros.store.scan import Scan
-from cassandra_ros.topics.key_selection import TimeRange, Whose
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Finder
 from cassandra_ros.topics.stored_totals import count_rows
@@ -103,12 +102,19 @@ class Model:
         ]
 
     def read(self, low, high, after=None, writers=None, reverse=False, columns=None, few=None):
-        scan = Scan(low, high, after, self.nodes, reverse, columns, None, writers, few)
-        return list(read_rows(self.rosCas.catalog.keyspace.directory, self.tables, scan))
+        read = Read(
+            TimeRange(low, high),
+            Whose(self.nodes, writers),
+            after=after,
+            reverse=reverse,
+            columns=columns,
+            wanted=few,
+        )
+        return list(read_rows(self.rosCas.catalog.keyspace.directory, self.tables, read))
 
     def count(self, low, high, writers=None):
-        whose = Whose(tuple(self.nodes), writers)
-        return count_rows(self.rosCas.catalog.keyspace.directory, self.tables, low, high, whose)
+        read = Read(TimeRange(low, high), Whose(tuple(self.nodes), writers))
+        return count_rows(self.rosCas.catalog.keyspace.directory, self.tables, read)
 
     def forget(self, positions):
         for position in positions:
@@ -229,14 +235,16 @@ def delete(model, rand):
     for writers in (frozenset([rand.choice(WRITERS)]), None):
         gone = model.inside(low, high, None, writers)
         whose = Whose(tuple(model.nodes), writers)
-        count = delete_time_range(model.rosCas.catalog.keyspace, model.tables, low, high, whose)
+        count = delete_time_range(
+            model.rosCas.catalog.keyspace, model.tables, Read(TimeRange(low, high), whose)
+        )
         assert count == len(gone)
         model.forget(gone)
         low, high = high, high + rand.randrange(40) * MS
     share = rand.choice((0.1, 0.5, 1))
     gone = [p for p in sorted(model.messages) if rand.random() < share and p.t > T0 + 50 * MS]
     rows = model.rosCas.catalog.keyspace.rows.read(
-        model.tables, TimeRange(*EVERY), whose=model.whose
+        model.tables, Read(TimeRange(*EVERY), model.whose)
     )
     assert delete_rows(
         model.rosCas.catalog.keyspace, (r for r in rows if r.position in set(gone))

@@ -23,8 +23,8 @@ from cassandra_ros.playing import read_ahead
 from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.playing.selection import PlaySelection
 from cassandra_ros.playing.stream import Stream
+from cassandra_ros.read import TimeRange
 from cassandra_ros.topics.hit_windows import joined, merge_windows
-from cassandra_ros.topics.key_selection import TimeRange
 
 TIMES = st.integers(0, 60)
 

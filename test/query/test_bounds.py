@@ -16,11 +16,13 @@ from std_msgs.msg import Int64
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.plan.nearby import _united
 from cassandra_ros.query.run import Condition
+from cassandra_ros.read import Read, Whose
 
 
 def bounds(text, params=(), node=None):
-    found = Condition(text, params, node).bounds()
-    return found.low, found.high, found.node, found.empty, found.whole
+    found = Condition(text, params).bounds(read=Read(whose=Whose.of(node)))
+    nodes = found.read.whose.nodes
+    return *found.read.time_range, nodes and nodes[-1], found.empty, found.whole
 
 
 @pytest.mark.parametrize(
@@ -36,7 +38,7 @@ def bounds(text, params=(), node=None):
         ("KEY > 9 and KEY < 5", (10, 4, None, True, True)),
         ("KEY < 0", (0, -1, None, True, True)),
         ("KEY > -7 and KEY < infinity", (0, MAX_NS, None, False, True)),
-        ("NODE = 'a' and NODE = 'b'", (0, MAX_NS, "b", True, True)),
+        ("NODE = 'a' and NODE = 'b'", (0, MAX_NS, (), True, True)),
         ("NODE != 'a'", (0, MAX_NS, None, False, False)),
         ("KEY >= 1.5", (1_500_000_000, MAX_NS, None, False, True)),
     ],
@@ -74,7 +76,8 @@ def test_no_row_that_matches_lies_outside(text, t, node, data):
     row = row_of(Int64(data), t=t, node=node)
     condition = Condition(text)
     found = condition.bounds()
-    inside = found.low <= t <= found.high and found.node in (None, node) and not found.empty
+    (low, high), whose = found.read.time_range, found.read.whose
+    inside = low <= t <= high and whose.nodes in (None, (node,)) and not found.empty
     matched = condition.test([row.table])(row)
     assert inside or not matched
     if found.whole:

@@ -21,6 +21,7 @@ from cassandra_ros import RosCassandra, Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.run import Condition
+from cassandra_ros.read import Read, TimeRange
 
 TOPICS = ("/diagnostics", "/encoder", "/fix", "/joy", "/tf")
 T0 = 1_400_000_000 * 10**9
@@ -256,9 +257,10 @@ def test_condition_for_getdata_and_range(husky):
         t for t, m in husky.messages["/encoder"] if m.pose.pose.position.x > -3
     ]
     low, high = rows[5].t, rows[9].t
-    again = Condition("pose.pose.position.x > ?", [-3]).rows(topic, low, high)
+    again = Condition("pose.pose.position.x > ?", [-3]).rows(topic, Read(TimeRange(low, high)))
     assert [row.t for row in again] == [row.t for row in rows[5:10]]
-    after = Condition("pose.pose.position.x > -3").rows(topic, after=rows[9].position)
+    behind = Read(after=rows[9].position)
+    after = Condition("pose.pose.position.x > -3").rows(topic, behind)
     assert [row.t for row in after] == [row.t for row in rows[10:]]
 
 

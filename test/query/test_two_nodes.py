@@ -15,6 +15,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.plan.pushdown import PLANS
 from cassandra_ros.query.run import Condition
+from cassandra_ros.read import Read, Whose
 
 SECOND = 10**9
 ROBOTS = ("husky", "turtle")
@@ -166,7 +167,7 @@ def test_deleted_apart(fleet):
     for robot in ROBOTS:
         own = [key for key in left if key[1] == robot]
         assert topic.countTopicData(nodeID=robot) == len(own)
-        rows = Condition("point.x >= 0", node=robot).rows(topic)
+        rows = Condition("point.x >= 0").rows(topic, Read(whose=Whose.of(robot)))
         assert [(row.t, row.node) for row in rows] == own
     # The other topic is as it was.
     assert fleet.store.getTopic("tf").countTopicData() == 2 * COUNT

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 
-from cassandra_ros.topics.key_selection import TimeRange, Whose
+from cassandra_ros.read import Read, TimeRange, Whose
 
 FIRST, LAST = -(2**63), 2**63 - 1
 
@@ -63,7 +63,7 @@ def by_index(rosCas, topic, field, of, values):
         for (node, bucket), writers in buckets.items():
             ends = (bucket * table.metadata.bucket_ns, (bucket + 1) * table.metadata.bucket_ns - 1)
             rows = rosCas.catalog.keyspace.rows.read(
-                [table], TimeRange(*ends), whose=Whose((node,))
+                [table], Read(TimeRange(*ends), Whose((node,)))
             )
             parts = []
             if index is not None and all(index.shadow in row.filled for row in writers):

@@ -23,7 +23,8 @@ from cassandra_ros.arrays.gather import (
 )
 from cassandra_ros.installation import optional_module
 from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.source import Source, Writers
+from cassandra_ros.query.source import Source
+from cassandra_ros.read import EVERYBODY, Whose
 
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
@@ -35,13 +36,12 @@ def read_frame(
     read: ReadRows,
     blocks: Optional[ReadBlocks] = None,
     *,
-    node: Optional[str] = None,
-    writers: Writers = None,
+    whose: Whose = EVERYBODY,
 ) -> Any:
     """Return fields as a DataFrame with index KEY; arguments and errors as gather_fields."""
     pandas = optional_module("pandas", "toDataFrame")
     asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
-    found = gather_fields(topic, asked, where, read, blocks, node=node, writers=writers)
+    found = gather_fields(topic, asked, where, read, blocks, whose=whose)
     key = found.pop("KEY")
     times = key.kind.kind == "time"
     index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")

@@ -19,11 +19,12 @@ from cassandra_ros.query.plan.key_bounds import bounds_of
 from cassandra_ros.query.plan.nearby import located
 from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.source import Source, Writers
+from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.expressions import INTEGER
 from cassandra_ros.query.tree.field_names import Findings
 from cassandra_ros.query.tree.parse import parse_condition, parse_select
 from cassandra_ros.query.tree.syntax import Aggregate, KeyOperand, Select, Selected, Term
+from cassandra_ros.read import EVERYBODY, Read, Whose
 
 Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition and the values of its ``?``."""
@@ -57,8 +58,7 @@ def gather_fields(
     read: ReadRows,
     blocks: Optional[ReadBlocks] = None,
     *,
-    node: Optional[str] = None,
-    writers: Writers = None,
+    whose: Whose = EVERYBODY,
 ) -> dict[str, FieldArray]:
     """Gather fields from the rows of a topic.
 
@@ -68,7 +68,7 @@ def gather_fields(
         where: Condition that ``read`` applies to messages; here it selects unnested elements.
         read: Reads the messages as rows.
         blocks: Reads the messages as blocks, without an object for each message; None = as rows.
-        node, writers: The robot and the runs whose messages ``read`` returns; None = all.
+        whose: The robot and the runs whose messages ``read`` returns.
 
     Raises:
         InvalidName: ``fields`` is not a list of names.
@@ -80,7 +80,7 @@ def gather_fields(
         text, params = where
     if text is not None:
         parse_condition(text, params)  # parsed alone, so that it cannot close the bracket around it
-    select = _located(_statement(topic, fields, text, params), topic.tables, node, writers)
+    select = _located(_statement(topic, fields, text, params), topic.tables, whose)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
@@ -134,14 +134,13 @@ def read_arrays(
     read: ReadRows,
     blocks: Optional[ReadBlocks] = None,
     *,
-    node: Optional[str] = None,
-    writers: Writers = None,
+    whose: Whose = EVERYBODY,
 ) -> dict[str, AnyArray]:
     """Return fields as arrays; a field with missing values as a masked array.
 
     Arguments and errors are those of gather_fields.
     """
-    found = gather_fields(topic, fields, where, read, blocks, node=node, writers=writers)
+    found = gather_fields(topic, fields, where, read, blocks, whose=whose)
     # pop() frees each column after its conversion, so that only one column exists twice.
     return {name: _presented(*found.pop(name)) for name in list(found)}
 
@@ -158,13 +157,11 @@ def _presented(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray
     return masked
 
 
-def _located(
-    select: Select, tables: Sequence[Table], node: Optional[str], writers: Writers
-) -> Select:
+def _located(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
     """Return a statement whose NEAR conditions know their times for its robot and runs."""
     named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
-    bounds = bounds_of(select, node, named, writers, runs)
-    return located(select, tables, bounds.node, bounds.writers)
+    bounds = bounds_of(select, Read(whose=whose), named, runs)
+    return located(select, tables, bounds.read.whose)
 
 
 def _statement(

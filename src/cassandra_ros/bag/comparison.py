@@ -25,9 +25,10 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, Time, iso_time, to_ns
+from cassandra_ros.read import Writers
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.run_finder import RunName, Writers
+from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
 SHOWN = 10

@@ -20,7 +20,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.key_selection import TimeRange
+from cassandra_ros.topics.key_selection import range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -102,7 +102,7 @@ def export_bag(
     catalog = ros_cas.catalog
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
     rows = catalog.read(names, start, end, node=nodeID, received=True, where=where, run=run)
-    low, high = TimeRange.between(start, end)
+    low, high = range_between(start, end)
     before = []
     if latched and start is not None:
         before = latched_before(catalog, low, names, to=high, nodeID=nodeID, run=run, where=where)

@@ -29,11 +29,11 @@ from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import message_kind
+from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
-from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.removal import delete_time_range
@@ -282,7 +282,7 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
         keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
         other = table.packed and (table.metadata.replaces or table.metadata.cut)
         if other and holds_any(keyspace.directory, [table], whose):
-            delete_time_range(keyspace, [table], 0, MAX_NS, whose)
+            delete_time_range(keyspace, [table], Read(TimeRange(0, MAX_NS), whose))
 
 
 def _batches(reader: MessageFile, numbers: AbstractSet[int]) -> Iterator[MessageBatch]:

@@ -29,15 +29,16 @@ def near_rows(
 ) -> Iterator[StoredRow]:
     """Yield the rows of topics (None = all) whose robot was on a disk; see RosCassandra.near."""
     listed = check_topics(topics)
-    time_range, tables = catalog.time_range(listed, *ends), catalog.tables(listed)
+    whose, tables = catalog.whose(nodeID, run), catalog.tables(listed)
+    read = catalog.read_of(listed, *ends, whose)
     names = sorted({table.metadata.topic for table in tables})
-    catalog.filters(where, names, nodeID, run)  # raises for invalid conditions
+    catalog.filters(where, names, whose)  # raises for invalid conditions
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
     conditions: Dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
     try:
         with catalog.places.shared():
-            filters = catalog.filters(conditions, names, nodeID, run)
-            return catalog.merged(tables, filters, time_range, catalog.whose(nodeID, run))
+            filters = catalog.filters(conditions, names, whose)
+            return catalog.merged(tables, filters, read)
     except InvalidQuery as exc:
         raise InvalidOption(exc.reason) from exc
 

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import replace
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import check_new_topic, check_text
@@ -424,11 +425,12 @@ class RosCassandra:
         """
         reach, space = duration_ns(tolerance), self.catalog
         first, second = space.get(topic_a), space.get(topic_b)
-        time_range = space.time_range([topic_a], key, to_key)
-        filters = space.filters(where, (topic_a, topic_b), nodeID, run)
-        whose, wider = space.whose(nodeID, run), time_range.wider(reach)
-        rows = space.merged(first.tables, filters, time_range, whose)
-        partners = space.merged(second.tables, filters, wider, whose)
+        whose = space.whose(nodeID, run)
+        read = space.read_of([topic_a], key, to_key, whose)
+        filters = space.filters(where, (topic_a, topic_b), whose)
+        rows = space.merged(first.tables, filters, read)
+        wider = replace(read, time_range=read.time_range.wider(reach))
+        partners = space.merged(second.tables, filters, wider)
         return nearest_pairs(rows, partners, reach, unpaired)
 
     @property

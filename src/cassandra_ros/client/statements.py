@@ -36,6 +36,7 @@ from cassandra_ros.query.tree.change_statements import (
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.query.tree.parse import parse_select, parse_statement
 from cassandra_ros.query.tree.syntax import Select
+from cassandra_ros.read import Read
 from cassandra_ros.tables.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
@@ -105,13 +106,12 @@ class Statements:
         check_limit(limit)
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
-        topic, writers = self.topic_of(select), self._keyspace.runs.writers(run)
+        topic, whose = self.topic_of(select), self._catalog.whose(node, run)
         return self._keyspace.naming(
             lambda: QueryResult(
                 select,
                 topic,
-                node=node,
-                run=writers,
+                whose,
                 limit=limit,
                 after=after,
                 plan=plan,
@@ -153,7 +153,7 @@ class Statements:
         """
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
-        asker = Asker(node, self._keyspace.runs.writers(run), cache, watch)
+        asker = Asker(self._catalog.whose(node, run), cache, watch)
         return read_series(self._keyspace, self.topic_of(select), select, window, asker)
 
     def topic_of(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
@@ -169,16 +169,17 @@ class Statements:
         self._keyspace.schema.tables(fresh=True)  # so that tables just made by others are included
         topic = self.topic_of(statement)
         named = any(table.named for table in topic.tables)
-        condition = Condition(statement, node=node, run=self._keyspace.runs.writers(run))
-        bounds = condition.bounds(topic.tables)
+        condition, read = Condition(statement), Read(whose=self._catalog.whose(node, run))
+        bounds = condition.bounds(topic.tables, read)
         if not named:
             _refuse_seconds(self._keyspace, topic, statement)
         if named or not bounds.whole:
-            return delete_rows(self._keyspace, condition.rows(topic))
+            return delete_rows(self._keyspace, condition.rows(topic, read))
         if bounds.empty or not topic.tables:
             return 0
-        low, high = Stamp.from_ns(bounds.low), Stamp.from_ns(bounds.high)
-        return topic.removeData(low, high, nodeID=bounds.node, run=bounds.writers)
+        low, high = map(Stamp.from_ns, bounds.read.time_range)
+        whose = bounds.read.whose
+        return topic.removeData(low, high, nodeID=whose.node, run=whose.writers)
 
     def _create_index(self, statement: CreateIndex) -> None:
         text, on, name = statement.text, statement.on, statement.name

@@ -42,9 +42,10 @@ from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.rigid import Rigid
+from cassandra_ros.read import Writers
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.run_finder import RunName, Writers
+from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
 _log = logging.getLogger(__name__)

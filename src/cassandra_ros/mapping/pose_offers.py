@@ -12,9 +12,8 @@ import numpy as np
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.overview.timeline.lanes import Timeline, View
 from cassandra_ros.overview.timeline.time_cells import Bools, Floats, Longs, Scale
+from cassandra_ros.read import Whose, Writers
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import Whose
-from cassandra_ros.topics.run_finder import Writers
 
 _CELLS = 2000
 """Number of equal cells into which the time of the messages is divided."""

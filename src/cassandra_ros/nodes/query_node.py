@@ -44,6 +44,7 @@ from cassandra_ros.query.run import Condition
 from cassandra_ros.query.tree.json_values import from_json
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
+from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.srv import (
     AddData,
     AddDataRequest,
@@ -215,8 +216,9 @@ class Services:
             self.ros_cas.catalog.keyspace.runs.writers(request.run or None),
         )
         if request.where:
-            condition = Condition(request.where, node=node, run=run)
-            return condition.rows(topic, low, high, after, wanted=most)
+            time_range = TimeRange(low, LAST_NS if high is None else high)
+            read = Read(time_range, Whose.of(node, run), after=after, wanted=most)
+            return Condition(request.where).rows(topic, read)
         return topic.rows(low, high, nodeID=node, limit=most, after=after, run=run)
 
     def execute_cql(self, request: ExecuteCQLRequest) -> ExecuteCQLResponse:

@@ -33,9 +33,9 @@ from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.projection import Projection
 from cassandra_ros.query.tree.field_names import FieldRef, Findings, field_of
 from cassandra_ros.query.tree.syntax import KeyOperand, Path, Select, Selected, StatementError
+from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ
 from cassandra_ros.topics.block_messages import messages_of
-from cassandra_ros.topics.key_selection import TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -163,7 +163,8 @@ class PieceReader:
         return found
 
     def _blocks(self, piece: Piece) -> BucketRead:
-        ends, writers = ((piece.low, MIN_SEQ), (piece.high, MAX_SEQ)), self._wanted.bounds.writers
+        ends = (piece.low, MIN_SEQ), (piece.high, MAX_SEQ)
+        writers = self._wanted.bounds.read.whose.writers
         return BucketRead(piece.table, piece.node, piece.bucket, ends, writers=writers)
 
     # ---------------------------------------------------------------- bounds
@@ -237,36 +238,34 @@ class PieceReader:
 
     def _taken(self, piece: Piece, values: TableValues) -> Iterator[int]:
         """Pass messages to the makers of arrays; yield how many, each time."""
-        time_range = TimeRange(piece.low, piece.high)
-        whose = Whose((piece.node,), self._wanted.bounds.writers)
+        whose = Whose((piece.node,), self._wanted.bounds.read.whose.writers)
+        read = Read(TimeRange(piece.low, piece.high), whose)
         if self._wanted.bounds.whole and values.takes_blocks:
-            blocks = self._rows.blocks([piece.table], time_range, whose=whose)
+            blocks = self._rows.blocks([piece.table], read)
             if blocks is not None:
                 for block in blocks:
                     _check_table(block.table, piece)
                     values.add_block(block)
                     yield len(block.times)
                 return
-        for row in self._matching(piece.table, time_range, whose, values.needed):
+        for row in self._matching(piece.table, read, values.needed):
             _check_table(row.table, piece)
             values.add(row, 0)
             yield 1
 
     def _matching(
-        self, table: TopicTable, time_range: TimeRange, whose: Whose, needed: Sequence[str]
+        self, table: TopicTable, read: Read, needed: Sequence[str]
     ) -> Iterator[StoredRow]:
         """Yield the messages that satisfy the condition."""
         if self._wanted.bounds.whole:
-            return self._rows.read([table], time_range, whose=whose, columns=lambda _: needed)
+            return self._rows.read([table], replace(read, columns=lambda _: needed))
         chooser = Pushdown(self._select.condition, watch=self._watch)
         test = Projection.compile(
             replace(self._select, columns=()), table, Findings(self._select.text)
         )
-        low, high = time_range
-        spans = self._wanted.bounds.spans
-        parts = [time_range] if spans is None else (TimeRange(*s) for s in spans(low, high, False))
-        read = partial(self._rows.read, [table], whose=whose, chooser=chooser)
-        return filter(test.hit, chain.from_iterable(map(read, parts)))
+        bounds = replace(self._wanted.bounds, read=replace(read, chooser=chooser))
+        rows = partial(self._rows.read, [table])
+        return filter(test.hit, chain.from_iterable(map(rows, bounds.reads())))
 
 
 def _check_table(table: Table, piece: Piece) -> None:

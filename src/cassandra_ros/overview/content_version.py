@@ -7,10 +7,10 @@ from __future__ import annotations
 import hashlib
 from typing import Iterator, Sequence
 
+from cassandra_ros.read import TimeRange, Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.directory import Directory
-from cassandra_ros.topics.key_selection import TimeRange, Whose
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import buckets_of

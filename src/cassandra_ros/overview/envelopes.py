@@ -18,7 +18,6 @@ from cassandra_ros.arrays.envelope import Envelope, Grid
 from cassandra_ros.overview.bucket_envelope import Coming, Part, Piece, PieceReader, Wanted
 from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.tables.directory import BucketRow
-from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
@@ -146,10 +145,11 @@ class EnvelopeReader:
 
     def _listed(self, grid: Grid) -> Iterator[_Listed]:
         bounds = self._bounds
-        if bounds.empty or max(grid.low, bounds.low) > min(grid.high, bounds.high):
+        low, high = bounds.read.time_range
+        low, high = max(grid.low, low), min(grid.high, high)
+        if bounds.empty or low > high:
             return
-        low, high = max(grid.low, bounds.low), min(grid.high, bounds.high)
-        whose = Whose(None if bounds.node is None else (bounds.node,), bounds.writers)
+        whose = bounds.read.whose
         for table in self._tables:
             ends = table.bucket_of(low), table.bucket_of(high)
             rows = sorted(buckets_of(self._keyspace.directory, table, whose, ends), key=_place)
@@ -172,13 +172,14 @@ class EnvelopeReader:
         state = None
         if all(row.closed for row in writers):
             state = tuple((r.writer, r.rows, r.bytes, r.t_min, r.t_max) for r in writers)
+        first_ns, last_ns = self._bounds.read.time_range
         cuts = [begin, end + 1]
         if length > tile:
             first, last = max(begin, grid.low) // tile, min(end, grid.high) // tile + 1
             cuts = [min(max(begin, n * tile), end + 1) for n in range(first, last + 1)]
         for low, high in zip(cuts, cuts[1:]):
             share = rows * (high - low) / length
-            low, high = max(low, self._bounds.low), min(high - 1, self._bounds.high)
+            low, high = max(low, first_ns), min(high - 1, last_ns)
             if low <= high and any(_reaches(row, low, high) for row in writers):
                 yield _Listed(Piece(table, node, bucket, low, high), share, state)
 

@@ -11,7 +11,8 @@ before the range, of the runs that have messages in the range.
 from __future__ import annotations
 
 import logging
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import cached_property
 from typing import (
     Callable,
     Dict,
@@ -29,10 +30,10 @@ from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.read import LAST_NS, Nodes, Read, TimeRange, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.key_selection import LAST_NS, Nodes, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
@@ -91,7 +92,7 @@ def latched_before(
 
 def tests_of(catalog: Catalog, where: Conditions, node: Optional[str]) -> Tests:
     """Return for each topic with a condition the test whether a row satisfies the condition."""
-    return {name: kept.test for name, kept in catalog.filters(where, None, node).items()}
+    return {name: kept.test for name, kept in catalog.filters(where, None, Whose.of(node)).items()}
 
 
 class LatchedFinder:
@@ -202,7 +203,8 @@ class LatchedFinder:
         missing = {((row.node, row.writer), conn) for row in there for conn in conns}
         time_range = TimeRange(max(since, min(row.bucket for row in there) * length), t - 1)
         whose = Whose(tuple({row.node for row in there}), frozenset(row.writer for row in there))
-        for row in self._rows(table, time_range, whose, reverse=True, wanted=len(missing)):
+        back = Read(time_range, whose, reverse=True, wanted=len(missing))
+        for row in self._rows(table, back):
             publisher = publisher_of(row)
             if publisher in missing and self._wanted(row):
                 missing.discard(publisher)
@@ -215,8 +217,8 @@ class LatchedFinder:
     ) -> Iterator[StoredRow]:
         """Search all rows of a topic whose key is not the receive time."""
         last: Dict[Publisher, StoredRow] = {}
-        conns, every = self._latched[table.name], TimeRange()
-        for row in self._rows(table, every, Whose(self._nodes, self._writers)):
+        conns = self._latched[table.name]
+        for row in self._rows(table, Read(whose=Whose(self._nodes, self._writers))):
             source, conn = publisher = publisher_of(row)
             # Equal messages of key format hash are one row, which has no writer.
             if not since <= row.received < t or conn not in conns:
@@ -228,18 +230,10 @@ class LatchedFinder:
                 last[publisher] = row
         return iter(last.values())
 
-    def _rows(
-        self,
-        table: TopicTable,
-        time_range: TimeRange,
-        whose: Whose,
-        reverse: bool = False,
-        wanted: Optional[int] = None,
-    ) -> Iterator[StoredRow]:
+    def _rows(self, table: TopicTable, read: Read) -> Iterator[StoredRow]:
         # The keys of rows are enough, unless there is a condition for the messages.
         columns = None if table.metadata.topic in self._tests else lambda table: ()
-        read = partial(self._keyspace.rows.read, [table], time_range, whose=whose, columns=columns)
-        return read(reverse=reverse, wanted=wanted)
+        return self._keyspace.rows.read([table], replace(read, columns=columns))
 
     def _wanted(self, row: StoredRow) -> bool:
         test = self._tests.get(row.topic)

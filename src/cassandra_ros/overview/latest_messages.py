@@ -9,7 +9,7 @@ from typing import Dict, Iterator, List, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.overview.latched_messages import LatchedFinder
-from cassandra_ros.topics.key_selection import EVERYBODY, TimeRange, Whose
+from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -76,22 +76,21 @@ class Latest:
         rows = self._keyspace.rows
         if any(table.msg_type in TRANSFORMS for table in tables):
             steady = TimeRange(max(since, t - TRANSFORMS_NS), t)
-            found = list(rows.read(tables, steady, whose=self._whose))
+            found = list(rows.read(tables, Read(steady, self._whose)))
             if found:
                 return found
         near = rows.beside(tables, t, self._whose, [True])
         if near is None:
-            back = rows.read(tables, TimeRange(since, t), whose=self._whose, reverse=True, wanted=1)
-            near = list(islice(back, 1))
+            back = Read(TimeRange(since, t), self._whose, reverse=True, wanted=1)
+            near = list(islice(rows.read(tables, back), 1))
         return [row for row in near if row.t >= since]
 
     def _newest_of_names(self, tables: Sequence[TopicTable], t: int) -> Sequence[StoredRow]:
         nodes = self._whose.nodes
         whose = Whose(None if nodes is None else (*nodes, ""))
+        read = Read(whose=whose, columns=lambda table: ())
         newest: Dict[Tuple[str, str], StoredRow] = {}
-        for row in self._keyspace.rows.read(
-            tables, TimeRange(), whose=whose, columns=lambda table: ()
-        ):
+        for row in self._keyspace.rows.read(tables, read):
             key = (row.node, row.name)
             if row.t <= t or key not in newest:
                 newest[key] = row

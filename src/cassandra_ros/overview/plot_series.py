@@ -27,8 +27,8 @@ from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.rows.projection import ResultRow
 from cassandra_ros.query.run import QueryResult
-from cassandra_ros.query.source import Writers
 from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected
+from cassandra_ros.read import EVERYBODY, Read, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.replaced_tables import followed
@@ -64,14 +64,13 @@ class Asker:
     """Restrictions of a request for a series, and its cache.
 
     Attributes:
-        node, writers: nodeID and writer ids whose messages are read; None = all.
+        whose: Nodes and writers whose messages are read.
         cache: Cache of what was read, with whole pixels also at the ends of the window; None = no
             cache, and no message outside of the window is read.
         watch: See Watch.
     """
 
-    node: Optional[str] = None
-    writers: Writers = None
+    whose: Whose = EVERYBODY
     cache: Optional[EnvelopeCache] = None
     watch: Watch = unwatched
 
@@ -127,8 +126,8 @@ def read_series(
     tables = topic.tables
     plain = settle(select, tables)
     named, runs = any(t.named for t in tables), next((t.runs for t in tables), None)
-    bounds = bounds_of(plain, asker.node, named, asker.writers, runs)
-    settled = located(plain, tables, bounds.node, bounds.writers)
+    bounds = bounds_of(plain, Read(whose=asker.whose), named, runs)
+    settled = located(plain, tables, bounds.read.whose)
     drawn = drawn_columns(settled, tables)
     if named:
         return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))
@@ -187,16 +186,8 @@ def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[T
 
 
 def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> Optional[int]:
-    rows = topic.rows(
-        bounds.low,
-        bounds.high,
-        nodeID=bounds.node,
-        limit=1,
-        reverse=reverse,
-        columns=lambda table: (),
-        run=bounds.writers,
-    )
-    return next((row.t for row in rows), None)
+    read = replace(bounds.read, reverse=reverse, columns=lambda table: (), wanted=1)
+    return next((row.t for row in topic.read(read)), None)
 
 
 # ---------------------------------------------------------------- rows that are made
@@ -216,7 +207,7 @@ def _of_rows(
     name = kinds[over][0]
     drawn = drawn._replace(left_out=tuple(u for u in drawn.left_out if u.name != name))
     places = [[name for name, _ in kinds].index(column.name) for column in drawn.columns]
-    asked = QueryResult(select, topic, node=asker.node, run=asker.writers, watch=asker.watch)
+    asked = QueryResult(select, topic, asker.whose, watch=asker.watch)
     with asked as result:
         times, numbers = _arrays(select, result, over, places)
     low = times.min(initial=2**63 - 1) if window.low is None else window.low

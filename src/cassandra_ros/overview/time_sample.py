@@ -11,10 +11,10 @@ from typing import Iterable, Iterator, Optional, Sequence
 from cassandra_ros.errors import MessageNotFound
 from cassandra_ros.keys import RowName
 from cassandra_ros.messages.stamps import Stamp, Time
+from cassandra_ros.read import Writers
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.row_finder import Where
-from cassandra_ros.topics.run_finder import Writers
 from cassandra_ros.topics.stored_row import StoredRow
 
 
@@ -42,13 +42,10 @@ class Chosen:
                 run=self.writers,
                 columns=lambda table: (),
             )
-        names = [topic.name]
-        return catalog.merged(
-            topic.tables,
-            catalog.filters({topic.name: self.where}, names, self.node, self.writers),
-            catalog.time_range(names, self.start, self.end),
-            catalog.whose(self.node, self.writers),
-        )
+        names, whose = [topic.name], catalog.whose(self.node, self.writers)
+        filters = catalog.filters({topic.name: self.where}, names, whose)
+        read = catalog.read_of(names, self.start, self.end, whose)
+        return catalog.merged(topic.tables, filters, read)
 
     def last(self, topic: CassandraTopic) -> int:
         """Return the key time of the last message, ns; there must be one."""

@@ -28,7 +28,7 @@ from cassandra_ros.places.sources import (
     find_stored,
     key_behind,
 )
-from cassandra_ros.query.source import Writers
+from cassandra_ros.read import Writers
 from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.transforms.transform_samples import FixedTransforms, TransformTopic
 

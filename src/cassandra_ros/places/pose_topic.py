@@ -16,8 +16,8 @@ from cassandra_ros.places.frame_poses import filled
 from cassandra_ros.places.pose_samples import Flags, Placed, Samples, Times
 from cassandra_ros.places.rigid import Floats, Rigid
 from cassandra_ros.places.sources import ArraySource, Find, arrays_between, key_behind, last_key
-from cassandra_ros.query.source import Writers
 from cassandra_ros.query.tree.field_names import all_fields
+from cassandra_ros.read import Writers
 
 _MOVED, _TURNED = ("x", "y", "z"), ("x", "y", "z", "w")
 _SOLID = (

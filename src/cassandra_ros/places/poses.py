@@ -27,7 +27,7 @@ from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, Placed, Sa
 from cassandra_ros.places.pose_topic import PoseTopic
 from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.places.sources import Find
-from cassandra_ros.query.source import Writers
+from cassandra_ros.read import Writers
 
 LONGEST_GAP_SEC = 10.0
 """Maximum time between two recorded poses with known poses in between, s."""

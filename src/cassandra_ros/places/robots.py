@@ -33,7 +33,7 @@ from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, Recording
 from cassandra_ros.places.sources import ArraySource, Find, find_stored, key_behind, last_key
 from cassandra_ros.places.stored import Stored
-from cassandra_ros.query.source import Writers
+from cassandra_ros.read import Writers
 
 BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
 """Usual names of the frame of a robot's body, with or without a prefix, in order of preference."""

@@ -10,7 +10,8 @@ from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.source import Source, Writers
+from cassandra_ros.query.source import Source
+from cassandra_ros.read import Read, TimeRange, Whose, Writers
 
 
 class ArraySource(Source[Row], Protocol):
@@ -60,12 +61,12 @@ def key_behind(
     """Return the first row key of a topic after a time, ns; None if there are no later rows."""
     if time >= MAX_NS:
         return None
-    rows = topic.rows(max(0, time + 1), nodeID=node, limit=1, run=writers)
+    behind = TimeRange(max(0, time + 1), MAX_NS)
+    rows = topic.read(Read(behind, Whose.of(node, writers), wanted=1))
     return next((row.t for row in rows), None)
 
 
 def last_key(topic: ArraySource, node: Optional[str], writers: Writers) -> Optional[int]:
     """Return the last row key of a topic, ns; None if it has no messages."""
-    return next(
-        (row.t for row in topic.rows(nodeID=node, limit=1, reverse=True, run=writers)), None
-    )
+    rows = topic.read(Read(whose=Whose.of(node, writers), reverse=True, wanted=1))
+    return next((row.t for row in rows), None)

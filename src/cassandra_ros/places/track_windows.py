@@ -23,7 +23,7 @@ from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.stored import Extent, Stored
-from cassandra_ros.query.source import Writers
+from cassandra_ros.read import Writers
 
 WINDOW_NS = 30 * SECOND_NS
 KEPT = 8

@@ -19,7 +19,7 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, Path, merg
 from cassandra_ros.places.pose_samples import Times
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.whereabouts import Whereabouts
-from cassandra_ros.query.source import Writers
+from cassandra_ros.read import Writers
 
 WHOLE_NS = 7200 * SECOND_NS
 """Maximum length of a time range with poses that is read completely, ns."""

@@ -21,7 +21,7 @@ from cassandra_ros.places.robots import Choice, Robot
 from cassandra_ros.places.stored import Extent, Stored
 from cassandra_ros.places.track_windows import WINDOW_NS, Window, Windows
 from cassandra_ros.query.protocols import Disk
-from cassandra_ros.query.source import Writers
+from cassandra_ros.read import Writers
 from cassandra_ros.tables.place_index import PlaceIndex
 
 

@@ -7,9 +7,9 @@ from __future__ import annotations
 from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import split_seq
+from cassandra_ros.read import Nodes, Read, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import BucketRow
-from cassandra_ros.topics.key_selection import Nodes, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -67,7 +67,7 @@ def _filled(
 def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[Extent]:
     """Look at all keys: those of such topics do not lie by the time of reception."""
     found: Dict[Tuple[str, int], Extent] = {}
-    rows = keyspace.rows.read([table], TimeRange(), whose=Whose(nodes), columns=lambda table: ())
+    rows = keyspace.rows.read([table], Read(whose=Whose(nodes), columns=lambda table: ()))
     for row in rows:
         run, t = (row.node, split_seq(row.seq)[0]), row.received
         known = found.get(run, Extent(table, *run, t, t))

@@ -18,8 +18,8 @@ from cassandra_ros.overview.latched_messages import (
     tests_of,
 )
 from cassandra_ros.playing.extent import Extent
+from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.row_finder import Filter, Where
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -104,7 +104,8 @@ class Part:
                 [topic], *inner, node=self.node, received=True, where=where, run=self.writers
             )
         else:
-            rows = Filter(found, condition, self.node, self.writers).rows(inner, bare=True)
+            whose = Whose.of(self.node, self.writers)
+            rows = Filter(found, condition, whose).rows(Read(inner, whose), bare=True)
         return (row.received + self.shift for row in rows)
 
     @cached_property

@@ -21,7 +21,7 @@ from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, ReadAhead, Skipped
 from cassandra_ros.playing.stream import Played
-from cassandra_ros.topics.key_selection import TimeRange
+from cassandra_ros.read import TimeRange
 
 _log = logging.getLogger(__name__)
 

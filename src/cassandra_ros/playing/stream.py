@@ -25,9 +25,9 @@ from cassandra_ros.playing.robot_alignment import (
 )
 from cassandra_ros.playing.selection import Names, PlaySelection, chosen_topics
 from cassandra_ros.playing.times import check_length, read_when, resolve_times
+from cassandra_ros.read import TimeRange
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.hit_windows import Piece, joined, merge_windows
-from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.stored_row import StoredRow
 
 _Timed = Tuple[int, StoredRow]

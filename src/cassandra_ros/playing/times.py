@@ -21,7 +21,7 @@ from cassandra_ros.messages.stamps import (
     time_or_length,
     to_ns,
 )
-from cassandra_ros.topics.key_selection import TimeRange
+from cassandra_ros.read import TimeRange
 
 PlayTime = Union[None, Time, Length]
 """A time, or a length from the first message: a text or number below 10**9 is seconds. None =

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from functools import partial
 from itertools import chain, islice
 from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import MAX_NS, Position, decode_cursor, encode_cursor, is_behind
-from cassandra_ros.messages.stamps import Stamp, is_time, iso_time, to_ns
+from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_behind
+from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
 from cassandra_ros.printable import MOST_ROWS, html_table
 from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of, meant_as_seconds
 from cassandra_ros.query.plan.nearby import Span, located, spans_of
@@ -21,10 +20,11 @@ from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.projection import Projections, ResultRow
 from cassandra_ros.query.rows.result_groups import gather
-from cassandra_ros.query.source import Columns, RowT_co, Source, Writers
+from cassandra_ros.query.source import RowT_co, Source
 from cassandra_ros.query.tree.change_statements import Delete
 from cassandra_ros.query.tree.parse import parse_condition
 from cassandra_ros.query.tree.syntax import Select
+from cassandra_ros.read import EVERYBODY, EVERYTHING, Read, Whose
 
 _log = logging.getLogger(__name__)
 
@@ -33,60 +33,24 @@ _Rows = Generator[ResultRow, None, None]
 _MAX_DIGITS = 18
 
 
-def bounded_rows(
-    source: Source[RowT_co],
-    bounds: Bounds,
-    columns: Optional[Columns],
-    chooser: Pushdown,
-    after: Optional[Position] = None,
-    reverse: bool = False,
-    limit: Optional[int] = None,
-    wanted: Optional[int] = None,
+def rows_inside(
+    source: Source[RowT_co], bounds: Bounds, limit: Optional[int] = None
 ) -> Iterator[RowT_co]:
-    """Yield the rows of a topic within bounds, see Source.rows."""
-    if bounds.empty:
-        return iter(())
-    node, run = bounds.node, bounds.writers
-    if bounds.name is None:
-        read = partial(
-            source.rows,
-            nodeID=node,
-            after=after,
-            reverse=reverse,
-            columns=columns,
-            chooser=chooser,
-            run=run,
-            wanted=limit if wanted is None else wanted,
-        )
-        parts = (read(low, high) for low, high in _time_ranges(bounds, after, reverse))
-        return islice(chain.from_iterable(parts), limit)
+    """Yield the rows of a topic within bounds, at most as many as the limit."""
+    if bounds.read.wanted is None:
+        bounds = replace(bounds, read=replace(bounds.read, wanted=limit))
+    if bounds.read.only is None or bounds.empty:
+        return islice(chain.from_iterable(map(source.read, bounds.reads())), limit)
     try:
-        every = source.versions(bounds.name, nodeID=node, reverse=reverse, run=run)
+        return islice(source.read(bounds.read), limit)
     except InvalidKey:
         return iter(())  # no message has an invalid name
-    inside = (row for row in every if bounds.low <= row.t <= bounds.high)
-    behind = (
-        row
-        for row in inside
-        if is_behind(row.position, after, reverse) and not _is_at(row, after, source)
-    )
-    return islice(behind, limit)
 
 
-def _time_ranges(bounds: Bounds, after: Optional[Position], reverse: bool) -> Iterator[Span]:
-    """Yield the time ranges to be read, in the direction of reading."""
-    low, high = bounds.low, bounds.high
-    if bounds.spans is None:
-        return iter([(low, high)])
-    if after is not None:
-        low, high = (low, min(high, after.t)) if reverse else (max(low, after.t), high)
-    return bounds.spans(low, high, reverse)
-
-
-def _is_at(row: Row, place: Optional[Position], source: Source[RowT_co]) -> bool:
+def _is_at(row: Row, place: Position, source: Source[RowT_co]) -> bool:
     """Return whether a row is at a position, also if its table was replaced since."""
     at = row.position
-    if place is None or at[:3] != place[:3]:
+    if at[:3] != place[:3]:
         return False
     return at == place or place.table not in {table.name for table in source.tables}
 
@@ -97,66 +61,54 @@ class Condition:
     Args:
         where: The condition, or the statement that contains it, which errors then show whole.
         params: Values of the ``?`` or ``%s`` in a text.
-        node: nodeID of the robot whose messages are read; None = all.
-        run: Writer ids whose messages are read; None = all.
 
     Raises:
         InvalidQuery: The text is not a condition, or the parameters do not fit.
     """
 
-    def __init__(
-        self,
-        where: Union[str, Delete],
-        params: Sequence[object] = (),
-        node: Optional[str] = None,
-        run: Writers = None,
-    ) -> None:
+    def __init__(self, where: Union[str, Delete], params: Sequence[object] = ()) -> None:
         if isinstance(where, Delete):
             self._select = Select(where.text, (), "", 0, where.condition)
         else:
             self._select = Select(where, (), "", 0, parse_condition(where, params))
-        self._node, self._run = node, run
 
-    def bounds(self, tables: Sequence[Table] = ()) -> Bounds:
+    def bounds(self, tables: Sequence[Table] = (), read: Read = EVERYTHING) -> Bounds:
         """Return the bounds of the condition in the tables of a topic, see bounds_of."""
         named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
-        return bounds_of(self._select, self._node, named, self._run, runs)
+        return bounds_of(self._select, read, named, runs)
 
-    def test(self, tables: Sequence[Table]) -> Callable[[Row], bool]:
+    def test(self, tables: Sequence[Table], whose: Whose = EVERYBODY) -> Callable[[Row], bool]:
         """Return a function that checks the condition on a row of these tables.
+
+        Args:
+            whose: The robot and the runs whose messages are tested.
 
         Raises:
             InvalidQuery: The condition names a field that no definition of the topic has, or
                 compares a field with a value of another kind.
         """
-        bounds = self.bounds(tables)
-        select = located(self._select, tables, bounds.node, bounds.writers)
+        bounds = self.bounds(tables, Read(whose=whose))
+        select = located(self._select, tables, bounds.read.whose)
         return Projections(select, tables).hit
 
     def rows(
-        self,
-        source: Source[RowT_co],
-        key: Optional[int] = None,
-        to_key: Optional[int] = None,
-        after: Optional[Position] = None,
-        reverse: bool = False,
-        *,
-        bare: bool = False,
-        wanted: Optional[int] = None,
+        self, source: Source[RowT_co], read: Read = EVERYTHING, *, bare: bool = False
     ) -> Iterator[RowT_co]:
-        """Yield the rows that satisfy the condition; bare rows read their messages on request.
+        """Yield the rows of a read that satisfy the condition.
 
         Args:
-            wanted: Number of rows that will probably be taken; None = all.
+            source: The topic whose rows are read.
+            read: Which of its rows are read, in which order.
+            bare: Whether the rows read their messages on request.
         """
         tables = source.tables
-        bounds = self.bounds(tables).within(key, to_key)
-        select = located(self._select, tables, bounds.node, bounds.writers)
+        bounds = self.bounds(tables, read)
+        select = located(self._select, tables, bounds.read.whose)
         projections = Projections(select, tables)
-        bounds = replace(bounds, spans=spans_of(select.condition))
         columns, chooser = projections.columns if bare else None, Pushdown(select.condition)
-        rows = bounded_rows(source, bounds, columns, chooser, after, reverse, wanted=wanted)
-        return filter(projections.hit, rows)
+        read = replace(bounds.read, columns=columns, chooser=chooser)
+        bounds = replace(bounds, read=read, spans=spans_of(select.condition))
+        return filter(projections.hit, rows_inside(source, bounds))
 
 
 class Place(NamedTuple):
@@ -202,8 +154,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     Args:
         select: The statement with its parameters bound.
         source: The topic that the statement names.
-        node: nodeID of the robot whose messages are read; None = all.
-        run: Writer ids whose messages are read; None = all.
+        whose: Nodes and writers whose messages are read.
         limit: Maximum number of rows in addition to the statement's LIMIT; None = no limit.
         after: ``cursor`` of an earlier result of the same statement: continue after its last row.
             Groups, distinct rows and rows in another order than KEY's are computed again for it.
@@ -229,9 +180,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self,
         select: Select,
         source: Source[Row],
+        whose: Whose = EVERYBODY,
         *,
-        node: Optional[str] = None,
-        run: Writers = None,
         limit: Optional[int] = None,
         after: Cursor = None,
         plan: str = "auto",
@@ -242,9 +192,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._source, self._watch = source, watch
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
-        bounds = bounds_of(select, node, named, run, runs)
-        self.select = select = located(select, tables, bounds.node, bounds.writers)
-        self._bounds = bounds = self._spanned(bounds)
+        bounds = bounds_of(select, Read(whose=whose), named, runs)
+        self.select = select = located(select, tables, bounds.read.whose)
         if not named:
             _warn_of_seconds(select)
         self._place = place = read_place(after)
@@ -258,9 +207,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         unnested = any(projection.unnested for projection in self._projections)
         self.direct = select.gathers or (bounds.whole and not unnested)
         self.read = 0
-        self.counted = bool(select.counts and bounds.whole and bounds.name is None)
+        self.counted = bool(select.counts and bounds.whole and bounds.read.only is None)
         left = None if select.limit is None else max(0, select.limit - place.given)
         self._left = min((n for n in (left, limit) if n is not None), default=None)
+        read = replace(
+            bounds.read,
+            reverse=select.descending,
+            columns=self._projections.columns,
+            chooser=self.pushdown,
+            wanted=None if select.gathers else self._left,
+        )
+        self._bounds = self._spanned(replace(bounds, read=read))
         self._rows = self._gathered(place.given) if select.gathers else self._selected(place)
 
     def __iter__(self) -> Iterator[ResultRow]:
@@ -331,15 +288,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                 values = following
 
     def _stored(self, place: Place) -> Iterator[Row]:
-        reverse, at, bounds = self.select.descending, place.position, self._bounds
+        at, bounds = place.position, self._bounds
+        reverse = bounds.read.reverse
         if at is None or not (place.skip or reverse):
-            return self._read(bounds, at, reverse, self._left if self.direct else None)
+            bounds = replace(bounds, read=replace(bounds.read, after=at))
+            return self._read(bounds, self._left if self.direct else None)
         # Begin with the message at the cursor, because some of its rows may be missing, and the
         # store can continue after a position only in ascending order.
         narrowed = bounds.within(None, at.t) if reverse else bounds.within(at.t, None)
         return (
             row
-            for row in self._read(narrowed, None, reverse)
+            for row in self._read(narrowed)
             if (
                 place.skip
                 if _is_at(row, at, self._source)
@@ -347,19 +306,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             )
         )
 
-    def _read(
-        self,
-        bounds: Bounds,
-        after: Optional[Position] = None,
-        reverse: bool = False,
-        limit: Optional[int] = None,
-    ) -> Iterator[Row]:
-        columns, push = self._projections.columns, self.pushdown
-        wanted = None if self.select.gathers else self._left
-        rows = bounded_rows(
-            self._source, bounds, columns, push, after, reverse, limit, wanted=wanted
-        )
-        for row in rows:
+    def _read(self, bounds: Bounds, limit: Optional[int] = None) -> Iterator[Row]:
+        for row in rows_inside(self._source, bounds, limit):
             self.read += 1
             self._watch()
             yield row
@@ -389,12 +337,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def _made(self, most: Optional[int]) -> Iterator[ResultRow]:
         select, bounds, projections = self.select, self._bounds, self._projections
         if self.counted and not bounds.empty:
-            ends = (bounds.low, bounds.high)
-            # Names have no order, so the count of all rows has no bounds.
-            low, high = (None, None) if ends == (0, MAX_NS) else map(Stamp.from_ns, ends)
-            count = self._source.countTopicData(low, high, bounds.node, run=bounds.writers)
+            count = self._source.count(bounds.read)
             return iter([(count,) * len(select.aggregates)])
-        stored = self._read(bounds, reverse=select.descending)
+        stored = self._read(bounds)
         rows = chain.from_iterable(projections.of(row.table).rows(row) for row in stored)
         return gather(select, projections.names, rows, most)
 

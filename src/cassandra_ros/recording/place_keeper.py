@@ -27,25 +27,23 @@ from typing import (
     Sequence,
     Set,
     Tuple,
-    Union,
 )
 
 from cassandra_ros.arrays.gather import read_arrays
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
-from cassandra_ros.keys import Position
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.frame_poses import TF, TF_STATIC
 from cassandra_ros.places.indexing import TfNotes, TopicNotes, Whose
 from cassandra_ros.places.paths import LONGEST_GAP_NS
-from cassandra_ros.query.plan.pushdown import Pushdown
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.source import Columns, Writers
+from cassandra_ros.read import Read, Writers
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
 from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
 from cassandra_ros.tables.place_index import Placed, Visited
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.key_selection import range_between
 from cassandra_ros.transforms.transform_samples import TRANSFORMS_MD5
 
 if TYPE_CHECKING:
@@ -65,7 +63,6 @@ POSES = (
     "geometry_msgs/PoseStamped",
     "geometry_msgs/TransformStamped",
 )
-_Time = Union[None, int, Stamp]
 
 
 class _Taken(NamedTuple):
@@ -114,25 +111,12 @@ class LiveTopic:
         del self._times[:at], self._rows[:at]
         return nbytes
 
-    def rows(
-        self,
-        key: _Time = None,
-        to_key: _Time = None,
-        *,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
-        after: Optional[Position] = None,
-        reverse: bool = False,
-        columns: Optional[Columns] = None,
-        chooser: Optional[Pushdown] = None,
-        run: Writers = None,
-        wanted: Optional[int] = None,
-    ) -> Iterator[Row]:
-        """Walk through the messages of [key, to_key]; all are of one node and one run."""
-        low, high = _ns(key, 0), _ns(to_key, 2**63 - 1)
+    def read(self, read: Read) -> Iterator[Row]:
+        """Walk through the messages of a time range; all are of one node and one run."""
+        low, high = read.time_range
         first, last = bisect_left(self._times, low), bisect_right(self._times, high)
         found = [row for row in self._before if low <= row.t <= high] + self._rows[first:last]
-        yield from (found[::-1] if reverse else found)[:limit]
+        yield from found[::-1] if read.reverse else found
 
     def getArrays(
         self,
@@ -144,39 +128,16 @@ class LiveTopic:
         run: Writers = None,
     ) -> Dict[str, Any]:
         """Return fields of the messages in [key, to_key] as numpy arrays."""
-        return read_arrays(self, fields, None, lambda columns: self.rows(key, to_key))
+        read = Read(range_between(key, to_key))
+        return read_arrays(self, fields, None, lambda columns: self.read(read))
 
-    def versions(
-        self,
-        name: str,
-        *,
-        nodeID: Optional[str] = None,
-        reverse: bool = False,
-        run: Writers = None,
-    ) -> Iterator[Row]:
-        """Walk through messages under a name: there are none."""
-        return iter(())
-
-    def countTopicData(
-        self,
-        key: Optional[Stamp] = None,
-        to_key: Optional[Stamp] = None,
-        nodeID: Optional[str] = None,
-        *,
-        run: Writers = None,
-    ) -> int:
-        """Count the messages in [key, to_key]."""
-        return sum(1 for _ in self.rows(key, to_key))
+    def count(self, read: Read) -> int:
+        """Count the messages of a time range."""
+        return sum(1 for _ in self.read(read))
 
     def countBuckets(self) -> int:
         """Count its partitions: it has none."""
         return 0
-
-
-def _ns(time: _Time, otherwise: int) -> int:
-    if time is None:
-        return otherwise
-    return time.ns if isinstance(time, Stamp) else time
 
 
 def tells_places(connection: Connection) -> bool:

@@ -11,7 +11,8 @@ from __future__ import annotations
 
 from typing import Collection, Dict, Iterable, List, Sequence, Tuple
 
-from cassandra_ros.store.scan import Piece, Scan
+from cassandra_ros.read import Read
+from cassandra_ros.store.piece import Piece, first_and_last, may_hold
 from cassandra_ros.tables.directory import BucketRow, Directory
 from cassandra_ros.tables.row_table import RowTable
 
@@ -20,20 +21,20 @@ MOST = 8
 
 
 def foresee(
-    directory: Directory, tables: Sequence[RowTable], scan: Scan
+    directory: Directory, tables: Sequence[RowTable], read: Read
 ) -> Tuple[List[Piece], int]:
-    """Return the buckets in which a scan probably begins, and how many nodes its tables have."""
+    """Return the buckets in which a read probably begins, and how many nodes its tables have."""
     found: List[Piece] = []
     streams = 0
     for table in tables:
-        known, groups = directory.first.get((table.name, scan.reverse), ((), ()))
-        nodes = [node for node in known if scan.nodes is None or node in scan.nodes]
+        known, groups = directory.first.get((table.name, read.reverse), ((), ()))
+        nodes = [node for node in known if read.whose.nodes is None or node in read.whose.nodes]
         streams += len(nodes)
-        low, high = scan.buckets(table)
+        low, high = first_and_last(read, table)
         found += [
             Piece(0, table, group[0].node, group[0].bucket, group)
             for group in groups
-            if group[0].node in nodes and low <= group[0].bucket <= high and scan.wants(group)
+            if group[0].node in nodes and low <= group[0].bucket <= high and may_hold(read, group)
         ]
     return (found if len(found) <= MOST else []), streams
 
@@ -42,13 +43,13 @@ def note_first(
     directory: Directory,
     walks: Iterable[Tuple[RowTable, Collection[str]]],
     begun: Iterable[Piece],
-    scan: Scan,
+    read: Read,
 ) -> None:
-    """Keep in which buckets a scan began, and the nodes that were met in each table."""
+    """Keep in which buckets a read began, and the nodes that were met in each table."""
     groups: Dict[str, List[Sequence[BucketRow]]] = {}
     for piece in begun:
         if piece.rows:
             groups.setdefault(piece.table.name, []).append(piece.rows)
     for table, met in walks:
         if table.name in groups:
-            directory.first[table.name, scan.reverse] = tuple(met), groups[table.name]
+            directory.first[table.name, read.reverse] = tuple(met), groups[table.name]

@@ -31,10 +31,11 @@ from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.connection.paging import GROWTH, Asked, RawRow
 from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.errors import SchemaConflict
+from cassandra_ros.read import Chooser, Query, Read
 from cassandra_ros.store.bucket_walk import Walk
 from cassandra_ros.store.first_buckets import foresee, note_first
 from cassandra_ros.store.page_rows import rows_of_page
-from cassandra_ros.store.scan import Chooser, Piece, Query, Scan, ends_of
+from cassandra_ros.store.piece import Piece, ends_of, first_and_last, may_hold, takes_few
 from cassandra_ros.tables.directory import BucketRow, Directory
 from cassandra_ros.tables.row_table import (
     KEYS,
@@ -73,22 +74,22 @@ Chosen = Optional[Sequence[Query]]
 """What gives the rows of a bucket that may be wanted; None = all are."""
 
 
-def _open(piece: Piece, scan: Scan, chosen: Chosen) -> Iterator[TableRow]:
+def _open(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
     """Ask for the first rows of a bucket that were chosen (None: all); return them in order."""
     if piece.table.packed:
-        return _blocks(piece, scan, chosen)
+        return _blocks(piece, read, chosen)
     if chosen is None:
-        return _Stream(piece, scan, _ALL).rows()
+        return _Stream(piece, read, _ALL).rows()
     # All queries of a bucket share what one may hold.
     share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
-    return _found(piece, scan, [_Stream(share, scan, query) for query in chosen])
+    return _found(piece, read, [_Stream(share, read, query) for query in chosen])
 
 
-def _blocks(piece: Piece, scan: Scan, chosen: Chosen) -> Iterator[TableRow]:
+def _blocks(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
     """Ask for the first blocks of a bucket; return their messages."""
-    table, chooser = piece.table, scan.chooser
-    columns = None if scan.columns is None else scan.columns(table)
-    part = _part(piece, scan)
+    table, chooser = piece.table, read.chooser
+    columns = None if read.columns is None else read.columns(table)
+    part = _part(piece, read)
     part.bare = columns is not None and not columns
     part.filters = None if chosen is None else [terms for terms, _ in chosen]
     if chooser is None:
@@ -97,22 +98,22 @@ def _blocks(piece: Piece, scan: Scan, chosen: Chosen) -> Iterator[TableRow]:
     return _counted(piece, chooser, stream(part)) if chosen is not None else stream(part)
 
 
-def _part(piece: Piece, scan: Scan) -> BucketRead:
+def _part(piece: Piece, read: Read) -> BucketRead:
     return BucketRead(
         piece.table,
         piece.node,
         piece.bucket,
-        ends_of(piece, scan),
-        scan.reverse,
-        scan.writers,
+        ends_of(piece, read),
+        read.reverse,
+        read.whose.writers,
         wanted=piece.first_rows,
         early=min(EARLY_BLOCKS, len({row.writer for row in piece.rows})),
         page_bytes=piece.page_bytes,
     )
 
 
-def _open_blocks(piece: Piece, scan: Scan, chosen: Chosen) -> Iterator[tuple[BucketRead, Opened]]:
-    part = _part(piece, scan)
+def _open_blocks(piece: Piece, read: Read, chosen: Chosen) -> Iterator[tuple[BucketRead, Opened]]:
+    part = _part(piece, read)
     return zip(repeat(part), opened(part))
 
 
@@ -124,11 +125,11 @@ def _counted(piece: Piece, chooser: Chooser, rows: Iterator[TableRow]) -> Iterat
     chooser.learn(piece.table, piece.rows, count)
 
 
-def _found(piece: Piece, scan: Scan, streams: Sequence[_Stream]) -> Iterator[TableRow]:
+def _found(piece: Piece, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
     """Yield the rows of several queries in one order; one that several find comes once."""
     count, last = 0, None
     found = [stream.rows() for stream in streams]
-    merged = heapq.merge(*found, key=_place, reverse=scan.reverse)
+    merged = heapq.merge(*found, key=_place, reverse=read.reverse)
     single = len(found) == 1  # it gives no row twice, and in order
     for row in found[0] if single else merged:
         if single:
@@ -138,8 +139,8 @@ def _found(piece: Piece, scan: Scan, streams: Sequence[_Stream]) -> Iterator[Tab
             last = _place(row)
             count += 1
             yield row
-    if scan.chooser is not None and not any(stream.refused for stream in streams):
-        scan.chooser.learn(piece.table, piece.rows, count)
+    if read.chooser is not None and not any(stream.refused for stream in streams):
+        read.chooser.learn(piece.table, piece.rows, count)
 
 
 def _place(row: TableRow) -> tuple[int, int]:
@@ -149,24 +150,24 @@ def _place(row: TableRow) -> tuple[int, int]:
 class _Stream:
     """The rows of one bucket that one statement gives."""
 
-    def __init__(self, piece: Piece, scan: Scan, query: Query) -> None:
+    def __init__(self, piece: Piece, read: Read, query: Query) -> None:
         self._piece = piece
-        self._scan = scan
-        wanted = None if scan.columns is None else scan.columns(piece.table)
+        self._read = read
+        wanted = None if read.columns is None else read.columns(piece.table)
         self._columns = piece.table.columns if wanted is None else wanted
         # Whoever checks a condition looks at columns.
-        self._together = wanted is None and scan.chooser is None
+        self._together = wanted is None and read.chooser is None
         self._place = piece.table.place(piece.node, piece.bucket)
         self._terms, indexed = query
         # To look at a row the server needs fewer columns than to answer with it: where it lets
         # few through, only their keys are asked for, and then these rows.
         filtered = bool(self._terms) and not indexed
-        self._keyed = filtered and scan.chooser is not None and scan.chooser.few(piece.table)
+        self._keyed = filtered and read.chooser is not None and read.chooser.few(piece.table)
         # The server cannot turn the order of what an index finds.
-        self._turned = scan.reverse and indexed
+        self._turned = read.reverse and indexed
         self.refused = False  # the server did not do what it was asked for; all rows are read
         # A writer id is the upper half of a _seq.
-        writers = scan.writers
+        writers = read.whose.writers
         self._heads = None if writers is None else {encode_int(each) for each in writers}
         self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
         self._early: tuple[Sequence[RawRow], Asked | None] = ((), None)
@@ -181,11 +182,11 @@ class _Stream:
             return table.select_range(
                 KEYS if self._keyed else table.listing(self._columns),
                 self._place,
-                ends_of(self._piece, self._scan),
+                ends_of(self._piece, self._read),
                 terms=self._terms,
                 page_rows=self._piece.page_rows,
                 first_rows=0 if self._turned or last else self._piece.first_rows,
-                reverse=self._scan.reverse and not self._turned,
+                reverse=self._read.reverse and not self._turned,
                 last=last,
                 refused=is_refused if self._terms else None,
                 on_page=self._fetch_early if self._keyed else None,
@@ -274,7 +275,7 @@ class _Stream:
             self._early = part, self._ask_these(part)
 
     def _these(self) -> PreparedStatement:
-        return self._piece.table.select_these(self._columns, reverse=self._scan.reverse)
+        return self._piece.table.select_these(self._columns, reverse=self._read.reverse)
 
     def _ask_these(self, part: Sequence[RawRow]) -> Asked:
         values = (*self._place, _pairs(part))
@@ -288,14 +289,14 @@ def _pairs(keys: Sequence[RawRow]) -> bytes:
     return encode_int(len(keys)) + b"".join(pairs)
 
 
-def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> Iterator[TableRow]:
+def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:
     """Yield the rows of several tables in the order (t, node, seq, table), or its reverse.
 
     Memory is bounded: one or two pages for each table and node that has rows at the time.
     """
-    sign = -1 if scan.reverse else 1
+    sign = -1 if read.reverse else 1
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _Prefetched(directory, tables, scan, _open)
+    waiting = _Prefetched(directory, tables, read, _open)
     count = 0
     while heap or waiting.left:
         while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
@@ -322,14 +323,14 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], scan: Scan) -> I
 
 
 def read_blocks(
-    directory: Directory, tables: Sequence[RowTable], scan: Scan
+    directory: Directory, tables: Sequence[RowTable], read: Read
 ) -> Iterator[tuple[BucketRead, Opened]]:
     """Yield the blocks of several packed tables, bucket by bucket, whatever their order.
 
-    Each comes with what is read of its bucket. Columns and chooser of the scan are not
+    Each comes with what is read of its bucket. Columns and chooser of the read are not
     looked at.
     """
-    waiting = _Prefetched(directory, tables, scan, _open_blocks)
+    waiting = _Prefetched(directory, tables, read, _open_blocks)
     while waiting.left:
         yield from waiting.take()
 
@@ -345,19 +346,28 @@ def _inverted(text: str) -> tuple[int, ...]:
     return (*(-ord(c) for c in text), 1)
 
 
-def _walk(directory: Directory, table: RowTable, scan: Scan) -> Walk:
-    ends, (nodes, ttl) = scan.buckets(table), (scan.nodes, table.metadata.ttl)
-    return Walk(directory, table.name, *ends, nodes, ttl, reverse=scan.reverse, few=scan.few)
+def _walk(directory: Directory, table: RowTable, read: Read) -> Walk:
+    return Walk(
+        directory,
+        table.name,
+        *first_and_last(read, table),
+        read.whose.nodes,
+        table.metadata.ttl,
+        reverse=read.reverse,
+        few=takes_few(read),
+    )
 
 
-def _pieces(table: RowTable, walk: Walk, scan: Scan) -> Iterator[Piece]:
-    """Yield the buckets of a table that may hold rows of a scan, as they begin."""
+def _pieces(table: RowTable, walk: Walk, read: Read) -> Iterator[Piece]:
+    """Yield the buckets of a table that may hold rows of a read, as they begin."""
     length = table.metadata.bucket_ns
-    high = scan.high if scan.after is None else min(scan.high, scan.after.t)
+    high = read.time_range.high
+    if read.after is not None:
+        high = min(high, read.after.t)
     for bucket, group in walk.groups():
-        if group and not scan.wants(group):
+        if group and not may_hold(read, group):
             continue
-        start = min((bucket + 1) * length, high + 1) if scan.reverse else bucket * length
+        start = min((bucket + 1) * length, high + 1) if read.reverse else bucket * length
         yield Piece(start, table, group[0].node if group else "", bucket, group)
 
 
@@ -366,7 +376,7 @@ def _begins(piece: Piece) -> tuple[int, str, str]:
 
 
 def _request(piece: Piece) -> _Request:
-    """Return what makes the difference between what is asked for of two pieces of a scan."""
+    """Return what makes the difference between what is asked for of two pieces of a read."""
     sizes = piece.page_rows, piece.page_bytes, piece.first_rows
     return (piece.table.name, piece.node, piece.bucket, *sizes)
 
@@ -402,39 +412,40 @@ class _Prefetched(Generic[_T]):
         self,
         directory: Directory,
         tables: Sequence[RowTable],
-        scan: Scan,
-        open_piece: Callable[[Piece, Scan, Chosen], Iterator[_T]],
+        read: Read,
+        open_piece: Callable[[Piece, Read, Chosen], Iterator[_T]],
     ) -> None:
         self._directory = directory
-        self._scan = scan
+        self._read = read
         self._open = open_piece
-        self._rows = max(1, scan.wanted or 1)
+        self._rows = max(1, read.wanted or 1)
+        self._few = takes_few(read)
         self._early: dict[_Request, Iterator[_T]] = {}
-        if scan.few and (scan.chooser is None or not scan.chooser.checks):
+        if self._few and (read.chooser is None or not read.chooser.checks):
             self._foresee(directory, tables)
-        walks = [(table, _walk(directory, table, scan)) for table in tables]
-        pieces = [_pieces(table, walk, scan) for table, walk in walks]
-        self._pieces = heapq.merge(*pieces, key=_begins, reverse=scan.reverse)
+        walks = [(table, _walk(directory, table, read)) for table in tables]
+        pieces = [_pieces(table, walk, read) for table, walk in walks]
+        self._pieces = heapq.merge(*pieces, key=_begins, reverse=read.reverse)
         self._next = next(self._pieces, None)
         self._asked: deque[tuple[Piece, Iterator[_T], bool]] = deque()
-        self._ahead = 0 if scan.few else 1
+        self._ahead = 0 if self._few else 1
         self._listed = 0
-        self._unnoted = walks if scan.few else []
+        self._unnoted = walks if self._few else []
         self._share(sum(len(walk.met) for _, walk in walks))
         self._look()
 
     def _share(self, streams: int) -> None:
         """Divide what may be held and what is wanted among so many streams."""
-        scan, self._streams = self._scan, max(1, streams)
-        pages = self._streams + (AHEAD if scan.few or scan.chooser is not None else 1)
+        self._streams = max(1, streams)
+        pages = self._streams + (AHEAD if self._few or self._read.chooser is not None else 1)
         self._page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
 
     def _foresee(self, directory: Directory, tables: Sequence[RowTable]) -> None:
         """Ask for what is probably read first, before the directory is."""
-        pieces, streams = foresee(directory, tables, self._scan)
+        pieces, streams = foresee(directory, tables, self._read)
         self._share(streams)
         for piece in map(self._sized, pieces):
-            self._early[_request(piece)] = self._open(piece, self._scan, None)
+            self._early[_request(piece)] = self._open(piece, self._read, None)
 
     def _look(self) -> None:
         first = self._asked[0][0] if self._asked else self._next
@@ -452,12 +463,12 @@ class _Prefetched(Generic[_T]):
             self._next = next(self._pieces, None)
         if self._unnoted:
             met = [(table, walk.met) for table, walk in self._unnoted]
-            note_first(self._directory, met, [each for each, _, _ in self._asked], self._scan)
+            note_first(self._directory, met, [each for each, _, _ in self._asked], self._read)
             self._unnoted = []
         piece, rows, filtered = self._asked.popleft()
         self._look()
         self._listed += max(1, piece.listed) if piece.rows else 0
-        if not self._scan.few or (self._listed >= self._rows and self.start != piece.start):
+        if not self._few or (self._listed >= self._rows and self.start != piece.start):
             self._ahead = min(max(1, 2 * self._ahead), AHEAD) if filtered else 1
             self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
         return rows
@@ -466,7 +477,7 @@ class _Prefetched(Generic[_T]):
         """Say whether a bucket is asked for besides those that are."""
         if not self._asked or (piece.rows and len(self._asked) <= self._ahead):
             return True
-        if not self._scan.few or not piece.rows or len(self._asked) > AHEAD:
+        if not self._few or not piece.rows or len(self._asked) > AHEAD:
             return False
         listed = self._listed + sum(each.listed for each, _, _ in self._asked)
         return piece.start == self._asked[0][0].start or listed < self._rows
@@ -476,15 +487,15 @@ class _Prefetched(Generic[_T]):
         return piece._replace(
             page_rows=_page_rows(piece.rows, self._page_bytes),
             page_bytes=self._page_bytes,
-            first_rows=rows if self._scan.few else 0,
+            first_rows=rows if self._few else 0,
         )
 
     def _ask(self, piece: Piece) -> None:
         if not piece.rows:
             self._asked.append((piece, iter(()), False))
             return
-        piece, chooser = self._sized(piece), self._scan.chooser
+        piece, chooser = self._sized(piece), self._read.chooser
         chosen = None if chooser is None else chooser.choose(piece.table, piece.rows)
         early = self._early.pop(_request(piece), None) if chosen is None else None
-        rows = self._open(piece, self._scan, chosen) if early is None else early
+        rows = self._open(piece, self._read, chosen) if early is None else early
         self._asked.append((piece, rows, chosen is not None))

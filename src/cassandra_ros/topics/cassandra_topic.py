@@ -25,18 +25,17 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.printable import public_names
-from cassandra_ros.query.plan.pushdown import Pushdown
+from cassandra_ros.read import Chooser, Columns, Named, Read, Whose
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.descriptions import topic_html, topic_line
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
-from cassandra_ros.topics.key_selection import AnyKey, TimeRange, Whose
+from cassandra_ros.topics.key_selection import AnyKey, range_between
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_objects import with_messages
 from cassandra_ros.topics.row_finder import Filter, Finder, Where
-from cassandra_ros.topics.row_reader import Columns
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key, StoredRow
-from cassandra_ros.topics.stored_totals import count_buckets
+from cassandra_ros.topics.stored_totals import count_buckets, count_rows
 from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
 from cassandra_ros.topics.topic_wish import Wish
 
@@ -268,7 +267,7 @@ class CassandraTopic:
         key_format = (tables[0] if tables else self._wish).metadata.key_format or "time"
         passing = None
         if where is not None:
-            filtered = partial(Filter, self, where, nodeID, whose.writers)
+            filtered = partial(Filter, self, where, whose)
             passing = self._keyspace.naming(filtered)
         return Finder(self._keyspace, self.name, key_format, tables, whose, passing)
 
@@ -292,7 +291,7 @@ class CassandraTopic:
         after: Optional[Position] = None,
         reverse: bool = False,
         columns: Optional[Columns] = None,
-        chooser: Optional[Pushdown] = None,
+        chooser: Optional[Chooser] = None,
         run: RunName = None,
         wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
@@ -310,11 +309,26 @@ class CassandraTopic:
         if not isinstance(after, (Position, type(None))):
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
         limit = check_limit(limit)
-        time_range, whose = TimeRange.between(key, to_key), self._whose(nodeID, run)
-        read = partial(self._keyspace.rows.read, self._stored(), time_range, whose=whose)
-        few = limit if wanted is None else wanted
-        rows = read(after=after, reverse=reverse, columns=columns, chooser=chooser, wanted=few)
-        return islice(rows, limit)
+        read = Read(
+            range_between(key, to_key),
+            self._whose(nodeID, run),
+            after=after,
+            reverse=reverse,
+            columns=columns,
+            chooser=chooser,
+            wanted=limit if wanted is None else wanted,
+        )
+        return islice(self.read(read), limit)
+
+    def read(self, read: Read) -> Iterator[StoredRow]:
+        """Walk through the messages that a read asks for, without making objects."""
+        if isinstance(read.only, Named):
+            check_message_name(self.name, read.only.name)
+        return self._keyspace.rows.read(self._stored(), read)
+
+    def count(self, read: Read) -> int:
+        """Count the messages in the time range of a read, of its nodes and writers."""
+        return count_rows(self._keyspace.directory, self._stored(), read)
 
     def _stored(self) -> WholeTopic:
         wish = self._wish
@@ -422,10 +436,8 @@ class CassandraTopic:
             InvalidKey: key or to_key cannot be one.
         """
         finder = self._finder(nodeID, where, run)
-        reads, writers = finder.reads(key, to_key), finder.whose.writers
-        return self._keyspace.naming(
-            lambda: read_arrays(self, fields, where, *reads, node=nodeID, writers=writers)
-        )
+        reads, whose = finder.reads(key, to_key), finder.whose
+        return self._keyspace.naming(lambda: read_arrays(self, fields, where, *reads, whose=whose))
 
     def toDataFrame(
         self,
@@ -451,10 +463,8 @@ class CassandraTopic:
             MissingDependency: pandas is not installed; the text says how.
         """
         finder = self._finder(nodeID, where, run)
-        reads, writers = finder.reads(key, to_key), finder.whose.writers
-        return self._keyspace.naming(
-            lambda: read_frame(self, fields, where, *reads, node=nodeID, writers=writers)
-        )
+        reads, whose = finder.reads(key, to_key), finder.whose
+        return self._keyspace.naming(lambda: read_frame(self, fields, where, *reads, whose=whose))
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index on a field, so that conditions on it read only the rows that they find.
@@ -507,7 +517,7 @@ class CassandraTopic:
         return self.getRow(key) is not None
 
     def __dir__(self) -> list[str]:
-        return public_names(self, ("countBuckets", "getRow", "rows", "tables"))
+        return public_names(self, ("count", "countBuckets", "getRow", "read", "rows", "tables"))
 
     def __repr__(self) -> str:
         space = self._keyspace

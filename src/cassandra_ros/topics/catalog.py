@@ -31,19 +31,13 @@ from cassandra_ros.messages.ros_master import topic_type
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
+from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.directory import STALE_SEC
 from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
-from cassandra_ros.topics.key_selection import (
-    EVERYBODY,
-    LAST_NS,
-    Clock,
-    TimeRange,
-    Whose,
-    spellings,
-)
+from cassandra_ros.topics.key_selection import Clock, range_between, spellings
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed
 from cassandra_ros.topics.removal import delete_time_range
@@ -186,11 +180,9 @@ class Catalog:
             # Its table would be gone with what comes meanwhile, which no count has.
             space.registry.forget_losses(name)
             return sum(
-                delete_time_range(space, [table], 0, LAST_NS, EVERYBODY)
-                for table in tables
-                if not table.named
+                delete_time_range(space, [table], Read()) for table in tables if not table.named
             )
-        removed = count_rows(space.directory, tables, 0, LAST_NS, EVERYBODY)
+        removed = count_rows(space.directory, tables, Read())
         for table in space.schema.drop_topic(name, renew=renew):
             space.directory.forget(table)
             space.registry.forget(table)
@@ -278,16 +270,22 @@ class Catalog:
             return TimeRange()
         return time_range_between(self.keyspace, self.tables(topics), key, to_key)
 
+    def read_of(
+        self,
+        topics: Optional[Iterable[str]],
+        key: Optional[Time],
+        to_key: Optional[Time],
+        whose: Whose,
+    ) -> Read:
+        """Return the read of some topics between two times, None = open; see time_range."""
+        return Read(self.time_range(topics, key, to_key), whose)
+
     def whose(self, node: Optional[str], run: RunName) -> Whose:
         """Check nodeID and run, and return whose messages they mean; RunNotFound, InvalidName."""
         return Whose(check_nodes(node), self.keyspace.runs.writers(run))
 
     def filters(
-        self,
-        where: Conditions,
-        topics: Optional[Iterable[str]],
-        node: Optional[str],
-        run: RunName = None,
+        self, where: Conditions, topics: Optional[Iterable[str]], whose: Whose = EVERYBODY
     ) -> Dict[str, Filter]:
         """Return a filter for each topic that a condition is for; it must be one that is read."""
         if where is None:
@@ -295,7 +293,6 @@ class Catalog:
         if not isinstance(where, Mapping):
             raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
         self.keyspace.schema.tables(fresh=True)
-        writers = self.keyspace.runs.writers(run)
         read = None if topics is None else {self.get(name).name for name in topics}
         found: Dict[str, Filter] = {}
         for name, condition in where.items():
@@ -308,7 +305,7 @@ class Catalog:
                 )
             if topic.name in found:
                 raise InvalidOption(f"there are two conditions for topic {topic.name}; join them")
-            found[topic.name] = Filter(topic, condition, node, writers)
+            found[topic.name] = Filter(topic, condition, whose)
         return found
 
     def losses(
@@ -320,7 +317,7 @@ class Catalog:
         run: RunName,
     ) -> List[Loss]:
         """List what should have been recorded and was not; see RosCassandra.losses."""
-        names, time_range = check_topics(topics), TimeRange.between(key, to_key)
+        names, time_range = check_topics(topics), range_between(key, to_key)
         return self.keyspace.runs.losses(names, time_range, self.whose(node, run))
 
     def infos(
@@ -344,33 +341,33 @@ class Catalog:
     ) -> Iterator[StoredRow]:
         """Walk lazily through the rows of several topics; see RosCassandra.readMessages."""
         names = check_topics(topics)
-        filters, whose = self.filters(where, names, node, run), self.whose(node, run)
-        time_range = self.time_range(names, key, to_key)
-        return self.merged(self.tables(names), filters, time_range, whose, received)
+        whose = self.whose(node, run)
+        filters, read = self.filters(where, names, whose), self.read_of(names, key, to_key, whose)
+        return self.merged(self.tables(names), filters, read, received=received)
 
     def merged(
         self,
         tables: Sequence[TopicTable],
         filters: Mapping[str, Filter],
-        time_range: TimeRange,
-        whose: Whose = EVERYBODY,
+        read: Read,
+        *,
         received: bool = False,
     ) -> Iterator[StoredRow]:
         """Walk lazily through the rows of some tables that pass their filters, merged by time."""
-        read = self.keyspace.rows.received if received else self.keyspace.rows.read
+        rows_of = self.keyspace.rows.received if received else self.keyspace.rows.read
         by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
         free: List[TopicTable] = []
         for table in tables:
             by_topic.get(table.metadata.topic, free).append(table)
         if not any(by_topic.values()):
-            return read(free, time_range, whose=whose)
-        streams = [read(free, time_range, whose=whose)] if free else []
+            return rows_of(free, read)
+        streams = [rows_of(free, read)] if free else []
         for name, own in by_topic.items():
             if received and any(t.metadata.own_time and not t.named for t in own):
                 # Read by a time that its key is not: the store cannot look for both.
-                streams.append(filter(filters[name].test, read(own, time_range, whose=whose)))
+                streams.append(filter(filters[name].test, rows_of(own, read)))
             elif own:
-                streams.append(filters[name].rows(time_range))
+                streams.append(filters[name].rows(read))
         return heapq.merge(*streams, key=attrgetter("arrival" if received else "position"))
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Iterable, Iterator, NamedTuple, Optional
 
-from cassandra_ros.topics.key_selection import TimeRange
+from cassandra_ros.read import TimeRange
 
 
 class Piece(NamedTuple):

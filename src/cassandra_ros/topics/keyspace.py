@@ -9,13 +9,13 @@ from typing import Callable, Sequence, TypeVar
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.protocols import Places as RobotPlaces
+from cassandra_ros.read import Whose
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.index_changes import IndexChanges
 from cassandra_ros.tables.place_index import PlaceIndex
 from cassandra_ros.tables.registry import Registry
 from cassandra_ros.tables.schema import Schema
 from cassandra_ros.tables.side_tables import SideTables
-from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.new_tables import NewTables
 from cassandra_ros.topics.replaced_tables import Following
 from cassandra_ros.topics.row_reader import RowReader

@@ -10,10 +10,10 @@ from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
 from cassandra_ros.blocks.block_counts import headers
 from cassandra_ros.blocks.block_deletion import Cutter
 from cassandra_ros.places.paths import LONGEST_GAP_NS
+from cassandra_ros.read import Read, Whose
 from cassandra_ros.store.row_counts import scan_keys, scan_written
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.row_table import BlockKey
-from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.replaced_tables import current
 from cassandra_ros.topics.stored_row import StoredRow
@@ -27,13 +27,12 @@ _Key = Tuple[int, int, bool]
 """As the store has them: time and counter; and whether there are chunks."""
 
 
-def delete_time_range(
-    space: Keyspace, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
-) -> int:
-    """Delete rows with t in [low, high], and their chunks; return how many these were.
+def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read) -> int:
+    """Delete the rows in the time range of a read, of its nodes and writers; return how many.
 
     What is stored while this goes on stays, or is counted, too.
     """
+    (low, high), whose = read.time_range, read.whose
     deleted = 0
     # Before it is read who wrote where: who opens a bucket later keeps what he writes.
     until = space.cassandra.server_time_us()

@@ -9,15 +9,15 @@ have the same places there.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Callable, Iterator, Optional, Sequence, TypeVar, Union
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.errors import TopicNotFound
-from cassandra_ros.keys import Position, RowName, is_behind
+from cassandra_ros.keys import RowName
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query.plan.pushdown import Pushdown
-from cassandra_ros.topics.key_selection import EVERYBODY, Selection, TimeRange, Whose
-from cassandra_ros.topics.row_reader import Columns, RowReader
+from cassandra_ros.read import Read, Whose
+from cassandra_ros.topics.row_reader import RowReader
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
 
@@ -83,70 +83,45 @@ class Following:
     def __init__(self, rows: RowReader) -> None:
         self._rows = rows
 
-    def select(
-        self,
-        tables: Tables,
-        wanted: Selection,
-        whose: Whose,
-        reverse: bool,
-        few: Optional[int] = None,
-    ) -> Iterator[StoredRow]:
-        """Yield the rows that a selection means, in the order of time or newest first."""
-        if isinstance(wanted, TimeRange):
-            return self.read(tables, wanted, whose=whose, reverse=reverse, wanted=few)
+    def read(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
+        """Yield rows in their order; ``read.after`` may name a table that was replaced."""
+        after, last = read.after, None
+        while True:
+            tables = current(tables)
+            if last is not None:
+                after = last.position
+            behind = None if after is None else after.among((t.name for t in tables), read.reverse)
+            try:
+                found = self._rows.read(tables, replace(read, after=behind))
+                first = next(found, None)
+                if last is None and _left(tables):
+                    continue  # nothing was given yet
+                if first is not None:
+                    tables = list(tables)  # what is made from now on need not be read
+                    last = first
+                    yield first
+                for row in found:
+                    last = row
+                    yield row
+                if not _left(tables):
+                    return
+            except TopicNotFound as exc:
+                tables = _replaced(tables, exc)
 
-        def rows(now: Tables, after: Optional[Position]) -> Iterator[StoredRow]:
-            every = self._rows.select(now, wanted, whose, reverse, few)
-            return (row for row in every if is_behind(row.position, after, reverse))
-
-        return _followed_rows(tables, rows, None, reverse)
-
-    def read(
-        self,
-        tables: Tables,
-        time_range: TimeRange,
-        *,
-        whose: Whose = EVERYBODY,
-        after: Optional[Position] = None,
-        reverse: bool = False,
-        columns: Optional[Columns] = None,
-        chooser: Optional[Pushdown] = None,
-        wanted: Optional[int] = None,
-    ) -> Iterator[StoredRow]:
-        """Yield rows with a time in a stretch; ``after`` may name a table that was replaced."""
-
-        def rows(now: Tables, behind: Optional[Position]) -> Iterator[StoredRow]:
-            return self._rows.read(
-                now,
-                time_range,
-                whose=whose,
-                after=behind,
-                reverse=reverse,
-                columns=columns,
-                chooser=chooser,
-                wanted=wanted,
-            )
-
-        return _followed_rows(tables, rows, after, reverse)
-
-    def blocks(
-        self, tables: Tables, time_range: TimeRange, *, whose: Whose = EVERYBODY
-    ) -> Optional[Iterator[MessageBlock]]:
+    def blocks(self, tables: Tables, read: Read) -> Optional[Iterator[MessageBlock]]:
         """Read whole blocks, as RowReader does; TopicNotFound where a table was replaced."""
         tables = current(tables)
-        found = self._rows.blocks(tables, time_range, whose=whose)
+        found = self._rows.blocks(tables, read)
         return None if found is None else _unless_left(tables, found)
 
-    def received(
-        self, tables: Tables, time_range: TimeRange, *, whose: Whose = EVERYBODY
-    ) -> Iterator[StoredRow]:
-        """Yield the rows that were received in a stretch, in the order of their reception."""
+    def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
+        """Yield the rows received in the time range of a read, in the order of their reception."""
         last: Optional[StoredRow] = None
         while True:
             tables = current(tables)
             given = None if last is None else last.arrival[:3]
             try:
-                for row in self._rows.received(tables, time_range, whose=whose):
+                for row in self._rows.received(tables, read):
                     if given is None or row.arrival[:3] > given:
                         last = row
                         yield row
@@ -159,9 +134,9 @@ class Following:
         """Read one row by the key that the store gave: one SELECT."""
         return followed([table], lambda now: self._rows.exact(now[0], key))
 
-    def at(self, tables: Tables, t: int, whose: Whose) -> Optional[StoredRow]:
-        """Read the first row with exactly this time."""
-        return followed(tables, lambda now: self._rows.at(now, t, whose))
+    def at(self, tables: Tables, read: Read) -> Optional[StoredRow]:
+        """Read the first row of a read whose time range is one time."""
+        return followed(tables, lambda now: self._rows.at(now, read))
 
     def beside(
         self, tables: Tables, t: int, whose: Whose, ways: Sequence[bool]
@@ -174,33 +149,3 @@ def _unless_left(tables: Tables, blocks: Iterator[MessageBlock]) -> Iterator[Mes
     yield from blocks
     if _left(tables):
         raise TopicNotFound("a table was replaced while it was read")
-
-
-def _followed_rows(
-    tables: Tables,
-    rows: Callable[[Tables, Optional[Position]], Iterator[StoredRow]],
-    after: Optional[Position],
-    reverse: bool,
-) -> Iterator[StoredRow]:
-    last: Optional[StoredRow] = None
-    while True:
-        tables = current(tables)
-        if last is not None:
-            after = last.position
-        behind = None if after is None else after.among((t.name for t in tables), reverse)
-        try:
-            found = rows(tables, behind)
-            first = next(found, None)
-            if last is None and _left(tables):
-                continue  # nothing was given yet
-            if first is not None:
-                tables = list(tables)  # what is made from now on need not be read
-                last = first
-                yield first
-            for row in found:
-                last = row
-                yield row
-            if not _left(tables):
-                return
-        except TopicNotFound as exc:
-            tables = _replaced(tables, exc)

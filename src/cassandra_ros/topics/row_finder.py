@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
 from numbers import Integral
@@ -26,17 +26,9 @@ from cassandra_ros.messages.stamps import (
 )
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.run import Condition
-from cassandra_ros.query.source import Source, Writers
-from cassandra_ros.topics.key_selection import (
-    EVERYBODY,
-    LAST_NS,
-    AnyKey,
-    Named,
-    Selection,
-    TimeRange,
-    Valued,
-    Whose,
-)
+from cassandra_ros.query.source import Source
+from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
+from cassandra_ros.topics.key_selection import AnyKey, range_between
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.stored_row import StoredRow
@@ -69,47 +61,40 @@ class Finder:
     def many(
         self, key: AnyKey, to_key: AnyKey, *, limit: Optional[int] = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
-        """Walk through the rows that key and to_key mean, as the ends of a stretch or alone."""
+        """Walk through the rows that key and to_key mean: the time range between them, or one."""
         limit = check_limit(limit)
-        rows = self._select(self.several(key, to_key), reverse=reverse, few=limit)
-        return islice(rows, limit)
+        read = replace(self.read_of(key, to_key), reverse=reverse, wanted=limit)
+        return islice(self._rows(read), limit)
 
-    def _select(
-        self,
-        wanted: Selection,
-        *,
-        reverse: bool = False,
-        bare: bool = False,
-        few: Optional[int] = None,
-    ) -> Iterator[StoredRow]:
-        """Walk through what is meant; few: so many are probably taken, None = all."""
-        if self.where is not None and isinstance(wanted, TimeRange):
-            return self.where.rows(wanted, reverse=reverse, bare=bare, wanted=few)
-        rows = self.keyspace.rows.select(self.tables, wanted, self.whose, reverse, few)
+    def _rows(self, read: Read, *, bare: bool = False) -> Iterator[StoredRow]:
+        """Walk through the rows of a read that satisfy the condition."""
+        if self.where is not None and read.only is None:
+            return self.where.rows(read, bare=bare)
+        rows = self.keyspace.rows.read(self.tables, read)
         return rows if self.where is None else filter(self.where.test, rows)
 
     def columns(
         self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
     ) -> Iterator[StoredRow]:
         """Walk through the rows of ``many``; of a time range only these columns are read."""
-        wanted = self.several(key, to_key)
-        if self.where is not None or not isinstance(wanted, TimeRange):
-            return self._select(wanted)
-        return self.keyspace.rows.read(self.tables, wanted, whose=self.whose, columns=columns)
+        read = self.read_of(key, to_key)
+        if self.where is not None or read.only is not None:
+            return self._rows(read)
+        return self._rows(replace(read, columns=columns))
 
     def reads(self, key: AnyKey, to_key: AnyKey) -> Tuple[ReadRows, Optional[ReadBlocks]]:
         """Return how the rows of ``many`` are read for arrays: one by one, or (None) as blocks."""
-        wanted, blocks = self.several(key, to_key), None
-        if self.where is None and isinstance(wanted, TimeRange):
-            blocks = partial(self.keyspace.rows.blocks, self.tables, wanted, whose=self.whose)
+        read, blocks = self.read_of(key, to_key), None
+        if self.where is None and read.only is None:
+            blocks = partial(self.keyspace.rows.blocks, self.tables, read)
         return partial(self.columns, key, to_key), blocks
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
         """Count the rows of ``many``, of a whole time range without reading them."""
-        wanted = self.several(key, to_key)
-        if isinstance(wanted, TimeRange) and self.where is None:
-            return count_rows(self.keyspace.directory, self.tables, *wanted, self.whose)
-        return sum(1 for _ in self._select(wanted, bare=True))
+        read = self.read_of(key, to_key)
+        if read.only is None and self.where is None:
+            return count_rows(self.keyspace.directory, self.tables, read)
+        return sum(1 for _ in self._rows(read, bare=True))
 
     def remove(self, key: AnyKey, to_key: AnyKey) -> int:
         """Delete the rows at key, or those of ``many``; see CassandraTopic.removeData."""
@@ -119,7 +104,7 @@ class Finder:
                 f"truncateTopic removes all messages of topic {self.topic}"
             )
         if key is None or to_key is not None:
-            return self._remove(self.several(key, to_key))
+            return self._remove(self.read_of(key, to_key))
         if _is_ours(key):
             # It and no other of the same time, whosever that is.
             row = self._exact(key, self._table_of(key)) if self.whose.has(key) else None
@@ -130,10 +115,10 @@ class Finder:
             raise MessageNotFound(self.absent(key, None))
         return count
 
-    def _remove(self, wanted: Selection) -> int:
-        if isinstance(wanted, TimeRange) and self.where is None and not self._named:
-            return delete_time_range(self.keyspace, self.tables, *wanted, self.whose)
-        return delete_rows(self.keyspace, self._select(wanted, bare=True))
+    def _remove(self, read: Read) -> int:
+        if read.only is None and self.where is None and not self._named:
+            return delete_time_range(self.keyspace, self.tables, read)
+        return delete_rows(self.keyspace, self._rows(read, bare=True))
 
     def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
         """Find the one row that getData means by a key; None where there is none."""
@@ -142,17 +127,17 @@ class Finder:
         table = self._table_of(key) if self._is_exact(key) else None
         if table is not None:
             return self._exact(key, table)
-        wanted = self.one(key)
-        if isinstance(wanted, TimeRange):
-            return self._at(wanted.low)
-        newest = isinstance(wanted, Named)  # of several versions; of equal values the first
-        return next(self._select(wanted, reverse=newest), None)
+        read = self.one(key)
+        if read.only is None:
+            return self._at(read)
+        newest = isinstance(read.only, Named)  # of several versions; of equal values the first
+        return next(self._rows(replace(read, reverse=newest)), None)
 
-    def _at(self, t: int) -> Optional[StoredRow]:
-        """Find the row at a time, ns: of several the first in the order of all reads."""
+    def _at(self, read: Read) -> Optional[StoredRow]:
+        """Find the row at a time: of several the first in the order of all reads."""
         if self.where is None:
-            return self.keyspace.rows.at(self.tables, t, self.whose)
-        return next(self._select(TimeRange(t, t), few=1), None)
+            return self.keyspace.rows.at(self.tables, read)
+        return next(self._rows(replace(read, wanted=1)), None)
 
     def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
         """Return the table in which a key of ours lies; None where it is gone."""
@@ -171,15 +156,15 @@ class Finder:
     def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
-        wanted = self.one(key)
-        if not isinstance(wanted, TimeRange):
-            kind = "names" if isinstance(wanted, Named) else "values of a field"
+        read = self.one(key)
+        if read.only is not None:
+            kind = "names" if isinstance(read.only, Named) else "values of a field"
             raise InvalidKey(
                 f"the keys of topic {self.topic} are {kind}, which have no order: none is "
                 "nearest; leave nearest out"
             )
         refuse_seconds(self.keyspace, self.tables, key)
-        return self._nearest(wanted.low, nearest)
+        return self._nearest(read.time_range.low, nearest)
 
     def _nearest(self, t: int, nearest: str) -> Optional[StoredRow]:
         ways = {"before": [True], "after": [False], "either": [True, False]}[nearest]
@@ -190,11 +175,12 @@ class Finder:
         before = after = None
         low = 0
         if nearest != "before":
-            after = next(self._select(TimeRange(t, LAST_NS), few=1), None)
+            after = next(self._rows(Read(TimeRange(t, LAST_NS), self.whose, wanted=1)), None)
             if after is not None and nearest == "either":
                 low = max(0, t - (after.t - t))  # what lies before that is further away
         if nearest != "after":
-            for row in self._select(TimeRange(low, t), reverse=True, few=2):
+            back = Read(TimeRange(low, t), self.whose, reverse=True, wanted=2)
+            for row in self._rows(back):
                 if before is not None and row.t != before.t:
                     break
                 before = row  # backwards the last of equal stamps comes first
@@ -202,7 +188,7 @@ class Finder:
 
     def absent(self, key: AnyKey, nearest: Optional[str]) -> str:
         """Say that there is no message at a key, what lies near, and what was probably meant."""
-        wanted = self.one(key)
+        read = self.one(key)
         none = f"topic {self.topic} has no message"
         if self.whose.nodes is not None:
             none += f" of node {self.whose.nodes[0]}"
@@ -210,12 +196,12 @@ class Finder:
             none += " of this run"
         if self.where is not None:
             none += f" that satisfies {self.where.text!r:.200}"
-        if isinstance(wanted, Named):
+        if isinstance(read.only, Named):
             name = str(key)[:80]
             return f"{none} under the name {name!r}; items() lists the names that there are"
-        if not isinstance(wanted, TimeRange):
+        if read.only is not None:
             return f"{none} whose key field is {key!r:.80}"
-        t = wanted.low
+        t = read.time_range.low
         none += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
         if isinstance(key, int) and 0 < t < SECONDS_BELOW:
             return none + "; integers are nanoseconds; did you mean seconds (a float)?"
@@ -240,10 +226,10 @@ class Finder:
     def _parts(self) -> List[KeyPart]:
         return [t.value_part for t in self.tables if t.value_part is not None]
 
-    def several(self, key: AnyKey, to_key: AnyKey) -> Selection:
-        """Say what key and to_key mean as the ends of a stretch, or what key alone means."""
+    def read_of(self, key: AnyKey, to_key: AnyKey) -> Read:
+        """Return the read of the time range between key and to_key, or of what key alone means."""
         if key is None and to_key is None:
-            return TimeRange()
+            return Read(whose=self.whose)
         if self._named and to_key is not None:
             raise InvalidKey(
                 f"messages of topic {self.topic} are kept under names (key_format "
@@ -258,16 +244,16 @@ class Finder:
                 "messages lie in the order of time: a stretch goes from one genpy.Time to "
                 "another; ask for a range of values with executeCQL"
             )
-        return time_range_between(self.keyspace, self.tables, key, to_key)
+        return Read(time_range_between(self.keyspace, self.tables, key, to_key), self.whose)
 
-    def one(self, key: AnyKey) -> Selection:
-        """Say what a single key means: one time, one name, or one value."""
+    def one(self, key: AnyKey) -> Read:
+        """Return the read of what a single key means: one time, one name, or one value."""
         if self._named:
-            return Named(check_message_name(self.topic, key))
+            return Read(whose=self.whose, only=Named(check_message_name(self.topic, key)))
         if self._is_value(key):
-            return Valued(key)
+            return Read(whose=self.whose, only=Valued(key))
         t = to_ns(key)
-        return TimeRange(t, t)
+        return Read(TimeRange(t, t), self.whose)
 
     def _is_value(self, key: AnyKey) -> bool:
         return bool(self._parts) and key is not None and not is_time(key)
@@ -297,7 +283,7 @@ def seconds_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object)
     if not isinstance(key, Integral) or not 0 < int(key) < SECONDS_BELOW:
         return ""
     timed = [table for table in tables if not table.named]
-    first = next(keyspace.rows.read(timed, TimeRange(), wanted=1), None)
+    first = next(keyspace.rows.read(timed, Read(wanted=1)), None)
     if first is None or first.t < SECONDS_BELOW:  # the times of a simulation are small
         return ""
     return (
@@ -318,7 +304,7 @@ def time_range_between(
     keyspace: Keyspace, tables: Sequence[TopicTable], key: Optional[Time], to_key: Optional[Time]
 ) -> TimeRange:
     """Return the stretch of some tables between two times, None = open; refuses seconds."""
-    time_range = TimeRange.between(key, to_key)
+    time_range = range_between(key, to_key)
     refuse_seconds(keyspace, tables, key, to_key)
     return time_range
 
@@ -339,8 +325,7 @@ class Filter:
         self,
         topic: Source[StoredRow],
         where: Where,
-        node: Optional[str] = None,
-        run: Writers = None,
+        whose: Whose = EVERYBODY,
     ) -> None:
         given = (where, ()) if isinstance(where, str) else where
         pair = isinstance(given, (tuple, list)) and len(given) == 2
@@ -349,18 +334,9 @@ class Filter:
             raise InvalidQuery(repr(where)[:200], 0, wanted)
         self.text, params = given
         self._topic = topic
-        self._condition = Condition(self.text, params, node, run)
-        self.test = self._condition.test(topic.tables)
+        self._condition = Condition(self.text, params)
+        self.test = self._condition.test(topic.tables, whose)
 
-    def rows(
-        self,
-        time_range: TimeRange,
-        *,
-        reverse: bool = False,
-        bare: bool = False,
-        wanted: Optional[int] = None,
-    ) -> Iterator[StoredRow]:
-        """Walk through those in a stretch, in order of time; see Condition.rows."""
-        low, high = time_range
-        rows = self._condition.rows
-        return rows(self._topic, low, high, reverse=reverse, bare=bare, wanted=wanted)
+    def rows(self, read: Read, *, bare: bool = False) -> Iterator[StoredRow]:
+        """Walk through those of a read; see Condition.rows."""
+        return self._condition.rows(self._topic, read, bare=bare)

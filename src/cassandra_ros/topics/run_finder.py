@@ -13,12 +13,11 @@ from typing import Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
 from cassandra_ros.arguments import check_run
 from cassandra_ros.errors import RunNotFound
 from cassandra_ros.keys import MAX_WRITER
+from cassandra_ros.read import TimeRange, Whose, Writers
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss, Registry, Run
-from cassandra_ros.topics.key_selection import TimeRange, Whose, spellings
+from cassandra_ros.topics.key_selection import spellings
 
-Writers = Optional[FrozenSet[int]]
-"""Writer ids whose messages are read; None = all."""
 RunName = Union[None, str, int, FrozenSet[int]]
 """A run's name, its writer id as a number or text, or a set of writer ids; None = all runs."""
 FRESH_SEC = 5.0

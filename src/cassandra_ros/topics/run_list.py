@@ -11,11 +11,11 @@ from typing import Counter as Counts
 from typing import Dict, FrozenSet, List, Sequence
 
 from cassandra_ros.keys import writer_of
+from cassandra_ros.read import Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import STALE_SEC, Directory
 from cassandra_ros.tables.registry import Run, Sign
-from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.stored_totals import buckets_of

@@ -10,9 +10,9 @@ from typing import Callable, FrozenSet, List, Optional, Sequence, Tuple
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.sources import ArraySource
 from cassandra_ros.places.stored import Extent
+from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.directory import BucketRow
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.key_selection import TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.stored_totals import buckets_of
@@ -76,15 +76,14 @@ class StoredPlaces:
             return time_range.low, time_range.high
         found = []
         for reverse in (False, True):
-            rows = self._keyspace.rows.read(
-                [table],
+            read = Read(
                 time_range,
-                whose=Whose([row.node]),
-                columns=lambda table: (),
+                Whose((row.node,)),
                 reverse=reverse,
+                columns=lambda table: (),
                 wanted=1,
             )
-            found += [each.t for each in islice(rows, 1)]
+            found += [each.t for each in islice(self._keyspace.rows.read([table], read), 1)]
         return (min(found), max(found)) if found else None
 
     def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:

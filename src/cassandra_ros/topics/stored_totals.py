@@ -11,11 +11,11 @@ from typing import Optional, Sequence
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
+from cassandra_ros.read import EVERYBODY, Read, Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import count_part, settle
 from cassandra_ros.tables.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.tables.registry import Loss
-from cassandra_ros.topics.key_selection import EVERYBODY, Whose
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -60,18 +60,20 @@ class TopicInfo:
         return f"<TopicInfo {shown(self.topic)}{node}: {text}{lost}>"
 
 
-def count_rows(
-    directory: Directory, tables: Sequence[TopicTable], low: int, high: int, whose: Whose
-) -> int:
-    """Count rows with t in [low, high]: whole closed buckets by the directory."""
+def count_rows(directory: Directory, tables: Sequence[TopicTable], read: Read) -> int:
+    """Count the rows in the time range of a read, of its nodes and writers.
+
+    Whole closed buckets are counted by the directory.
+    """
 
     def count(now: Sequence[TopicTable]) -> int:
-        return sum(_count(directory, table, low, high, whose) for table in now)
+        return sum(_count(directory, table, read) for table in now)
 
     return followed(tables, count)
 
 
-def _count(directory: Directory, table: TopicTable, low: int, high: int, whose: Whose) -> int:
+def _count(directory: Directory, table: TopicTable, read: Read) -> int:
+    (low, high), whose = read.time_range, read.whose
     if table.named:
         keys = (k for k in list_names(table, whose.nodes) if whose.wrote(k.position.seq))
         return sum(low <= key.position.t <= high for key in keys)

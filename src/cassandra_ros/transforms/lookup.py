@@ -15,7 +15,8 @@ from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, Tr
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, iso_time, to_ns
 from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.source import Source, Writers
+from cassandra_ros.query.source import Source
+from cassandra_ros.read import Writers
 from cassandra_ros.transforms.transform_samples import (
     FixedTransforms,
     FrameTree,

@@ -14,14 +14,16 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from typing import Any, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.extract import Extractor
-from cassandra_ros.query.source import Source, Writers
+from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.field_names import all_fields
+from cassandra_ros.read import Read, TimeRange, Whose, Writers
 
 _log = logging.getLogger(__name__)
 
@@ -174,7 +176,7 @@ class TransformTopic:
 
     def __init__(self, topic: Source[Row], node: Optional[str], run: Writers = None) -> None:
         self._topic = topic
-        self._node, self._run = node, run
+        self._whose = Whose.of(node, run)
         self._extractors: dict[str, tuple[Extractor, Extractor]] = {}
         for table in topic.tables:
             self._extractor(table)
@@ -182,17 +184,15 @@ class TransformTopic:
     @cached_property
     def ends(self) -> tuple[int, int]:
         """First and last row key, ns; (MAX_NS, 0) if the topic is empty."""
-        read, node, run = self._topic.rows, self._node, self._run
-        both = [read(nodeID=node, limit=1, reverse=r, run=run) for r in (False, True)]
-        keys = [row.t for rows in both for row in rows]
+        ends = [Read(whose=self._whose, reverse=reverse, wanted=1) for reverse in (False, True)]
+        keys = [row.t for end in ends for row in islice(self._topic.read(end), 1)]
         return (keys[0], keys[-1]) if keys else (MAX_NS, 0)
 
     def read(self, nearest: NearestTransforms, low: int, high: int, reverse: bool = False) -> None:
         """Add the transforms of a range of row keys, ns, both ends included."""
         if low > high:
             return
-        node, run = self._node, self._run
-        for row in self._topic.rows(low, high, nodeID=node, reverse=reverse, run=run):
+        for row in self._topic.read(Read(TimeRange(low, high), self._whose, reverse=reverse)):
             try:
                 self._add(nearest, row)
             except CorruptMessage as exc:

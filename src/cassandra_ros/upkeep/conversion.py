@@ -27,12 +27,12 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.read import EVERYBODY
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.tables import replacement
 from cassandra_ros.tables.directory import STALE_SEC, span_for
 from cassandra_ros.tables.expiry import set_lifetime
 from cassandra_ros.tables.schema import Planned
-from cassandra_ros.topics.key_selection import EVERYBODY
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed, planner
 from cassandra_ros.topics.stored_totals import buckets_of

@@ -4,18 +4,18 @@
 
 from __future__ import annotations
 
-from typing import Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence
+from dataclasses import replace
+from typing import Dict, FrozenSet, Iterable, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.read import ALWAYS, Read, TimeRange, Whose
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.key_selection import EVERYBODY, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Filter
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
-from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -31,7 +31,8 @@ def delete_messages(
 ) -> Dict[str, int]:
     """Delete messages of several topics; see Upkeep.delete."""
     whose, space = catalog.whose(node, run), catalog.keyspace
-    if where is None and whose == EVERYBODY and time_range == TimeRange():
+    read = Read(time_range, whose)
+    if where is None and read == Read():
         raise InvalidOption(
             "nothing says which messages to delete: give times, a node, a run or a "
             "condition; removeTopic and truncateTopic remove all of a topic"
@@ -39,47 +40,39 @@ def delete_messages(
     ending: List[Run] = []
     if run is not None:
         # A run is removed from the list only if all its messages are deleted.
-        all_of_it = topics is None and where is None and time_range == TimeRange()
+        all_of_it = topics is None and where is None and time_range == ALWAYS
         ending = _ended_runs(catalog, whose) if all_of_it else []
     catalog.adder.close()  # buckets that it has open count as being written
     found: Dict[str, int] = {}
     if where is not None:
         for name, passing in _filters(catalog, topics, where, whose).items():
-            rows = passing.rows(time_range, bare=True)
+            rows = passing.rows(read, bare=True)
             found[name] = sum(1 for _ in rows) if dry_run else delete_rows(space, rows)
         return found
     for table in catalog.tables(topics):
-        part = delete_of_table(space, table, time_range, whose, dry_run)
+        part = delete_of_table(space, table, read, dry_run)
         found[table.metadata.topic] = found.get(table.metadata.topic, 0) + part
     if not dry_run:
         _forget(space, ending)
     return found
 
 
-def delete_of_table(
-    space: Keyspace, table: TopicTable, time_range: TimeRange, whose: Whose, dry_run: bool = False
-) -> int:
-    """Delete the messages of a time range from one table, or only count them."""
+def delete_of_table(space: Keyspace, table: TopicTable, read: Read, dry_run: bool = False) -> int:
+    """Delete the messages that a read asks for from one table, or only count them."""
     if dry_run:
-        return count_rows(space.directory, [table], time_range.low, time_range.high, whose)
+        return count_rows(space.directory, [table], read)
     if not table.named:
-        return delete_time_range(space, [table], time_range.low, time_range.high, whose)
-    return delete_rows(space, _rows_of_names(space, table, time_range, whose))
-
-
-def _rows_of_names(
-    space: Keyspace, table: TopicTable, time_range: TimeRange, whose: Whose
-) -> Iterator[StoredRow]:
-    return space.rows.read([table], time_range, whose=whose, columns=lambda table: ())
+        return delete_time_range(space, [table], read)
+    keys = replace(read, columns=lambda table: ())
+    return delete_rows(space, space.rows.read([table], keys))
 
 
 def _filters(
     catalog: Catalog, topics: Optional[Iterable[str]], where: Conditions, whose: Whose
 ) -> Dict[str, Filter]:
     """Return the filters by topic; other topics lose no messages."""
-    node = None if whose.nodes is None else whose.nodes[0]
     named: Optional[Sequence[str]] = None if topics is None else list(topics)
-    filters = catalog.filters(where, named, node, whose.writers)
+    filters = catalog.filters(where, named, whose)
     for name in named or ():
         if catalog.get(name).name not in filters:
             raise InvalidOption(

@@ -11,15 +11,15 @@ and what is left, playable, neither are the latched messages before it of runs w
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Dict, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.overview.latched_messages import LatchedFinder
+from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.hit_windows import joined, merge_windows
-from cassandra_ros.topics.key_selection import EVERYBODY, LAST_NS, TimeRange, Whose
 from cassandra_ros.topics.removal import thin_rows
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import buckets_of, count_rows
@@ -106,7 +106,7 @@ def retain(
     tables = _timed(catalog, topics)
     work = _Work(catalog, tables, rules, dry_run)
     found: Dict[str, Retained] = {}
-    counts = [count_rows(catalog.keyspace.directory, [t], *TimeRange(), EVERYBODY) for t in tables]
+    counts = [count_rows(catalog.keyspace.directory, [t], Read()) for t in tables]
     for number, table in enumerate(tables):
         each = found.setdefault(table.metadata.topic, Retained(table.metadata.topic))
         each.messages += counts[number]
@@ -153,7 +153,7 @@ class _Work:
         """Drop and thin the messages of one table."""
         pins = self._pins.of(table)
         for gap in _gaps(pins, 0, self.cutoff - 1):
-            found.dropped += delete_of_table(self._space, table, gap, EVERYBODY, self._dry_run)
+            found.dropped += delete_of_table(self._space, table, Read(gap), self._dry_run)
         if self._thin_end > self.cutoff:
             # Before reading: messages that are added meanwhile are not deleted.
             until_us = self._space.cassandra.server_time_us()
@@ -191,28 +191,21 @@ class _Work:
         for table, row in newer:
             if row.t_min < whole:
                 whose = Whose((row.node,), frozenset([row.writer]))
-                part = self._bare([table], TimeRange(whole, row.t_max), whose)
+                part = self._bare([table], Read(TimeRange(whole, row.t_max), whose))
                 taken += sum(each.size for each in part)
         return self._further(tables, whole, most - taken)
 
     def _further(self, tables: Sequence[TopicTable], begin: int, left: int) -> int:
         """Go back from a time message by message, while they fit into ``left`` bytes."""
-        for row in self._bare(tables, TimeRange(0, begin - 1), EVERYBODY, reverse=True):
+        for row in self._bare(tables, Read(TimeRange(0, begin - 1), reverse=True)):
             left -= row.size
             if left < 0:
                 return row.t + 1
         return 0
 
-    def _bare(
-        self,
-        tables: Sequence[TopicTable],
-        time_range: TimeRange,
-        whose: Whose = EVERYBODY,
-        reverse: bool = False,
-    ) -> Iterator[StoredRow]:
+    def _bare(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Yield rows without their bytes."""
-        read = self._space.rows.read
-        return read(tables, time_range, whose=whose, reverse=reverse, columns=lambda table: ())
+        return self._space.rows.read(tables, replace(read, columns=lambda table: ()))
 
     # ---------------------------------------------------------------- what stays
 
@@ -220,8 +213,8 @@ class _Work:
         rules, end = self._rules, max(self.cutoff, self._thin_end)
         pins = _Pins()
         if rules.keep:
-            reach = TimeRange(0, min(LAST_NS, end + rules.before))
-            filters = self._catalog.filters(rules.keep, None, None)
+            reach = Read(TimeRange(0, min(LAST_NS, end + rules.before)))
+            filters = self._catalog.filters(rules.keep, None)
             hits = heapq.merge(*(_times(each.rows(reach, bare=True)) for each in filters.values()))
             pieces = merge_windows(hits, rules.before, rules.after, TimeRange(), LAST_NS)
             pins.windows = list(joined(pieces))
@@ -240,7 +233,7 @@ class _Work:
 
         Latched messages are kept: each one holds until the next one comes.
         """
-        for row in self._bare([table], gap):
+        for row in self._bare([table], Read(gap)):
             if self._finder.is_latched(row):
                 yield row, False
                 continue

@@ -23,6 +23,7 @@ from cassandra_ros.blocks.block_row import WHOLE, Block, BlockRow, read_block
 from cassandra_ros.connection.cql_names import quote_name
 from cassandra_ros.connection.paging import RawRow
 from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound, TopicNotFound
+from cassandra_ros.read import TimeRange
 from cassandra_ros.store.fetch import fetch_row, list_names
 from cassandra_ros.store.orphans import old_us, orphans, partitions, remove_orphans, rows_at
 from cassandra_ros.store.row_counts import recount
@@ -35,7 +36,6 @@ from cassandra_ros.tables.row_table import (
     encode_texts,
 )
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import TimeRange
 from cassandra_ros.topics.stored_row import read_wire
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.upkeep.table_copy import Progress

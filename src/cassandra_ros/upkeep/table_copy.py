@@ -9,10 +9,10 @@ from typing import Callable, Dict, FrozenSet, Iterator, List, Optional, Sequence
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
+from cassandra_ros.read import EVERYTHING, Read, TimeRange, Whose
 from cassandra_ros.store.fetch import Wanted, fetch_row, fetch_rows, list_names
 from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
-from cassandra_ros.topics.key_selection import LAST_NS, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.row_reader import RowReader
@@ -45,7 +45,7 @@ class Copy:
         self._new = new
         self._reader = RowReader(space.cassandra, space.directory)
         self._newest = self._newest_of_names()
-        rows = count_rows(space.directory, olds, 0, LAST_NS, Whose())
+        rows = count_rows(space.directory, olds, EVERYTHING)
         self._tell = _Told(progress, 2 * rows)
         names = {old.name for old in olds}
         self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
@@ -70,7 +70,7 @@ class Copy:
             if self._new.metadata.ttl:
                 self._fill_expiring(some)
             else:
-                self._write(self._rows(self._olds, Whose(None, some)))
+                self._write(self._rows(self._olds, Read(whose=Whose(None, some))))
 
     def _writers(self) -> FrozenSet[int]:
         found: Set[int] = set()
@@ -111,22 +111,20 @@ class Copy:
             places.add((row.node, row.bucket))
         for node, bucket in sorted(places):
             time_range = TimeRange(bucket * length, (bucket + 1) * length - 1)
-            part = self._part(table, time_range, Whose((node,), whose.writers))
+            part = self._part(table, Read(time_range, Whose((node,), whose.writers)))
             yield left_in_bucket(table, node, bucket), part
 
-    def _part(
-        self, table: TopicTable, time_range: TimeRange, whose: Whose
-    ) -> Callable[[], Iterator[StoredRow]]:
-        return lambda: self._reader.read([table], time_range, whose=whose)
+    def _part(self, table: TopicTable, read: Read) -> Callable[[], Iterator[StoredRow]]:
+        return lambda: self._reader.read([table], read)
 
-    def _rows(self, tables: Sequence[TopicTable], whose: Whose) -> Iterator[StoredRow]:
+    def _rows(self, tables: Sequence[TopicTable], read: Read = EVERYTHING) -> Iterator[StoredRow]:
         """Yield the rows of tables in order, one of each place.
 
         Raises:
             CorruptMessage: Two messages have the same place, which one table cannot hold.
         """
         last: Optional[StoredRow] = None
-        for row in self._reader.read(tables, TimeRange(), whose=whose):
+        for row in self._reader.read(tables, read):
             if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
                 continue  # an equal message came later, into another table
             if last is not None and row.place == last.place:
@@ -183,8 +181,8 @@ class Copy:
             WriteFailed: They are not the same.
         """
         count = 0
-        ours = self._rows([self._new], Whose())
-        theirs = self._rows(self._olds, Whose())
+        ours = self._rows([self._new])
+        theirs = self._rows(self._olds)
         mine, its = next(ours, None), next(theirs, None)
         while mine is not None or its is not None:
             if mine is not None and its is not None and mine.place == its.place:
@@ -226,7 +224,7 @@ class Copy:
     def add_late(self) -> int:
         """Copy the rows that came into the old tables after the copy; return their number."""
         count = 0
-        rows = self._rows(self._olds, Whose())
+        rows = self._rows(self._olds)
         late = (row for row in rows if fetch_row(self._new, row.position) is None)
         while some := list(islice(late, TOLD)):
             count += len(some)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from cassandra_ros.arguments import check_node
-from cassandra_ros.topics.key_selection import Whose
+from cassandra_ros.read import Whose
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.route import Parameter

@@ -14,8 +14,8 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import decode_cursor
 from cassandra_ros.overview.latest_messages import Latest
 from cassandra_ros.overview.timeline.lanes import Lane, View
+from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import LAST_NS, TimeRange, Whose
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, Stream
@@ -135,9 +135,7 @@ def _messages(call: Call) -> Stream:
     # What is kept under names has no place among what passes by: /api/latest has it.
     rows = call.catalog.keyspace.rows.read(
         [table for table in _shown(call) if not table.named],
-        time_range,
-        whose=whose_chosen(call),
-        after=None if after is None else decode_cursor(after),
+        Read(time_range, whose_chosen(call), after=None if after is None else decode_cursor(after)),
     )
     return Stream(frames(_until_gone(call, rows), limit), CONTENT_TYPE)
 

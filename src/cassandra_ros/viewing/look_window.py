@@ -8,7 +8,7 @@ from typing import Iterable, NamedTuple
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.overview.timeline.lanes import Lane
-from cassandra_ros.topics.key_selection import LAST_NS, TimeRange
+from cassandra_ros.read import LAST_NS, TimeRange
 
 DAY_NS = 24 * 3600 * SECOND_NS
 

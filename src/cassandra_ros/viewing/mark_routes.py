@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Dict, Iterator, List, Mapping, Optional, Tuple
 
 from cassandra_ros.messages.stamps import to_ns
+from cassandra_ros.read import LAST_NS, TimeRange
 from cassandra_ros.tables.registry import Loss, Run
-from cassandra_ros.topics.key_selection import LAST_NS, TimeRange
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most

@@ -9,8 +9,9 @@ from typing import Mapping
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.read import Nodes, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import Nodes, TimeRange, Whose
+from cassandra_ros.topics.key_selection import range_between
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.choice import END, NODES, RUNS, START, TOPICS, whose_chosen
@@ -48,7 +49,7 @@ class Selected:
     @property
     def time_range(self) -> TimeRange:
         """Both ends, ns."""
-        return TimeRange.between(self.start, self.end)
+        return range_between(self.start, self.end)
 
 
 def selected(call: Call) -> Selected:

@@ -170,7 +170,7 @@ def run(options: argparse.Namespace) -> int:
 def _find(options: argparse.Namespace) -> _Found:
     from cassandra_ros.arguments import check_nodes
     from cassandra_ros.overview.timeline.lanes import Timeline, View
-    from cassandra_ros.topics.key_selection import Whose
+    from cassandra_ros.read import Whose
 
     hosts, port = store_place(options)
     with open_store(options) as ros_cas:

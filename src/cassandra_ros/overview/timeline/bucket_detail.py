@@ -17,8 +17,8 @@ from cassandra_ros.blocks.block_counts import headers
 from cassandra_ros.keys import writer_of
 from cassandra_ros.overview.timeline.range_counts import Keys, Piece
 from cassandra_ros.overview.timeline.time_cells import WIDE_CELLS, Bools, Longs, Scale, TimeRanges
+from cassandra_ros.read import Whose
 from cassandra_ros.store.row_counts import scan_keys
-from cassandra_ros.topics.key_selection import Whose
 
 MAX_KEYS = 30_000
 """Maximum number of messages whose keys are read for one picture."""

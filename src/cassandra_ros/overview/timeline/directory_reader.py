@@ -18,10 +18,10 @@ import numpy as np
 from cassandra_ros.connection.cassandra import AT_ONCE
 from cassandra_ros.connection.paging import sent_ahead
 from cassandra_ros.overview.timeline.range_counts import Piece, piece_of, slots_between, unread
+from cassandra_ros.read import LAST_NS, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.bucket_columns import BucketColumns, Place, Wanted
 from cassandra_ros.tables.directory import ALL_ROWS, SLOT_BUCKETS, Directory, slot_of
-from cassandra_ros.topics.key_selection import LAST_NS, Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_PARTITIONS = 2000

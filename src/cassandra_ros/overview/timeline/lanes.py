@@ -27,8 +27,8 @@ from cassandra_ros.overview.timeline.time_cells import (
     gaps_between,
     gaps_in,
 )
+from cassandra_ros.read import EVERYBODY, Whose
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import EVERYBODY, Whose
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.topic_table import TopicTable
 

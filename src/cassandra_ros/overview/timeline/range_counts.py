@@ -9,6 +9,7 @@ from typing import List, NamedTuple, Sequence, Tuple
 import numpy as np
 
 from cassandra_ros.overview.timeline.time_cells import Bools, Longs, TimeRanges
+from cassandra_ros.read import Whose
 from cassandra_ros.store.fetch import some_names
 from cassandra_ros.tables.bucket_columns import BucketColumns
 from cassandra_ros.tables.directory import (
@@ -18,7 +19,6 @@ from cassandra_ros.tables.directory import (
     TTL_MARGIN_SEC,
     slot_of,
 )
-from cassandra_ros.topics.key_selection import Whose
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_NAMES = 1000

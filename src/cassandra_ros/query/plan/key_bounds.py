@@ -18,7 +18,6 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW
 from cassandra_ros.query.plan.nearby import Spans
 from cassandra_ros.query.protocols import Runs
-from cassandra_ros.query.source import Writers
 from cassandra_ros.query.tree.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.tree.syntax import (
     Compare,
@@ -35,6 +34,7 @@ from cassandra_ros.query.tree.syntax import (
     given,
     leaves,
 )
+from cassandra_ros.read import EVERYTHING, Named, Read, TimeRange, Whose
 
 _ORDERED = ("<", "<=", ">", ">=")
 
@@ -43,15 +43,9 @@ _ORDERED = ("<", "<=", ">", ">=")
 class Bounds:
     """Rows outside these bounds cannot match."""
 
-    low: int = 0
-    """Minimum KEY, included, ns since 1970."""
-    high: int = MAX_NS
-    """Maximum KEY, included, ns since 1970."""
-    node: Optional[str] = None
-    """The only nodeID; None = all."""
-    writers: Writers = None
-    name: Optional[str] = None
-    """The only name; None = all. Only for messages that are kept under names."""
+    read: Read
+    """Reads the rows inside: the range of KEY, NODE, the writers of RUN, and the one name where
+    messages are kept under names."""
     empty: bool = False
     """Whether no row can match."""
     whole: bool = True
@@ -59,42 +53,56 @@ class Bounds:
     spans: Optional[Spans] = None
     """Function that returns the ranges of KEY outside of which no row matches; None = unknown."""
 
-    def within(self, low: Optional[int], high: Optional[int], node: Optional[str] = None) -> Bounds:
-        """Return narrower bounds."""
-        low = self.low if low is None else max(self.low, low)
-        high = self.high if high is None else min(self.high, high)
-        clash = None not in (node, self.node) and node != self.node
-        empty = self.empty or clash or low > high
-        node = self.node if node is None else node
-        return replace(self, low=low, high=high, node=node, empty=empty)
+    def reads(self) -> Iterator[Read]:
+        """Yield the reads of the rows inside, in the direction of reading."""
+        read = self.read
+        if self.empty:
+            return
+        if self.spans is None or read.only is not None:
+            yield read
+            return
+        low, high = read.time_range
+        if read.after is not None and read.reverse:
+            high = min(high, read.after.t)
+        elif read.after is not None:
+            low = max(low, read.after.t)
+        for span in self.spans(low, high, read.reverse):
+            yield replace(read, time_range=TimeRange(*span))
 
-    def written(self, writers: Writers) -> Bounds:
-        """Return the bounds narrowed to messages of some writers."""
-        if writers is not None and self.writers is not None:
-            writers = writers & self.writers
-        writers = self.writers if writers is None else writers
-        return replace(self, writers=writers, empty=self.empty or writers == frozenset())
+    def within(self, low: Optional[int], high: Optional[int]) -> Bounds:
+        """Return the bounds narrowed to a time range; None = open."""
+        first, last = self.read.time_range
+        first = first if low is None else max(first, low)
+        last = last if high is None else min(last, high)
+        read = replace(self.read, time_range=TimeRange(first, last))
+        return replace(self, read=read, empty=self.empty or first > last)
+
+    def of(self, whose: Whose) -> Bounds:
+        """Return the bounds narrowed to messages of some nodes and writers."""
+        both = self.read.whose.both(whose)
+        return replace(self, read=replace(self.read, whose=both), empty=self.empty or both.empty)
+
+    def named(self, name: str) -> Bounds:
+        """Return the bounds narrowed to the messages under a name."""
+        clash = self.read.only not in (None, Named(name))
+        return replace(self, read=replace(self.read, only=Named(name)), empty=self.empty or clash)
 
 
 def bounds_of(
-    select: Select,
-    node: Optional[str] = None,
-    named: bool = False,
-    writers: Writers = None,
-    runs: Optional[Runs] = None,
+    select: Select, read: Read = EVERYTHING, named: bool = False, runs: Optional[Runs] = None
 ) -> Bounds:
-    """Return the bounds of a statement, for messages of a node and some writers.
+    """Return the bounds of a statement, inside of a read.
 
     Args:
         select: The statement.
-        node, writers: Robot and runs whose messages are read; None = all.
+        read: Time range, nodes and writers of the messages that are read.
         named: Whether the messages are kept under names.
         runs: Finds runs by their names; without it RUN does not narrow the bounds.
 
     Raises:
         InvalidQuery: KEY, NODE or RUN is compared with a value of another kind.
     """
-    bounds = Bounds(node=node).written(writers)
+    bounds = Bounds(read, empty=read.whose.empty).within(0, MAX_NS)
     try:
         for part in conjuncts(select.condition):
             bounds = _narrowed(bounds, part, named, runs)
@@ -121,17 +129,15 @@ def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
 def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Optional[Runs]) -> Bounds:
     if isinstance(part, Compare) and isinstance(part.operand, RunOperand) and part.operator == "=":
         if runs is not None:
-            return bounds.written(runs.called(fit_to_text(part.value, "RUN")))
+            return bounds.of(Whose(None, runs.called(fit_to_text(part.value, "RUN"))))
     if isinstance(part, Compare) and isinstance(part.operand, NodeOperand) and part.operator == "=":
         try:
-            return bounds.within(None, None, check_node(fit_to_text(part.value, "NODE")))
+            return bounds.of(Whose.of(check_node(fit_to_text(part.value, "NODE"))))
         except InvalidName:
             return replace(bounds, empty=True)  # no message has an invalid nodeID
     if isinstance(part, Compare) and isinstance(part.operand, KeyOperand):
         if named and part.operator == "=":
-            name = fit_to_text(part.value, "KEY")
-            clash = bounds.name not in (None, name)
-            return replace(bounds, name=name, empty=bounds.empty or clash)
+            return bounds.named(fit_to_text(part.value, "KEY"))
         if not named and part.operator in ("=", *_ORDERED):
             ns = fit_to_time(part.value)
             low = {"=": ns, ">=": ns, ">": ns + 1}.get(part.operator)

@@ -17,7 +17,6 @@ from typing import Callable, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption, InvalidQuery
 from cassandra_ros.query.protocols import Disk, Table
-from cassandra_ros.query.source import Writers
 from cassandra_ros.query.tree.syntax import (
     All,
     DurationNs,
@@ -31,6 +30,7 @@ from cassandra_ros.query.tree.syntax import (
     TimeNs,
     leaves,
 )
+from cassandra_ros.read import EVERYBODY, Whose
 
 Span = Tuple[int, int]
 """A time range, ns, both ends included."""
@@ -44,15 +44,14 @@ _NAMES = ("the frame", "the robot")
 def located(
     select: Select,
     tables: Sequence[Table],
-    node: Optional[str] = None,
-    writers: Writers = None,
+    whose: Whose = EVERYBODY,
 ) -> Select:
     """Return the statement with the stays of each NEAR filled in.
 
     Args:
         select: The statement.
         tables: Tables of its topic.
-        node, writers: Robot and runs whose messages are read; None = all.
+        whose: Robot and runs whose messages are read.
 
     Raises:
         InvalidQuery: An argument of NEAR is invalid, or no poses are stored for it.
@@ -61,7 +60,7 @@ def located(
     if condition is None or not any(isinstance(leaf, Near) for leaf in leaves(condition)):
         return select
     try:
-        return replace(select, condition=_located(condition, _Asked(tables, node, writers)))
+        return replace(select, condition=_located(condition, _Asked(tables, whose)))
     except StatementError as exc:
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
 
@@ -70,8 +69,7 @@ class _Asked(NamedTuple):
     """The messages that a statement reads."""
 
     tables: Sequence[Table]
-    node: Optional[str]
-    writers: Writers
+    whose: Whose
 
 
 def _located(item: Expression, asked: _Asked) -> Expression:
@@ -89,7 +87,8 @@ def _answered(near: Near, asked: _Asked) -> Near:
     if not asked.tables:
         return near
     try:
-        return replace(near, stays=asked.tables[0].places.stays(disk, asked.node, asked.writers))
+        places, whose = asked.tables[0].places, asked.whose
+        return replace(near, stays=places.stays(disk, whose.node, whose.writers))
     except InvalidOption as exc:
         raise StatementError(near.position, str(exc)) from exc
 
