@@ -15,8 +15,8 @@ from std_msgs.msg import Int64
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.plan.nearby import _united
-from cassandra_ros.query.run import Condition
 from cassandra_ros.read import Read, Whose
+from cassandra_ros.topics.query_result import Condition
 
 
 def bounds(text, params=(), node=None):

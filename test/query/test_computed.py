@@ -32,8 +32,8 @@ from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.rows.projection import Projections
 from cassandra_ros.query.rows.result_groups import gather
-from cassandra_ros.query.run import Condition
 from cassandra_ros.query.tree.parse import parse_select
+from cassandra_ros.topics.query_result import Condition
 
 SECOND = 10**9
 T0 = 1_400_000_000 * SECOND

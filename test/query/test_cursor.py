@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, encode_cursor
-from cassandra_ros.query.run import START, Place, read_place
+from cassandra_ros.topics.query_result import START, Place, read_place
 
 POSITION = Position(5, "röbot", 1 << 40, "t_0")
 

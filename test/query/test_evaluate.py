@@ -24,7 +24,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.definition import definition_of, parse_definition
-from cassandra_ros.query.run import Condition
+from cassandra_ros.topics.query_result import Condition
 
 OPERATORS = {
     "=": operator.eq,

@@ -11,7 +11,7 @@ from tf2_msgs.msg import TFMessage
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.query.run import read_place
+from cassandra_ros.topics.query_result import read_place
 
 FORMATS = ("packed", "ros", "binary")
 T0 = 1_400_000_000 * 10**9

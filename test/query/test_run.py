@@ -20,8 +20,8 @@ from std_msgs.msg import Float32, String
 from cassandra_ros import RosCassandra, Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.query.run import Condition
 from cassandra_ros.read import Read, TimeRange
+from cassandra_ros.topics.query_result import Condition
 
 TOPICS = ("/diagnostics", "/encoder", "/fix", "/joy", "/tf")
 T0 = 1_400_000_000 * 10**9

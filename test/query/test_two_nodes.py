@@ -14,8 +14,8 @@ from cassandra_ros import Stamp
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.plan.pushdown import PLANS
-from cassandra_ros.query.run import Condition
 from cassandra_ros.read import Read, Whose
+from cassandra_ros.topics.query_result import Condition
 
 SECOND = 10**9
 ROBOTS = ("husky", "turtle")

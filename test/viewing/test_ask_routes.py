@@ -13,7 +13,7 @@ from std_msgs.msg import Duration, Float64, Int64, String, UInt8MultiArray
 from viewers import running_viewer
 
 from cassandra_ros.overview.envelopes import EnvelopeReader
-from cassandra_ros.query.run import QueryResult
+from cassandra_ros.topics.query_result import QueryResult
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC

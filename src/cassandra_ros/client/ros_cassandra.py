@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
 from cassandra_ros.arguments import check_new_topic, check_text
+from cassandra_ros.client.explanation import Explanation
 from cassandra_ros.client.near_rows import near_rows
 from cassandra_ros.client.statements import Statements
 from cassandra_ros.connection.address import from_environment
@@ -17,8 +18,6 @@ from cassandra_ros.errors import CassandraRosError, InvalidName, KeyspaceNotFoun
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.printable import public_names
-from cassandra_ros.query.explain import Explanation
-from cassandra_ros.query.run import QueryResult, Rows
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
@@ -27,6 +26,7 @@ from cassandra_ros.topics.descriptions import Infos, RunList
 from cassandra_ros.topics.key_selection import Clock
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
+from cassandra_ros.topics.query_result import QueryResult, Rows
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_row import StoredRow

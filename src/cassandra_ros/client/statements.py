@@ -15,15 +15,14 @@ from contextlib import contextmanager
 from typing import Any, Iterator, Mapping, Optional, Sequence, Union
 
 from cassandra_ros.arguments import check_limit, check_nodes
+from cassandra_ros.client.explanation import Explanation, explain
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, TopicNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import WHOLE, Asker, Series, Window, read_series
-from cassandra_ros.query.explain import Explanation, explain
 from cassandra_ros.query.plan.key_bounds import meant_as_seconds
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
-from cassandra_ros.query.run import Condition, Cursor, QueryResult, Rows
 from cassandra_ros.query.tree.change_statements import (
     Change,
     CreateIndex,
@@ -42,6 +41,7 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.query_result import Condition, Cursor, QueryResult, Rows
 from cassandra_ros.topics.removal import delete_rows
 from cassandra_ros.topics.row_finder import seconds_meant
 from cassandra_ros.topics.run_finder import RunName

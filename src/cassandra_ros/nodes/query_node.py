@@ -40,7 +40,6 @@ from cassandra_ros.nodes.node import (
 )
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.query.rows.answer_bound import AnswerBound
-from cassandra_ros.query.run import Condition
 from cassandra_ros.query.tree.json_values import from_json
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
@@ -72,6 +71,7 @@ from cassandra_ros.srv import (
     RemoveDataResponse,
 )
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.query_result import Condition
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import TopicInfo
 

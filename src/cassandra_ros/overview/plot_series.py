@@ -26,11 +26,11 @@ from cassandra_ros.query.plan.nearby import located, spans_of
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.plan.select_analysis import settle
 from cassandra_ros.query.rows.projection import ResultRow
-from cassandra_ros.query.run import QueryResult
 from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected
 from cassandra_ros.read import EVERYBODY, Read, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.topic_table import TopicTable
 

@@ -11,11 +11,11 @@ from cassandra_ros.errors import DefinitionError, InvalidOption, InvalidQuery
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.query.protocols import Table
-from cassandra_ros.query.run import Condition
 from cassandra_ros.recording.tables import differences
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings
 from cassandra_ros.recording.unstored import UnstoredTable
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.query_result import Condition
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.run import Condition
 from cassandra_ros.recording.topic_settings import Settings
 from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
+from cassandra_ros.topics.query_result import Condition
 
 _log = logging.getLogger(__name__)
 

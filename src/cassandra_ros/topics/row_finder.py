@@ -25,11 +25,11 @@ from cassandra_ros.messages.stamps import (
     to_ns,
 )
 from cassandra_ros.query.protocols import Table
-from cassandra_ros.query.run import Condition
 from cassandra_ros.query.source import Source
 from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
 from cassandra_ros.topics.key_selection import AnyKey, range_between
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.query_result import Condition
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import count_rows

@@ -19,7 +19,6 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
 from cassandra_ros.query.plan.select_analysis import settle
-from cassandra_ros.query.run import QueryResult
 from cassandra_ros.query.tree.parse import parse_select
 from cassandra_ros.query.tree.statement_completion import Known, complete
 from cassandra_ros.query.tree.syntax import (
@@ -35,6 +34,7 @@ from cassandra_ros.query.tree.syntax import (
     TimeNs,
 )
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
 from cassandra_ros.viewing.lossless_json import Cells

@@ -9,7 +9,6 @@ from itertools import chain
 from typing import Iterator, Optional
 
 from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.run import QueryResult
 from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.syntax import (
     All,
@@ -29,6 +28,7 @@ from cassandra_ros.query.tree.syntax import (
     leaves,
     terms_of,
 )
+from cassandra_ros.topics.query_result import QueryResult
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Execution of a statement, or of a condition alone, over the stored rows of a source."""
+"""Execution of a SELECT statement, or of a condition alone, over the stored rows of a topic."""
 
 from __future__ import annotations
 
