@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from random import Random
+
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -103,6 +105,27 @@ def test_a_subscriber_that_lags_at_first():
     stored = [Mark(n * 10 * MS, b"") for n in range(400)]
     live = [Mark(max(n, 280) * 10 * MS, b"") for n in range(200, 420)]
     assert first_live(stored, live) == 200
+
+
+@pytest.mark.parametrize(
+    ("period_ms", "late_ms", "skew_ms", "kinds"),
+    [(10, 5, 0, CONSTANT), (20, 20, 0, SWITCH), (20, 10, 15, SWITCH), (20, 5, 30, 3)],
+)
+def test_receive_times_that_scatter_by_half_a_period_and_more(period_ms, late_ms, skew_ms, kinds):
+    """The last stored message alone would choose a wrong place in one of ten to nine of ten."""
+    random = Random(3)
+    for _ in range(30):
+        begin, end = random.randint(100, 250), random.randint(260, 390)
+        sent = [b"%d" % random.randrange(kinds) for _ in range(400)]
+        stored, live = (
+            sorted(
+                int((n * period_ms + late + random.expovariate(1 / late_ms)) * MS)
+                for n in range(len(sent))
+            )
+            for late in (0, skew_ms)
+        )
+        marks = [[Mark(t, value) for t, value in zip(times, sent)] for times in (stored, live)]
+        assert first_live(marks[0][:end], marks[1][begin:]) == begin
 
 
 def test_large_messages_are_compared_by_a_digest():

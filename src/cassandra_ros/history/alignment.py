@@ -24,7 +24,10 @@ CERTAIN = 4
 FEW = 8
 """Below so many pairs, equal messages must agree in time within half of the publisher's period."""
 NEAREST = 512
+"""Maximum number of overlaps that are compared by time."""
 PAIRS = 64
+"""Number of pairs at the end of an overlap whose median time difference is its cost. One pair alone
+chooses a wrong overlap of equal messages when they are received half a period late."""
 _INLINE = 32
 
 
