@@ -394,7 +394,9 @@ class Comparison:
 
     def _advance(self, minimum: int) -> None:
         """Compare while the bag has ``minimum`` messages waiting, or the next two are equal."""
-        bag, seen, order = self._bag, self._seen, self._order
+        bag = self._bag
+        seen = self._seen
+        order = self._order
         while bag:
             if not (seen or self._fill()) or bag[0][:order] < seen[0][:order]:
                 self._missing(1)
@@ -440,7 +442,8 @@ class Comparison:
 
     def _superfluous(self, count: int) -> None:
         for _ in range(count):
-            seen, why = self._seen.popleft(), "" if self._order else " here"
+            seen = self._seen.popleft()
+            why = "" if self._order else " here"
             if self._order and seen.rank == _FOREIGN:
                 why = " over this connection"
             self._report.add(f"{seen}: the bag has no such message{why}")

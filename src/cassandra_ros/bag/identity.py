@@ -133,7 +133,8 @@ def _parts_at_once(
     begins = messages.starts - _HEAD.itemsize
     first, last = int(begins[0]), int(messages.stops[-1])
     if last - first >= _LARGE_BYTES * len(heads):
-        view, spans = memoryview(content), zip(messages.starts.tolist(), messages.stops.tolist())
+        view = memoryview(content)
+        spans = zip(messages.starts.tolist(), messages.stops.tolist())
         data = [view[start:stop] for start, stop in spans]
         return [part for each in zip(map(bytes, heads), data) for part in each]
     # Small messages are joined, because each update of the hash costs as much as hashing some

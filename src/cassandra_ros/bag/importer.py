@@ -248,7 +248,8 @@ def _formats(
     """
     formats: dict[int, str] = {}
     for number in sorted(numbers):
-        connection, stored = reader.connections[number], set()
+        connection = reader.connections[number]
+        stored: set[str] = set()
         for table in keyspace.tables.of_topic(connection.topic):
             first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
             if table.metadata.md5sum == connection.md5sum:
@@ -342,7 +343,9 @@ class _Rate:
             seconds = max(1.0, (self.end_ns - self.start_ns) / SECOND_NS)
             self.peak_hz = max(self.peak_hz, self.count / seconds)
             self.peak_bytes = max(self.peak_bytes, self.bytes / seconds)
-        self.start_ns, self.count, self.bytes = start_ns, 0, 0.0
+        self.start_ns = start_ns
+        self.count = 0
+        self.bytes = 0.0
 
 
 def table_lengths(reader: MessageFile, sizes: Mapping[int, int]) -> dict[int, Lengths]:

@@ -118,7 +118,8 @@ class Cassandra:
         credentials: str | None = None,
     ) -> None:
         self._login = login = read_login(host, port, cqlshrc, credentials, username, password)
-        self.hosts, self.port = login.hosts, login.port
+        self.hosts = login.hosts
+        self.port = login.port
         self._where = f"{','.join(self.hosts)} port {self.port}"
         self.outage = Outage(
             self._where, self._nodes_now, lambda silent_sec: self._links.failed(silent_sec)
@@ -163,9 +164,11 @@ class Cassandra:
         return self._links.current.session
 
     def _make_cluster(self) -> Cluster:
-        name, password = self._login.username, self._login.password
+        name = self._login.username
+        password = self._login.password
         auth = PlainTextAuthProvider(name, password or "") if name else None
-        tls, context = self._login.tls, self._ssl_context
+        tls = self._login.tls
+        context = self._ssl_context
         if tls and context is None:
             context = tls.context(self.hosts[0])
         profile = ExecutionProfile(
@@ -326,7 +329,8 @@ class Cassandra:
         cql = f"SELECT {names} FROM system_schema.{of} WHERE keyspace_name = ?"
         what = f"reading the {of} of {keyspace}"
         if table:
-            cql, what = f"{cql} AND table_name = ?", f"{what}.{table}"
+            cql = f"{cql} AND table_name = ?"
+            what = f"{what}.{table}"
         return self.execute(cql, (keyspace, table) if table else (keyspace,), what=what)
 
     def execute_on_each(

@@ -127,13 +127,19 @@ class MessageWriter:
         if format is not None:
             format_class(format)
         keyspace.side_tables.make()
-        self.writer_id, self._run, self._keyspace = writer_id, run, keyspace
-        self._format, self._node, self._ttl, self._on_loss = format, node, ttl, on_loss
+        self.writer_id = writer_id
+        self._run = run
+        self._keyspace = keyspace
+        self._format = format
+        self._node = node
+        self._ttl = ttl
+        self._on_loss = on_loss
         self._given = given
         self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
-        self._mutex, self._closed = threading.Lock(), False
+        self._mutex = threading.Lock()
+        self._closed = False
         self._high = writer_id << COUNTER_BITS
         if run is not None:
             keyspace.registry.put_run(run, started=True)
@@ -220,7 +226,8 @@ class MessageWriter:
             return None
         space = self._keyspace
         for table in space.tables.of_topic(connection.topic):
-            name, metadata = table.name, table.metadata
+            name = table.name
+            metadata = table.metadata
             if (metadata.md5sum, metadata.format) != (ANY_MD5, format_name):
                 continue
             if space.schema.takes_rows(name) and space.connections.has(name, connection):
@@ -320,7 +327,8 @@ class MessageWriter:
                 f"a message of topic {handle.topic} has time {t_ns} ns and counter {counter}; "
                 f"times are 0 to {MAX_NS} ns, counters below 2**{COUNTER_BITS}"
             )
-        seq, blocks = self._high | counter, handle.blocks
+        seq = self._high | counter
+        blocks = handle.blocks
         try:
             if blocks is not None and blocks.take(t_ns, seq, wire):
                 return None
@@ -343,7 +351,8 @@ class MessageWriter:
 
     def write_run(self, handle: Handle, times: Longs, counters: Longs, wires: Wires) -> None:
         """Take several messages in this order, like write but faster."""
-        taken, low = 0, min(times.min(initial=0), counters.min(initial=0))
+        taken = 0
+        low = min(times.min(initial=0), counters.min(initial=0))
         known = low >= 0 and times.max(initial=0) <= MAX_NS
         # With on_loss, errors are reported for single messages, so these are written one by one.
         if len(wires) and known and counters.max() <= MAX_COUNTER and self._on_loss is None:
@@ -361,7 +370,8 @@ class MessageWriter:
 
         Return the number of messages written before the first one that needs another table.
         """
-        table, taken = handle.table, 0
+        table = handle.table
+        taken = 0
         rows = table.make_rows(times.tolist(), seqs.tolist(), handle.conn, wires)
         again = partial(self._row_anew, handle)
         ends = np.flatnonzero(np.diff(times // table.metadata.bucket_ns)) + 1
@@ -508,7 +518,8 @@ def usable_definition(
 
 
 def _definition(connection: Connection) -> Definition:
-    text, md5sum = connection.definition_text, connection.md5sum
+    text = connection.definition_text
+    md5sum = connection.md5sum
     if not text.strip():
         # Some publishers leave the definition out: use an installed type with this md5.
         with suppress(DefinitionError):

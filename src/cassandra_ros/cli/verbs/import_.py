@@ -179,7 +179,8 @@ def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> Im
         chosen = connections_of_topics(reader, topics)
         count = sum(reader.counts[number] for number in chosen)
         total = reader.message_count
-    begun, name = time.monotonic(), os.path.basename(path)
+    begun = time.monotonic()
+    name = os.path.basename(path)
     first, second = MessageBar(f"reading {name}", total), MessageBar(f"importing {name}", count)
     with first, second, SafeInterrupt(ros_cas.cassandra.outage) as stop:
 
