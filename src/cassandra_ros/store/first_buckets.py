@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a read probably begins: in the buckets in which the last one of its tables began.
+"""The buckets in which a read probably begins: those in which the last read of its tables began.
 
-Who wants few rows asks for those in the same moment as the directory is asked where they are, and
-uses the answer only where the directory names the very same buckets: one round trip less, and
-never another answer.
+A read of few rows requests these buckets at the same time as the directory. It uses the answer only
+if the directory names the same buckets. That saves one round trip and never changes the result.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from cassandra_ros.tables.directory import BucketRow, Directory
 from cassandra_ros.tables.row_table import RowTable
 
 MOST = 8
-"""So many buckets are asked for at once; where more begin together the directory comes first."""
+"""Maximum number of buckets requested so. If more begin together, the directory is read first."""
 
 
 def foresee(
     directory: Directory, tables: Sequence[RowTable], read: Read
 ) -> Tuple[List[Piece], int]:
-    """Return the buckets in which a read probably begins, and how many nodes its tables have."""
+    """Return the buckets in which a read probably begins, and the number of nodes of its tables."""
     found: List[Piece] = []
     streams = 0
     for table in tables:
@@ -45,7 +44,7 @@ def note_first(
     begun: Iterable[Piece],
     read: Read,
 ) -> None:
-    """Keep in which buckets a read began, and the nodes that were met in each table."""
+    """Cache the buckets in which a read began, and the nodes that were found in each table."""
     groups: Dict[str, List[Sequence[BucketRow]]] = {}
     for piece in begun:
         if piece.rows:

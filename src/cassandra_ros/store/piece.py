@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The parts of a read: which buckets it touches, and what it reads of each."""
+"""The parts of a read: the buckets in its time range, and what it reads of each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FEW_ROWS = 5000
 
 
 def takes_few(read: Read) -> bool:
-    """Say whether less than a page of rows is probably taken."""
+    """Return whether probably less than a page of rows will be taken."""
     return read.wanted is not None and read.wanted <= FEW_ROWS
 
 
@@ -30,7 +30,7 @@ def first_and_last(read: Read, table: RowTable) -> Tuple[int, int]:
 
 
 def may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
-    """Say whether a bucket may hold rows of a read: the directory lists a superset."""
+    """Return whether a bucket may hold rows of a read: the directory may list too many."""
     writers = read.whose.writers
     if writers is not None and not any(row.writer in writers for row in bucket):
         return False
@@ -41,36 +41,37 @@ def may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
 
 
 class Piece(NamedTuple):
-    """The part of one bucket that is read."""
+    """A bucket of a read, with the sizes of its pages."""
 
     start: int
-    """Where in time it begins, in the direction of reading, ns."""
+    """Time at which it begins, in the direction of reading, ns."""
     table: RowTable
     node: str
     bucket: int
     rows: Sequence[BucketRow]
-    """What its writers say in the directory; empty: this is no bucket, but from here on there may
-    be some that were not looked for yet."""
+    """Rows of its writers in the directory; empty = no bucket, but the place up to which the
+    directory
+    was read."""
     page_rows: int = 0
     page_bytes: int = 0
-    """Of messages, what it holds at once at the most, about."""
+    """Approximate maximum size of its messages in memory, bytes."""
     first_rows: int = 0
-    """Rows of its first page, which the next ones outgrow; 0 = page_rows."""
+    """Number of rows of its first page, from which pages grow; 0 = page_rows."""
 
     @property
     def listed(self) -> int:
-        """How many rows it has, as its writers say: of a closed bucket what there are."""
+        """Number of rows by the directory, which is exact for a closed bucket."""
         return sum(row.rows for row in self.rows)
 
     def listed_in(self, span_ns: int) -> float:
-        """Return how many rows lie in so much of its time, where they lie evenly."""
+        """Return the number of rows in a time range of this length, if they are evenly spread."""
         ends = [(row.t_min, row.t_max) for row in self.rows if row.rows]
         length = max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0
         return self.listed * min(1.0, span_ns / max(1, length))
 
 
 def ends_of(piece: Piece, read: Read) -> tuple[Order, Order]:
-    """Return the first and the last place in a bucket whose rows are read."""
+    """Return the first and the last row key in a bucket that the read includes."""
     first, last = read.time_range
     low, high = (first, MIN_SEQ), (last, MAX_SEQ)
     if read.after is None:

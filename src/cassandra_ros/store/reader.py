@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows out of Cassandra: any number of tables and nodes, merged in the one order, by pages.
+"""Rows from Cassandra: of any number of tables and nodes, merged in one order, page by page.
 
-Of each bucket all rows are read, or those that the server lets through.
+All rows of a bucket are read, or those that pass the server's filter.
 """
 
 from __future__ import annotations
@@ -50,43 +50,44 @@ _log = logging.getLogger(__name__)
 
 PAGE_BYTES = 2 * 1024 * 1024
 ALL_PAGES_BYTES = 16 * 1024 * 1024
-"""What all streams of one merged read may hold together, about."""
+"""Approximate maximum size of the pages of all streams of one merged read, bytes."""
 MAX_PAGE_ROWS = 5000
 AHEAD = 16
-"""Buckets that the server filters at once."""
+"""Maximum number of buckets that the server filters at the same time."""
 UNKNOWN_ROW_BYTES = 32 * 1024
-"""Assumed where the directory knows nothing yet of a bucket (opened seconds ago)."""
+"""Assumed size of the rows of a bucket that the directory has no counts of yet, bytes."""
 _ROW_OVERHEAD = 64
 MERGED_ROWS = 16
-"""Where few rows of several streams are wanted, so many are asked of each at least."""
+"""Minimum number of rows requested from each of several streams for a read of few rows."""
 KEYS_AT_ONCE = 100
-"""Rows that are fetched with one statement."""
+"""Maximum number of rows that one statement fetches by their keys."""
 KEYED_SHARE = 0.04
-"""Of a bucket: where a filter finds the keys of more, it is asked for whole rows instead."""
+"""Largest share of a bucket's rows that is fetched by key after filtering. Above it the server
+returns whole rows."""
 TURNED_PAGES = 2
-"""So many pages of what an index finds are held to be turned."""
+"""Maximum number of pages of an index that are held in memory to reverse their order."""
 _Order = Tuple[object, ...]
 _Request = Tuple[str, str, int, int, int, int]
 _T = TypeVar("_T")
 
 _ALL: Query = ((), False)
 Chosen = Optional[Sequence[Query]]
-"""What gives the rows of a bucket that may be wanted; None = all are."""
+"""Queries that return the rows of a bucket that may match; None = read all rows."""
 
 
 def _open(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
-    """Ask for the first rows of a bucket that were chosen (None: all); return them in order."""
+    """Request the first rows of a bucket by some queries (None: all rows); return them in order."""
     if piece.table.packed:
         return _blocks(piece, read, chosen)
     if chosen is None:
         return _Stream(piece, read, _ALL).rows()
-    # All queries of a bucket share what one may hold.
+    # The queries of a bucket share the memory of one.
     share = piece._replace(page_rows=max(1, piece.page_rows // max(1, len(chosen))))
     return _found(piece, read, [_Stream(share, read, query) for query in chosen])
 
 
 def _blocks(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
-    """Ask for the first blocks of a bucket; return their messages."""
+    """Request the first blocks of a bucket; return their messages."""
     table, chooser = piece.table, read.chooser
     columns = None if read.columns is None else read.columns(table)
     part = _part(piece, read)
@@ -126,11 +127,11 @@ def _counted(piece: Piece, chooser: Chooser, rows: Iterator[TableRow]) -> Iterat
 
 
 def _found(piece: Piece, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
-    """Yield the rows of several queries in one order; one that several find comes once."""
+    """Yield the rows of several queries in one order, without duplicates."""
     count, last = 0, None
     found = [stream.rows() for stream in streams]
     merged = heapq.merge(*found, key=_place, reverse=read.reverse)
-    single = len(found) == 1  # it gives no row twice, and in order
+    single = len(found) == 1  # one query returns no duplicates, and rows in order
     for row in found[0] if single else merged:
         if single:
             count += 1
@@ -148,24 +149,24 @@ def _place(row: TableRow) -> tuple[int, int]:
 
 
 class _Stream:
-    """The rows of one bucket that one statement gives."""
+    """The rows of one bucket that match one query."""
 
     def __init__(self, piece: Piece, read: Read, query: Query) -> None:
         self._piece = piece
         self._read = read
         wanted = None if read.columns is None else read.columns(piece.table)
         self._columns = piece.table.columns if wanted is None else wanted
-        # Whoever checks a condition looks at columns.
+        # Conditions are checked on columns, so then whole pages are not made into messages.
         self._together = wanted is None and read.chooser is None
         self._place = piece.table.place(piece.node, piece.bucket)
         self._terms, indexed = query
-        # To look at a row the server needs fewer columns than to answer with it: where it lets
-        # few through, only their keys are asked for, and then these rows.
+        # To filter a row the server needs fewer columns than to return it. If few rows pass, only
+        # their keys are requested, and then these rows.
         filtered = bool(self._terms) and not indexed
         self._keyed = filtered and read.chooser is not None and read.chooser.few(piece.table)
-        # The server cannot turn the order of what an index finds.
+        # The server cannot reverse the order of the rows of an index.
         self._turned = read.reverse and indexed
-        self.refused = False  # the server did not do what it was asked for; all rows are read
+        self.refused = False  # True = the server refused the query, so all rows are read
         # A writer id is the upper half of a _seq.
         writers = read.whose.writers
         self._heads = None if writers is None else {encode_int(each) for each in writers}
@@ -174,7 +175,7 @@ class _Stream:
         self._asked = self._start(None)
 
     def _start(self, last: RawRow | None) -> Asked:
-        """Ask for the rows behind the last one that was read."""
+        """Request the rows after the last one that was read."""
         table = self._piece.table
         if self._keyed:
             self._these()  # prepared here: the driver's thread must not wait for the server
@@ -197,7 +198,7 @@ class _Stream:
             return self._all(exc, last)
 
     def _all(self, exc: object, last: RawRow | None) -> Asked:
-        """Go on with all rows from here: a server may forbid to filter, or be too slow at it."""
+        """Go on with all rows, if a server forbids filtering or is too slow at it."""
         topic = self._piece.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
         self._terms, self._turned, self._keyed, self.refused = (), False, False, True
@@ -209,7 +210,7 @@ class _Stream:
             if found is not None:
                 yield from sorted(found, key=_place, reverse=True)
                 return
-            # From the newest on, all rows.
+            # All rows, from the newest on.
             self._asked = self._all("an index does not give its rows, or too many", None)
         last: RawRow | None = None
         while True:
@@ -221,21 +222,21 @@ class _Stream:
                     last = self._asked.last
                 else:
                     return
-                # Whole rows of what is filtered, from here on.
+                # From here on whole rows are filtered.
                 self._keyed = False
                 self._asked = self._start(last)
             except DRIVER_ERRORS as exc:
                 self._asked = self._all(exc, last)
 
     def _crowds(self, keys: Sequence[RawRow]) -> bool:
-        """Say whether so many keys were found that it is quicker to ask for the rows at once."""
+        """Return whether there are so many keys that requesting whole rows is faster."""
         if len(keys) <= KEYS_AT_ONCE:
             return False
         span = abs(decode_long(keys[-1][0]) - decode_long(keys[0][0]))
         return len(keys) > KEYED_SHARE * self._piece.listed_in(span)
 
     def _found(self) -> list[TableRow] | None:
-        """Read what an index finds, to be turned; None where that fails, or it is too much."""
+        """Read the rows of an index to reverse them; None if that fails or they are too many."""
         found: list[TableRow] = []
         try:
             for page in self._asked.pages():
@@ -269,7 +270,7 @@ class _Stream:
             yield from asked.page()
 
     def _fetch_early(self, keys: Sequence[RawRow]) -> None:
-        """Ask for the first rows as soon as their keys are here, on the driver's thread."""
+        """Request the first rows as soon as their keys are here, on the driver's thread."""
         if keys and not self._crowds(keys):
             part = keys[: self._at_once]
             self._early = part, self._ask_these(part)
@@ -283,7 +284,7 @@ class _Stream:
 
 
 def _pairs(keys: Sequence[RawRow]) -> bytes:
-    """Encode (t, seq), each encoded already, as a list of tuples."""
+    """Encode pairs of encoded (t, seq) as a list of tuples."""
     size = encode_int(8)
     pairs = (encode_int(24) + size + (t or b"") + size + (seq or b"") for t, seq in keys)
     return encode_int(len(keys)) + b"".join(pairs)
@@ -292,7 +293,7 @@ def _pairs(keys: Sequence[RawRow]) -> bytes:
 def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> Iterator[TableRow]:
     """Yield the rows of several tables in the order (t, node, seq, table), or its reverse.
 
-    Memory is bounded: one or two pages for each table and node that has rows at the time.
+    Memory: one or two pages for each table and node that has rows at the time.
     """
     sign = -1 if read.reverse else 1
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
@@ -308,7 +309,7 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
         if not heap:
             return
         _, number, row, stream = heapq.heappop(heap)
-        # While one stream is ahead of all others it needs no heap.
+        # While one stream is before all others it does not need the heap.
         yield row
         if not heap and not waiting.left:
             yield from stream
@@ -325,10 +326,9 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
 def read_blocks(
     directory: Directory, tables: Sequence[RowTable], read: Read
 ) -> Iterator[tuple[BucketRead, Opened]]:
-    """Yield the blocks of several packed tables, bucket by bucket, whatever their order.
+    """Yield the blocks of several packed tables, bucket by bucket, in any order within a bucket.
 
-    Each comes with what is read of its bucket. Columns and chooser of the read are not
-    looked at.
+    Each comes with the read of its bucket. Columns and chooser of the read are ignored.
     """
     waiting = _Prefetched(directory, tables, read, _open_blocks)
     while waiting.left:
@@ -342,7 +342,7 @@ def _order(row: TableRow, sign: int) -> _Order:
 
 
 def _inverted(text: str) -> tuple[int, ...]:
-    # Closed by a number above all others: of two texts the longer one comes first.
+    # The last number is above all others, so of two texts the longer one comes first.
     return (*(-ord(c) for c in text), 1)
 
 
@@ -359,7 +359,7 @@ def _walk(directory: Directory, table: RowTable, read: Read) -> Walk:
 
 
 def _pieces(table: RowTable, walk: Walk, read: Read) -> Iterator[Piece]:
-    """Yield the buckets of a table that may hold rows of a read, as they begin."""
+    """Yield the buckets of a table that may hold rows of a read, in order of their beginnings."""
     length = table.metadata.bucket_ns
     high = read.time_range.high
     if read.after is not None:
@@ -376,7 +376,7 @@ def _begins(piece: Piece) -> tuple[int, str, str]:
 
 
 def _request(piece: Piece) -> _Request:
-    """Return what makes the difference between what is asked for of two pieces of a read."""
+    """Return what distinguishes the request for a piece from that for another piece of a read."""
     sizes = piece.page_rows, piece.page_bytes, piece.first_rows
     return (piece.table.name, piece.node, piece.bucket, *sizes)
 
@@ -386,26 +386,27 @@ def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
     if not count:
         return max(1, page_bytes // UNKNOWN_ROW_BYTES)
     mean = sum(row.bytes for row in group) / count + _ROW_OVERHEAD
-    # A page of rows that are all as large as the largest must still be bearable.
+    # Even a page of rows that are all as large as the largest must fit into memory.
     largest = max(row.largest for row in group) + _ROW_OVERHEAD
     rows = min(page_bytes / mean, 8 * page_bytes / largest)
     return max(1, min(MAX_PAGE_ROWS, int(rows)))
 
 
 class _Prefetched(Generic[_T]):
-    """The buckets still to be read, the next ones asked for before their turn comes.
+    """The buckets that are still to be read; the next ones are requested ahead.
 
-    Where whole buckets are read, one is asked for ahead. Where the server filters them, little
-    comes of each and many are worked on at once; but not from the start, for whoever only wants
-    the first row. Where few rows are wanted, so many are asked for: of one bucket, of those that
-    begin with it, and of more where these list less. Who goes on is given more and more.
+    Of whole buckets one is requested ahead. Of filtered buckets, which return few rows, many are
+    requested ahead, but not from the start, because the caller may need only the first row. If few
+    rows are wanted, the buckets that hold that many are requested: one, those that begin at the
+    same
+    time, and more if the directory lists fewer rows in these. The numbers grow as rows are taken.
 
     Args:
-        open_piece: Asks for what is read of a bucket by the queries that were chosen.
+        open_piece: Requests the rows of a bucket by the chosen queries.
 
     Attributes:
-        left: There are buckets to be read.
-        start: Where the next one begins.
+        left: Whether there are buckets to be read.
+        start: Time at which the next bucket begins, ns.
     """
 
     def __init__(
@@ -435,13 +436,13 @@ class _Prefetched(Generic[_T]):
         self._look()
 
     def _share(self, streams: int) -> None:
-        """Divide what may be held and what is wanted among so many streams."""
+        """Divide the memory, and the number of wanted rows, among the streams."""
         self._streams = max(1, streams)
         pages = self._streams + (AHEAD if self._few or self._read.chooser is not None else 1)
         self._page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
 
     def _foresee(self, directory: Directory, tables: Sequence[RowTable]) -> None:
-        """Ask for what is probably read first, before the directory is."""
+        """Request the buckets that are probably read first, before the directory answers."""
         pieces, streams = foresee(directory, tables, self._read)
         self._share(streams)
         for piece in map(self._sized, pieces):
@@ -453,11 +454,11 @@ class _Prefetched(Generic[_T]):
         self.start = 0 if first is None else first.start
 
     def opens_before(self, t: int, sign: int) -> bool:
-        """Say whether the next bucket may hold rows that come before or at t."""
+        """Return whether the next bucket may hold rows that come before or at t."""
         return (self.start - t) * sign <= 0
 
     def take(self) -> Iterator[_T]:
-        """Return what is read of the next bucket; ask for some behind it."""
+        """Return the rows of the next bucket; request some of the following buckets."""
         while self._next is not None and self._asks(self._next):
             self._ask(self._next)
             self._next = next(self._pieces, None)
@@ -474,7 +475,7 @@ class _Prefetched(Generic[_T]):
         return rows
 
     def _asks(self, piece: Piece) -> bool:
-        """Say whether a bucket is asked for besides those that are."""
+        """Return whether a bucket is requested in addition to those that already are."""
         if not self._asked or (piece.rows and len(self._asked) <= self._ahead):
             return True
         if not self._few or not piece.rows or len(self._asked) > AHEAD:

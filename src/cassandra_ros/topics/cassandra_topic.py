@@ -45,28 +45,35 @@ _REQUIRED = object()
 
 
 class CassandraTopic:
-    """The stored messages of one topic. Got from RosCassandra, safe to share between threads.
+    """The stored messages of one topic. Get it from RosCassandra; safe to share between threads.
 
-    What a key is follows from the ``key_format`` that addTopic was given:
+    The ``key_format`` given to addTopic decides what the key of a message is:
 
-    * ``time``: the time at which a message was received.
-    * ``msg_part``: the value of a field. Of a time field it is a time as well; of any other
-      field ``getData(value)`` gives the first message that has it, ``items(value)`` all, and a
-      genpy.Time means the receive time. A number asked of a float32 field is rounded to one.
-    * ``hash``: the md5 of type name, NUL and serialised bytes, as 32 hex digits: equal messages
-      are kept once, as they came last.
-    * ``manual``: a name that you give; ``getData(name)`` is the newest message under it,
-      ``items(name)`` all.
+    * ``time``: the time at which the message was received.
+    * ``msg_part``: the value of a field. If it is a time field, the key is a time too. For any
+    other
+      field ``getData(value)`` returns the first message with this value, ``items(value)`` all of
+      them, and a genpy.Time means the receive time. A number is rounded to float32 for such a
+      field.
+    * ``hash``: the md5 of type name, NUL and serialised bytes, as 32 hex digits. Equal messages are
+      stored once, with the time of the last one.
+    * ``manual``: a name that you give; ``getData(name)`` returns its newest message,
+    ``items(name)``
+      all of them.
 
-    ``len(topic)`` counts, ``for key, msg in topic`` walks through all, ``key in topic`` looks.
+    ``len(topic)`` counts, ``for key, msg in topic`` reads all messages, ``key in topic`` looks for
+    one.
 
     Fields are named as in a SELECT statement: ``linear.x``, ``ranges[0]``, ``header.stamp.secs``, a
-    message (all of its fields), ``KEY``, ``NODE``, ``RUN``, each with ``AS name``. Naming a field
-    inside of an array of messages unnests it: a row for each element, or with ``where`` for each
-    that satisfies the condition, the other fields repeated; an array named whole is not unnested.
+    message (all of its fields), ``KEY``, ``NODE``, ``RUN``, each with ``AS name``. A field inside
+    of an
+    array of messages unnests the array: one row for each element, or with ``where`` for each
+    element
+    that satisfies the condition, with the other fields repeated. An array named as a whole is not
+    unnested.
 
     Attributes:
-        name: The topic's name as it is stored.
+        name: Name of the topic as it is stored.
     """
 
     def __init__(self, keyspace: Keyspace, adder: Adder, wish: Wish) -> None:
@@ -77,12 +84,12 @@ class CassandraTopic:
 
     @property
     def tables(self) -> WholeTopic:
-        """The tables of the topic, one for each md5 and format; none before the first message."""
+        """Tables of the topic, one for each md5 and format; empty before the first message."""
         return self._keyspace.tables.of_topic(self.name)
 
     @property
     def getMeta(self) -> MetaView:
-        """The metadata: ``getMeta['msg_type']`` or ``getMeta('msg_type')``."""
+        """Metadata of the topic: ``getMeta['msg_type']`` or ``getMeta('msg_type')``."""
         tables = self.tables
         metadata = tables[0].metadata if tables else self._wish.metadata
         indexes = {field: "" for t in tables for field in t.metadata.indexes} or metadata.indexes
@@ -91,20 +98,20 @@ class CassandraTopic:
         return MetaView(metadata, self._keyspace.nodes(tables))
 
     def countBuckets(self) -> int:
-        """Count the partitions: time ranges of a node in a table; 0 for named messages."""
+        """Return the number of partitions: buckets of a node in a table; 0 for named messages."""
         return count_buckets(self._keyspace.directory, self.tables)
 
     def setMeta(self, **keys: Any) -> None:
         """Set keys of your own in the topic's metadata: ``setMeta(site='lab')``.
 
         Args:
-            keys: Values that JSON gives back as they are (texts, finite numbers, bools, lists,
-                dicts whose keys are texts); None removes a key. ``comment`` sets the topic's
-                comment; the other keys of getMeta are facts and cannot be set.
+            keys: Values that JSON gives back unchanged (texts, finite numbers, bools, lists, dicts
+                with text keys); None removes a key. ``comment`` sets the topic's comment; the other
+                keys of getMeta are facts and cannot be set.
 
         Raises:
             InvalidName, InvalidOption: A key cannot be set, or not to this value.
-            TopicNotFound: The topic has no type yet, so there is no table to note it in.
+            TopicNotFound: The topic has no type yet, so it has no table to hold the metadata.
         """
         comment = keys.pop("comment", None)
         if comment is not None:
@@ -115,7 +122,7 @@ class CassandraTopic:
 
     @property
     def format(self) -> CassandraTopic_:
-        """The format object of the first table; TopicNotFound before the first message."""
+        """Format object of the first table; raises TopicNotFound before the first message."""
         return self._typed()[0].format
 
     def _typed(self, remedy: str = "") -> list[TopicTable]:
@@ -144,16 +151,16 @@ class CassandraTopic:
 
         Args:
             msg: A message object of the topic's type.
-            key: With key_format ``time`` its time, None = now, by the node's clock where one runs
-                in this process. With ``manual`` its name. With ``msg_part`` and ``hash`` the
-                message itself says it.
-            nodeID: Who produced it; None = the nodeID of addTopic.
+            key: With key_format ``time`` its time; None = now, by the node's clock if a node runs
+                in
+                this process. With ``manual`` its name. Leave it out with ``msg_part`` and ``hash``.
+            nodeID: The robot or other source of the message; None = the nodeID of addTopic.
 
         Returns:
-            The row key, which also knows the row: an exact time (Stamp), or a name (RowName).
+            The row key, by which the row is found again: an exact time (Stamp) or a name (RowName).
 
         Raises:
-            TypeMismatch: The message is of another type; nothing is stored.
+            TypeMismatch: The message has another type; nothing is stored.
             InvalidKey, InvalidName, ClockNotSet, WriteFailed.
         """
         node = self._wish.metadata.nodeID if nodeID is None else check_new_node(nodeID)
@@ -184,34 +191,38 @@ class CassandraTopic:
 
         Args:
             key: A time (genpy.Time, datetime, numpy.datetime64, pandas.Timestamp, int ns, float s,
-                ISO 8601 text), or what else is the topic's key; with to_key the lower end.
-            to_key: The upper end, where keys are times. Both ends are included.
+                ISO 8601 text), or another key of the topic; with to_key the first time.
+            to_key: The last time, if keys are times. Both ends are included.
             nearest: 'before' (at or before key), 'after' (at or after) or 'either'.
-            default: Returned instead of raising when there is no message at key.
-            nodeID: Only messages of this node; None = of all.
-            run: Only messages of the recordings or imports of this name, or of a writer id.
-            limit: At most so many messages of a stretch.
-            where: Only messages that satisfy this condition: what stands behind WHERE in CQL, as
-                ``'linear.x > 0.5'``, or a pair of it and its parameters. One on the elements of
-                an array of messages is satisfied when one element does.
+            default: Returned if there is no message at key, in place of an error.
+            nodeID: nodeID whose messages are read; None = all.
+            run: Run whose messages are read, by name or writer id; None = all.
+            limit: Maximum number of messages of a time range.
+            where: Condition for the messages: the text after WHERE in CQL, such as
+                ``'linear.x > 0.5'``, or a pair of text and parameters. A condition on the elements
+                of
+                an array of messages is satisfied if one element satisfies it.
 
         Returns:
-            With to_key a list in the order of time, else one message: of several with the same
-            stamp or value the first, of several with the same name the newest. Equal stamps are
-            ordered by nodeID, by who wrote them, and of one writer by their arrival.
+            With to_key a list in order of time, otherwise one message: of several with the same
+                stamp
+            or value the first, of several with the same name the newest. Messages with equal stamps
+            are
+            in the order of nodeID, writer and arrival.
 
         Raises:
-            MessageNotFound: No message at key (also a KeyError).
-            InvalidKey: A key cannot be one, or the topic's keys have no order.
-            InvalidQuery, RunNotFound: where is no condition (it is shown), or run none.
+            MessageNotFound: There is no message at key (also a KeyError).
+            InvalidKey: A key is not valid, or the topic's keys have no order.
+            InvalidQuery: The condition is not valid; the text shows it.
+            RunNotFound: There is no such run.
         """
         if to_key is not None:
             time_range = self._finder(nodeID, where, run).many(key, to_key, limit=limit)
             return [message for _, message in with_messages(self._keyspace.cassandra, time_range)]
         if key is None:
             raise InvalidKey(
-                "getData needs a key (and to_key for a time range); items() walks "
-                f"through all messages of topic {self.name}, also through those with where="
+                "getData needs a key (and to_key for a time range); items() reads "
+                f"all messages of topic {self.name}, also with where="
             )
         finder = self._finder(nodeID, where, run)
         row = finder.find(key, nearest)
@@ -232,18 +243,19 @@ class CassandraTopic:
         where: Optional[Where] = None,
         run: RunName = None,
     ) -> Iterator[tuple[Key, Any]]:
-        """Walk lazily through (key, message) in the order of time, any number of them.
+        """Read (key, message) pairs lazily in order of time.
 
-        Where keys are names a scan lists all of them first: slow with millions.
+        In topics with names a scan lists all names first, which is slow with millions.
 
         Args:
-            key: Lower end, included; None = open. Where keys are names or values: all of this one.
-            to_key: Upper end, included; None = open.
+            key: First time, included; None = open. In topics with names or values: the name or
+                value.
+            to_key: Last time, included; None = open.
             reverse: Newest first.
-            nodeID, limit, where, run: As getData takes them, and raises for them.
+            nodeID, limit, where, run: As in getData, also the errors.
 
         Raises:
-            InvalidKey: ``key`` or ``to_key`` is no key of this topic.
+            InvalidKey: ``key`` or ``to_key`` is not a key of this topic.
         """
         rows = self._finder(nodeID, where, run).many(key, to_key, limit=limit, reverse=reverse)
         return ((row.key, msg) for row, msg in with_messages(self._keyspace.cassandra, rows))
@@ -257,7 +269,7 @@ class CassandraTopic:
         where: Optional[Where] = None,
         run: RunName = None,
     ) -> Optional[StoredRow]:
-        """Find one stored row as getData does; None where there is none."""
+        """Return one stored row, found as in getData; None if there is no such row."""
         return self._finder(nodeID, where, run).find(key, nearest)
 
     def _finder(
@@ -277,7 +289,7 @@ class CassandraTopic:
     def versions(
         self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False, run: RunName = None
     ) -> Iterator[StoredRow]:
-        """Walk through the messages under one name, by time, without making objects."""
+        """Yield the rows with one name, by time, without making message objects."""
         check_text("name", name, error=InvalidKey)
         return self._finder(nodeID, run=run).many(name, None, reverse=reverse)
 
@@ -295,16 +307,19 @@ class CassandraTopic:
         run: RunName = None,
         wanted: Optional[int] = None,
     ) -> Iterator[StoredRow]:
-        """Walk through messages by their time, as items does, without making objects.
+        """Yield rows by time, like items but without making message objects.
 
         Args:
-            key, to_key: Ends, both included, whatever the topic's keys are; None = open.
-            nodeID, limit, reverse, run: As items takes them.
-            after: Begin behind this row (a cursor).
-            columns: Which columns of a table to read, None = all; a row fetches the others when
-                its bytes are asked for.
-            chooser: Tells what the server may leave out.
-            wanted: How many are probably taken, None = limit: so much is asked for at first.
+            key, to_key: First and last time, both included, whatever the topic's keys are; None =
+                open.
+            nodeID, limit, reverse, run: As in items.
+            after: Position of a row after which to begin (a cursor).
+            columns: Returns the columns of a table to read, None = all; a row fetches the others
+                when
+                its bytes are accessed.
+            chooser: Decides which conditions the server checks.
+            wanted: Number of rows that will probably be taken, None = limit; decides the first
+                request.
         """
         if not isinstance(after, (Position, type(None))):
             raise InvalidKey(f"after={after!r:.80} is no place: give the position of a row")
@@ -321,13 +336,13 @@ class CassandraTopic:
         return islice(self.read(read), limit)
 
     def read(self, read: Read) -> Iterator[StoredRow]:
-        """Walk through the messages that a read asks for, without making objects."""
+        """Yield the rows of a read, without making message objects."""
         if isinstance(read.only, Named):
             check_message_name(self.name, read.only.name)
         return self._keyspace.rows.read(self._stored(), read)
 
     def count(self, read: Read) -> int:
-        """Count the messages in the time range of a read, of its nodes and writers."""
+        """Return the number of messages in the time range of a read, of its nodes and writers."""
         return count_rows(self._keyspace.directory, self._stored(), read)
 
     def _stored(self) -> WholeTopic:
@@ -341,11 +356,11 @@ class CassandraTopic:
         return tables
 
     def first(self, nodeID: Optional[str] = None, *, run: RunName = None) -> Optional[Key]:
-        """Return the key of the oldest message; None when there is none."""
+        """Return the key of the oldest message; None if there are no messages."""
         return self._end(nodeID, run, reverse=False)
 
     def last(self, nodeID: Optional[str] = None, *, run: RunName = None) -> Optional[Key]:
-        """Return the key of the newest message; None when there is none."""
+        """Return the key of the newest message; None if there are no messages."""
         return self._end(nodeID, run, reverse=True)
 
     def _end(self, nodeID: Optional[str], run: RunName, reverse: bool) -> Optional[Key]:
@@ -353,12 +368,11 @@ class CassandraTopic:
         return next((row.key for row in rows), None)
 
     def keyOfText(self, text: str) -> AnyKey:
-        """Read a key that a person typed.
+        """Return the key in a text that a user typed. Raises InvalidKey.
 
-        A name is the text itself; a time integer nanoseconds or ISO 8601; a value of a field is a
-        number, true, false or text, as the field, and a time beside it ISO 8601 only.
-
-        Raises InvalidKey.
+        A name is the text itself. A time is integer nanoseconds or ISO 8601. A value of a field is
+        a
+        number, true, false or a text, by the type of the field; then a time must be ISO 8601.
         """
         check_text("text", text, error=InvalidKey)
         return self._finder().of_text(text)
@@ -372,9 +386,9 @@ class CassandraTopic:
         where: Optional[Where] = None,
         run: RunName = None,
     ) -> int:
-        """Count the messages that items with the same arguments walks through.
+        """Return the number of messages that items with the same arguments reads.
 
-        By time alone they are counted without reading them, with where= without making objects.
+        Without a condition they are counted without reading them, with ``where`` without objects.
         """
         return self._finder(nodeID, where, run).count(key, to_key)
 
@@ -387,17 +401,20 @@ class CassandraTopic:
         where: Optional[Where] = None,
         run: RunName = None,
     ) -> int:
-        """Delete the messages at key, or with key <= time <= to_key; return how many.
+        """Delete the messages at key, or with key <= time <= to_key; return their number.
 
-        A key that the store returned means its one message, a bare time, name or value all that
-        have it. With where= and run= only those that satisfy the condition or are of the run are
-        deleted; without key and to_key that is each one of the topic, of whatever time.
+        A key that the store returned deletes its one message; a bare time, name or value deletes
+        all
+        messages that have it. With ``where`` and ``run`` only messages that satisfy the condition,
+        or of
+        the run, are deleted; then key and to_key may be left out for all times.
 
         Raises:
             MessageNotFound: There is no message at key (without to_key).
-            InvalidKey, InvalidQuery: Neither key, to_key, where nor run is given; where is none.
+            InvalidKey: Neither key, to_key, where nor run is given.
+            InvalidQuery: The condition is not valid.
         """
-        self._keyspace.schema.tables(fresh=True)  # what another client just stored goes, too
+        self._keyspace.schema.tables(fresh=True)  # so that tables just made by others are included
         return self._finder(nodeID, where, run).remove(key, to_key)
 
     def getArrays(
@@ -409,31 +426,38 @@ class CassandraTopic:
         nodeID: Optional[str] = None,
         run: RunName = None,
     ) -> dict[str, Any]:
-        """Return fields as numpy arrays, one each, of equal length and in the order of time.
+        """Return fields as numpy arrays of equal length, in order of time.
 
-        * Numbers and bools keep the field's type (float32 stays float32); text is str in an
-          array of objects.
+        * Numbers and bools keep the field's type (float32 stays float32); text is str in an array
+        of
+          objects.
         * ``KEY``, times and durations are int64 nanoseconds: ``.view('datetime64[ns]')`` or
-          ``.view('timedelta64[ns]')`` shows them as such. KEY is text where messages lie under
-          names. ``secs`` and ``nsecs`` are int64, computed integers too where all of them fit.
-        * Arrays of fixed length have two dimensions, as (rows, 9). Other arrays, too, where every
-          row that is returned has one and all have the same length: scans of 360 ranges give
-          (rows, 360), empty arrays (rows, 0). Else, and where there is no row, they give an array
-          of objects, an array a row. ``list(found['ranges'])`` is the same in both cases, and what
-          a program uses that must not depend on the lengths.
+          ``.view('timedelta64[ns]')`` shows them as such. In topics with names KEY is text.
+          ``secs`` and
+          ``nsecs`` are int64, and so are computed integers if all of them fit.
+        * Arrays of fixed length have two dimensions, such as (rows, 9). So have other arrays if
+        every
+          returned row has an array and all have the same length: scans of 360 ranges give (rows,
+              360),
+          empty arrays (rows, 0). Otherwise, or without rows, they give an array of objects, one
+          array a
+          row. ``list(found['ranges'])`` is the same in both cases: use it in programs that must not
+          depend on the lengths.
         * Arrays inside of arrays of messages give lists.
 
-        What a message lacks (``ranges[5]`` of four, a field of another definition, bytes that are
-        no message) is masked by a numpy.ma.MaskedArray, or None in an array of objects. Where
-        definitions disagree on a field's type, it is the smallest that holds both exactly.
+        Values that a message lacks (``ranges[5]`` of four, a field of another definition, damaged
+        bytes)
+        are masked in a numpy.ma.MaskedArray, or None in an array of objects. If definitions have
+        different types for a field, the result has the smallest type that holds both exactly.
 
         Args:
             fields: Names of fields; None = all, and KEY.
-            key, to_key, where, nodeID, run: Which messages, as items takes them.
+            key, to_key, where, nodeID, run: The messages to read, as in items.
 
         Raises:
-            InvalidQuery: A field or the condition is not one of this topic; shows the spot.
-            InvalidKey: key or to_key cannot be one.
+            InvalidQuery: A field or the condition does not fit this topic; the text shows the
+                place.
+            InvalidKey: key or to_key is not valid.
         """
         finder = self._finder(nodeID, where, run)
         reads, whose = finder.reads(key, to_key), finder.whose
@@ -448,59 +472,64 @@ class CassandraTopic:
         nodeID: Optional[str] = None,
         run: RunName = None,
     ) -> Any:
-        """Return messages as a pandas.DataFrame, one column a field.
+        """Return messages as a pandas.DataFrame with one column a field.
 
-        The index ``KEY`` is their time, exact to the nanosecond, in UTC and without a zone; or
-        their names. Columns are as getArrays returns them, but times are datetime64[ns] without a
-        zone, durations timedelta64[ns], and arrays lie in cells, whatever their lengths. What is
-        missing is NaN, NaT, None, or NA in a nullable type (Int32, UInt64, boolean), so that
-        integers stay integers.
+        The index ``KEY`` is their time, exact to the nanosecond, in UTC and without a zone, or
+        their
+        names. Columns are those of getArrays, except that times are datetime64[ns] without a zone,
+        durations timedelta64[ns], and arrays are in cells, whatever their lengths. Missing values
+        are
+        NaN, NaT, None, or NA in a nullable type (Int32, UInt64, boolean), so that integers stay
+        integers.
 
         Args:
-            fields, key, to_key, where, nodeID, run: As getArrays takes them, and raises for them.
+            fields, key, to_key, where, nodeID, run: As in getArrays, also the errors.
 
         Raises:
-            MissingDependency: pandas is not installed; the text says how.
+            MissingDependency: pandas is not installed; the text says how to install it.
         """
         finder = self._finder(nodeID, where, run)
         reads, whose = finder.reads(key, to_key), finder.whose
         return self._keyspace.naming(lambda: read_frame(self, fields, where, *reads, whose=whose))
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
-        """Make an index on a field, so that conditions on it read only the rows that they find.
+        """Make an index on a field, so that conditions on it read only the matching rows.
 
-        Others may record the topic meanwhile, and their rows are found in any case: a bucket that
-        a writer has open is read without the index. Calling again for an index that is there
-        goes on where it was interrupted, and takes in what was being written the last time.
+        The topic may be recorded meanwhile, and its new rows are found in any case: a bucket that a
+        writer has open is read without the index. Another call for an existing index goes on where
+        the
+        first was interrupted, and adds rows that were being written then.
 
         Args:
-            field: Dotted path, as 'linear.x'; in an array of messages, or an array itself, it
-                finds the messages that contain a value. Texts over 1 KiB, arrays over 256 elements
-                and NaN are not indexed; their messages are read besides.
-            progress: Called with (rows done, rows in all).
+            field: Dotted path, such as 'linear.x'. For an array, or a field in an array of
+                messages, the
+                index finds the messages that contain a value. Texts over 1 KiB, arrays over 256
+                elements and NaN are not indexed; such messages are always read.
+            progress: Called with the number of rows that are done, and of all rows.
 
         Returns:
-            How many stored messages were indexed.
+            The number of stored messages that were indexed.
 
         Raises:
-            InvalidName, InvalidOption: The field is none, or cannot be indexed here.
-            StoreUnavailable: Cassandra is rewriting the files of the topic (an index made
-                meanwhile could miss rows), or is busy with other indexes; ask again later.
-            TopicNotFound: The topic is gone, or has no type yet.
+            InvalidName, InvalidOption: There is no such field, or it cannot be indexed.
+            StoreUnavailable: Cassandra is rewriting the files of the topic (an index made meanwhile
+                could miss rows), or is busy with other indexes; try again later.
+            TopicNotFound: The topic was removed, or has no type yet.
         """
         check_field(field)
         return create_index(self._keyspace, self._adder, self.name, field, progress)
 
     def hasIndex(self, field: str) -> bool:
-        """Say whether every table whose type has the field has an index on it."""
+        """Return whether every table whose type has the field has an index on it."""
         return has_index(self.tables, check_field(field))
 
     def removeIndex(self, field: str) -> None:
         """Remove an index. The messages stay as they are.
 
         Raises:
-            InvalidName, InvalidOption: There is no such index; the key of the messages needs it.
-            TopicNotFound: The topic is gone.
+            InvalidName: There is no such index.
+            InvalidOption: The key of the messages needs the index.
+            TopicNotFound: The topic was removed.
         """
         remove_index(self._keyspace, self.name, check_field(field))
 
@@ -508,7 +537,7 @@ class CassandraTopic:
         return self.countTopicData()
 
     def __bool__(self) -> bool:
-        return True  # a topic without messages is one, too
+        return True  # so that a topic without messages is not false
 
     def __iter__(self) -> Iterator[tuple[Key, Any]]:
         return self.items()

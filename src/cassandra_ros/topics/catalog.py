@@ -52,14 +52,14 @@ from cassandra_ros.topics.topic_wish import Wish
 _log = logging.getLogger(__name__)
 
 Conditions = Optional[Mapping[str, Where]]
-"""Topic -> condition."""
+"""Topic → condition."""
 Pair = Tuple[StoredRow, Optional[StoredRow]]
 
 
 class Catalog:
     """Finds topics by name, with or without the leading slash. Thread-safe.
 
-    Topics that were added before their type is known live here until their first message.
+    Topics that were added without a type exist only here until their first message.
     """
 
     def __init__(self, cassandra: Cassandra, keyspace: str, clock: Optional[Clock]) -> None:
@@ -68,9 +68,9 @@ class Catalog:
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
         self.stored_places = StoredPlaces(self.keyspace, self.get, lambda: self.all(None))
-        """The topics, for what asks where the robots were."""
+        """The topics, for lookups of the robots' places."""
         self.places = Whereabouts(self.stored_places, self.keyspace.place_index)
-        """Where the robots of the keyspace were."""
+        """Lookup of the robots' places in the keyspace."""
 
     def add(self, wanted: TopicMetadata, msg_type: Optional[str]) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored."""
@@ -118,7 +118,7 @@ class Catalog:
             return None
 
     def get(self, topic: str) -> CassandraTopic:
-        """Find a topic, or raise TopicNotFound, whose text gives the nearest names."""
+        """Return a topic; raises TopicNotFound with similar names."""
         name = self._find(topic, fresh=False) or self._find(topic, fresh=True)
         if name is not None:
             return self._topic(name)
@@ -132,11 +132,11 @@ class Catalog:
         )
 
     def exists(self, topic: str) -> bool:
-        """Say whether get would find the topic."""
+        """Return whether get would find the topic."""
         return self._find(topic, fresh=True) is not None
 
     def all(self, pattern: Optional[str]) -> list[CassandraTopic]:
-        """List the topics whose whole name matches a regular expression, sorted."""
+        """Return the topics whose whole name matches a regular expression, sorted."""
         try:
             wanted = re.compile(".*" if pattern is None else pattern, re.DOTALL)
         except (re.error, OverflowError, RecursionError) as exc:
@@ -144,16 +144,16 @@ class Catalog:
         return [self._topic(name) for name in sorted(self.names()) if wanted.fullmatch(name)]
 
     def names(self, *, fresh: bool = True) -> set[str]:
-        """List the names of all topics."""
+        """Return the names of all topics."""
         tables = self.keyspace.schema.tables(fresh=fresh)
         with self._mutex:
             for name, wish in list(self._pending.items()):
                 if (name, wish.metadata.format) in self.keyspace.schema.seen:
-                    del self._pending[name]  # its first message has come
+                    del self._pending[name]  # its first message has been stored
             return {metadata.topic for metadata in tables.values()} | set(self._pending)
 
     def is_written(self, topic: str) -> bool:
-        """Say whether a client writes messages of a topic now, as a recorder does."""
+        """Return whether a client, such as a recorder, is writing messages of a topic now."""
         return self._are_written(self.tables([topic]))
 
     def _are_written(self, tables: Sequence[TopicTable]) -> bool:
@@ -165,19 +165,20 @@ class Catalog:
         )
 
     def remove(self, topic: str, *, renew: bool = False) -> int:
-        """Drop a topic with all its messages; renew: the topic itself stays.
+        """Delete a topic with all its messages; renew: keep the topic itself.
 
         Returns:
-            How many messages are removed. Under a client that writes the topic those are deleted
-            which are there when it begins, where the topic stays.
+            The number of deleted messages. If renew is set and a client is writing the topic, only
+            the
+            messages that were there at the beginning are deleted.
         """
         name, space = self.get(topic).name, self.keyspace
         self.adder.close()
         tables: List[TopicTable] = []
-        with suppress(DefinitionError):  # what cannot be read here can be removed
+        with suppress(DefinitionError):  # a topic that cannot be read here can still be removed
             tables = self.tables([name])
         if renew and self._are_written(tables):
-            # Its table would be gone with what comes meanwhile, which no count has.
+            # Dropping its table would also drop later messages, which no count contains.
             space.registry.forget_losses(name)
             return sum(
                 delete_time_range(space, [table], Read()) for table in tables if not table.named
@@ -198,8 +199,8 @@ class Catalog:
         name = self.get(topic).name
         if name in spellings(new_name):
             raise TopicExists(
-                f"topic {name} is found as {new_name} already, for the leading slash may be left "
-                "out: give another name"
+                f"topic {name} is found as {new_name} already, because the leading slash may be "
+                "left out: give another name"
             )
 
         def check(tables: Mapping[str, TopicMetadata]) -> None:
@@ -230,12 +231,12 @@ class Catalog:
     def _topic(self, name: str) -> CassandraTopic:
         with self._mutex:
             wish = self._pending.get(name)
-        # By the comments alone: one table that cannot be read must not hide the other topics.
+        # By the comments alone: a table that cannot be read must not hide the other topics.
         tables = [m for _, m in sorted(self.keyspace.schema.tables().items()) if m.topic == name]
         if wish is None and not tables:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self.keyspace.name}")
         if wish is None:
-            # What another table would begin with: these facts are of one alone.
+            # Metadata for a further table of the topic, without the facts of this one table.
             blank = tables[0].with_(
                 **dict.fromkeys(("msg_type", "md5sum", "definition", "date"), ""),
                 bucket_ns=0,
@@ -248,10 +249,10 @@ class Catalog:
         return CassandraTopic(self.keyspace, self.adder, wish)
 
     def tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
-        """List the tables of some topics, None = of all topics that can be read."""
+        """Return the tables of some topics, None = of all topics that can be read."""
         if topics is not None:
             self.keyspace.schema.tables(fresh=True)
-            # A topic may be named twice: with and without its leading slash.
+            # A topic may be given twice: with and without its leading slash.
             named = {topic.name: topic for topic in map(self.get, topics)}
             return [table for topic in named.values() for table in topic.tables]
         found: List[TopicTable] = []
@@ -265,7 +266,7 @@ class Catalog:
     def time_range(
         self, topics: Optional[Iterable[str]], key: Optional[Time], to_key: Optional[Time]
     ) -> TimeRange:
-        """Return the stretch of some topics between two times, None = open; see stretch_between."""
+        """Return the time range between two times, None = open; see time_range_between."""
         if key is None and to_key is None:
             return TimeRange()
         return time_range_between(self.keyspace, self.tables(topics), key, to_key)
@@ -281,13 +282,16 @@ class Catalog:
         return Read(self.time_range(topics, key, to_key), whose)
 
     def whose(self, node: Optional[str], run: RunName) -> Whose:
-        """Check nodeID and run, and return whose messages they mean; RunNotFound, InvalidName."""
+        """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
         return Whose(check_nodes(node), self.keyspace.runs.writers(run))
 
     def filters(
         self, where: Conditions, topics: Optional[Iterable[str]], whose: Whose = EVERYBODY
     ) -> Dict[str, Filter]:
-        """Return a filter for each topic that a condition is for; it must be one that is read."""
+        """Return the filter of each topic with a condition.
+
+        It must be one of the topics to read.
+        """
         if where is None:
             return {}
         if not isinstance(where, Mapping):
@@ -316,7 +320,7 @@ class Catalog:
         node: Optional[str],
         run: RunName,
     ) -> List[Loss]:
-        """List what should have been recorded and was not; see RosCassandra.losses."""
+        """Return the losses of topics; see RosCassandra.losses."""
         names, time_range = check_topics(topics), range_between(key, to_key)
         return self.keyspace.runs.losses(names, time_range, self.whose(node, run))
 
@@ -339,7 +343,7 @@ class Catalog:
         where: Conditions = None,
         run: RunName = None,
     ) -> Iterator[StoredRow]:
-        """Walk lazily through the rows of several topics; see RosCassandra.readMessages."""
+        """Yield the rows of several topics lazily; see RosCassandra.readMessages."""
         names = check_topics(topics)
         whose = self.whose(node, run)
         filters, read = self.filters(where, names, whose), self.read_of(names, key, to_key, whose)
@@ -353,7 +357,7 @@ class Catalog:
         *,
         received: bool = False,
     ) -> Iterator[StoredRow]:
-        """Walk lazily through the rows of some tables that pass their filters, merged by time."""
+        """Yield lazily the rows of some tables that pass their filters, merged by time."""
         rows_of = self.keyspace.rows.received if received else self.keyspace.rows.read
         by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
         free: List[TopicTable] = []
@@ -364,7 +368,7 @@ class Catalog:
         streams = [rows_of(free, read)] if free else []
         for name, own in by_topic.items():
             if received and any(t.metadata.own_time and not t.named for t in own):
-                # Read by a time that its key is not: the store cannot look for both.
+                # Read by receive times, while the condition is read by key times.
                 streams.append(filter(filters[name].test, rows_of(own, read)))
             elif own:
                 streams.append(filters[name].rows(read))
@@ -377,14 +381,14 @@ def nearest_pairs(
     tolerance_ns: int,
     unpaired: bool = False,
 ) -> Iterator[Pair]:
-    """Pair each row of one stream with the nearest one of another; two of that are held.
+    """Pair each row of one stream with the nearest row of another; holds two rows of the latter.
 
-    Of two rows that are equally near the earlier one is taken, of equal times the first.
+    Of two equally near rows the earlier one is taken, of equal times the first.
 
     Args:
-        first, second: In the order of time.
-        tolerance_ns: The largest distance of a partner, ns.
-        unpaired: Give rows of the first that have no partner with None, else leave them out.
+        first, second: Rows in order of time.
+        tolerance_ns: Maximum distance of a partner, ns.
+        unpaired: Yield rows of the first stream without a partner as (row, None).
     """
     before: Optional[StoredRow] = None
     ahead = next(second, None)
@@ -399,7 +403,7 @@ def nearest_pairs(
         elif unpaired:
             yield row, None
         elif ahead is None:
-            return  # the rows that follow are further away still
+            return  # later rows are even further away
 
 
 def _nearer(t: int, before: Optional[StoredRow], ahead: Optional[StoredRow]) -> Optional[StoredRow]:

@@ -11,7 +11,7 @@ from cassandra_ros.read import LAST_NS, TimeRange
 
 Clock = Callable[[], Time]
 AnyKey = Any
-"""A Time, or what else is the topic's key: a name, or the value of a field."""
+"""A Time, or another key of a topic: a name, or the value of a field."""
 
 
 def range_between(key: Optional[Time], to_key: Optional[Time]) -> TimeRange:
@@ -21,5 +21,5 @@ def range_between(key: Optional[Time], to_key: Optional[Time]) -> TimeRange:
 
 
 def spellings(topic: str) -> tuple[str, str]:
-    """Return the names that a topic is looked for by: the given one first."""
+    """Return the names by which a topic is found: with and without slash, the given one first."""
     return topic, topic[1:] if topic.startswith("/") else "/" + topic

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored rows are deleted: the row first, then its chunks, and the directory told before."""
+"""Deletion of stored rows: first a mark in the directory, then the row, then its chunks."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ ROWS_AT_ONCE = 512
 _Partition = Tuple[TopicTable, str, Union[int, str]]
 """Table, node, and bucket or name."""
 _Key = Tuple[int, int, bool]
-"""As the store has them: time and counter; and whether there are chunks."""
+"""``_t`` and ``_seq`` as stored, and whether the message has chunks."""
 
 
 def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read) -> int:
-    """Delete the rows in the time range of a read, of its nodes and writers; return how many.
+    """Delete the rows in the time range of a read, of its nodes and writers; return their number.
 
-    What is stored while this goes on stays, or is counted, too.
+    Rows that are stored meanwhile stay, or are deleted and counted too.
     """
     (low, high), whose = read.time_range, read.whose
     deleted = 0
-    # Before it is read who wrote where: who opens a bucket later keeps what he writes.
+    # Taken before the directory is read: rows of buckets that are opened later stay.
     until = space.cassandra.server_time_us()
     for table in current(tables):
         ends = table.bucket_of(low), table.bucket_of(high)
         rows = list(space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl))
         if whose.writers is not None or high - low < LONGEST_GAP_NS:
-            # A way may lead over what is gone, from poses that stay to others.
+            # The robot's way between the remaining poses may now lead over deleted ones.
             mine = [r.bucket for r in rows if whose.writers is None or r.writer in whose.writers]
             _withdraw_places(space, table, mine, low, high)
         writers: Dict[Tuple[str, int], Set[int]] = {}
@@ -52,7 +52,7 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
             elif whose.writers is None or listed <= whose.writers:
                 deleted += _delete_bucket(space, (table, node, bucket), low, high, until)
             elif listed & whose.writers:
-                # Others wrote there, too: one by one, and theirs stay.
+                # Other writers have rows there too, which stay: delete row by row.
                 deleted += _delete_between(space, (table, node, bucket), low, high, whose)
     return deleted
 
@@ -69,7 +69,7 @@ def _withdraw_places(
 def _delete_blocks(
     space: Keyspace, partition: _Partition, low: int, high: int, whose: Whose
 ) -> int:
-    """Delete out of blocks: what another writer adds meanwhile stays."""
+    """Delete messages from blocks; messages that another writer adds meanwhile stay."""
     table, node, where = partition
     rows = headers(table, node, int(where), low, high, whose.writers)
     deleted = 0
@@ -96,7 +96,7 @@ def _delete_between(
 
 
 def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
-    """Delete messages while they are found; return how many. Only some keys are held."""
+    """Delete messages while they are found; return their number. Only some keys are in memory."""
     deleted = 0
     rows = iter(rows)
     while some := list(islice(rows, ROWS_AT_ONCE)):
@@ -115,20 +115,21 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
 
 
 def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us: int) -> int:
-    """Delete some of the rows of a time range; return how many.
+    """Delete some of the rows of a time range; return their number.
 
-    What lies between two that stay is deleted at once: each deletion leaves a tombstone, and
-    Cassandra refuses to read a bucket with 100,000 of them.
+    Consecutive rows are deleted together: each deletion leaves a tombstone, and Cassandra refuses
+    to
+    read a bucket with 100,000 of them.
 
     Args:
-        rated: All rows of the stretch in their order, and which are to go.
-        until_us: A time of the server before these were read: what was written later stays.
+        rated: All rows of the time range in order, each with whether it is deleted.
+        until_us: A time of the server before these were read, us: rows written later stay.
     """
     deleted = held = 0
     runs: Dict[_Partition, List[List[_Key]]] = {}
     rated = iter(rated)
     for row, goes in rated:
-        if row.table.packed:  # from the first row on, or where the topic was converted meanwhile
+        if row.table.packed:  # from the first row on, or if the topic was converted meanwhile
             rest = chain([(row, goes)], rated)
             deleted += delete_rows(space, (each for each, goes in rest if goes))
             break
@@ -148,7 +149,7 @@ def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us
 def _delete_runs(space: Keyspace, runs: Dict[_Partition, List[List[_Key]]], until_us: int) -> None:
     for partition, parts in runs.items():
         table, node, where = partition
-        # Of a large message that stays, for it came later, the chunks must stay, too.
+        # The chunks of a large message that was written later, and so stays, must stay too.
         ranges: List[List[_Key]] = []
         single: List[_Key] = []
         if parts[0]:
@@ -173,16 +174,16 @@ def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> No
     table, node, where = partition
     space.schema.listing().check_staying(table.name)
     if isinstance(where, int):
-        # Anew for each group: a reader may count the bucket in between, and believe that.
+        # Again for each group: a reader may have counted the bucket and closed it in between.
         _mark_deleted(space.directory, table, node, where)
-    # Row by row: what another writer adds between two of them stays.
+    # Row by row: rows that another writer adds between two of them stay.
     params = [(node, where, t, seq) for t, seq, _ in keys]
     space.cassandra.execute_many(table.delete_one(), params, what=_deleting(table))
     _delete_chunks(space, partition, keys)
 
 
 def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> None:
-    """Delete messages of one bucket out of their blocks."""
+    """Delete messages of one bucket from their blocks."""
     table, node, where = partition
     cuts: Dict[BlockKey, Set[int]] = {}
     for row in rows:
@@ -196,7 +197,7 @@ def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> 
 
 
 def _delete_bucket(space: Keyspace, partition: _Partition, low: int, high: int, until: int) -> int:
-    """Delete the rows of a bucket that were written up to a time of the server, us."""
+    """Delete the rows of a bucket that were written up to ``until``, server time in us."""
     table, node, where = partition
     bucket = int(where)
     space.schema.listing().check_staying(table.name)
@@ -204,12 +205,12 @@ def _delete_bucket(space: Keyspace, partition: _Partition, low: int, high: int, 
     keys = [(t, seq, large) for t, seq, large, _ in found]
     if keys:
         marked = _mark_deleted(space.directory, table, node, bucket)
-        # What is on its way into the stretch, and was not counted, is younger than all of these.
+        # Rows that arrive in the range now, and were not counted, are newer than all of these.
         newest = max(written for *_, written in found)
         params = (newest, node, bucket, *keys[0][:2], *keys[-1][:2])
         statement = table.delete_range(older=True)
         space.cassandra.execute(statement, params, what=_deleting(table))
-        # Rows of who opened the bucket in between may be gone, too.
+        # Rows of writers that opened the bucket in between may have been deleted too.
         _mark_deleted(space.directory, table, node, bucket, marked)
         _delete_chunks(space, (table, node, bucket), keys)
     return len(keys)
@@ -218,7 +219,7 @@ def _delete_bucket(space: Keyspace, partition: _Partition, low: int, high: int, 
 def _mark_deleted(
     directory: Directory, table: TopicTable, node: str, bucket: int, but: Collection[int] = ()
 ) -> Set[int]:
-    """Mark the bucket for its writers of now, return them."""
+    """Mark the bucket as deleted from, for its present writers except ``but``; return them all."""
     writers = {row.writer for row in directory.find(table.name, node, bucket)}
     for writer in writers.difference(but):
         directory.mark((table.name, node, bucket, writer), table.metadata.ttl, deleted=True)

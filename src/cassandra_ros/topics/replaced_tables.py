@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Reading goes on where a table is replaced by another meanwhile: a topic is converted.
+"""Reads that go on while a table is replaced by another one, because its topic is converted.
 
-The old table is dropped some seconds after the new one became visible. Whoever is reading it then
-is told that it is gone, and goes on in the new one behind the last row that he was given: the rows
-have the same places there.
+The old table is dropped some seconds after the new one became visible. A reader of the old table
+then
+gets an error, and goes on in the new table after the last row that it yielded: rows have the same
+positions there.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ Tables = Sequence[TopicTable]
 
 
 def current(tables: Tables, *, fresh: bool = False) -> Tables:
-    """Return tables with those in place of them that have replaced some; each once.
+    """Return tables with replaced ones exchanged for those that replaced them; each once.
 
-    Of a whole topic those that were made since are among them.
+    For a whole topic the result includes tables that were made since.
     """
     if isinstance(tables, WholeTopic):
         return tables.now(fresh=fresh)
@@ -40,9 +41,9 @@ def current(tables: Tables, *, fresh: bool = False) -> Tables:
 
 
 def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
-    """Do something with tables, anew where one of them was replaced and dropped meanwhile.
+    """Call ``work`` with tables; call it again if one of them was replaced and dropped meanwhile.
 
-    It is done anew, too, where a whole topic has a table that was made before.
+    For a whole topic it is also called again if the topic has a table that was made before.
     """
     tables = current(tables)
     while True:
@@ -56,11 +57,11 @@ def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
 
 
 def _left(tables: Tables) -> bool:
-    """Say whether one of the tables was replaced, long enough ago for it to be dropped.
+    """Return whether one of the tables was replaced, so that it may have been dropped.
 
-    Then the directory may know nothing of it any more, and what was read be less than all. So it is
-    where a whole topic has a table that was not read. Asked after an answer of the server, it
-    knows all that was acknowledged before the read began (``connection/schema_changes.py``).
+    Then the directory may have no entries of it any more, and less than everything was read. The
+    same holds if a whole topic has a table that was not read. After an answer of the server this
+    includes every change acknowledged before the read began (``connection/schema_changes.py``).
     """
     return not _same(tables, current(tables))
 
@@ -70,7 +71,7 @@ def _same(tables: Tables, now: Tables) -> bool:
 
 
 def _replaced(tables: Tables, gone: TopicNotFound) -> Tables:
-    """Return the tables of now; raise the error where none of them is new."""
+    """Return the present tables; raise the error if none of them is new."""
     now = current(tables, fresh=True)
     if _same(tables, now):
         raise gone
@@ -78,13 +79,13 @@ def _replaced(tables: Tables, gone: TopicNotFound) -> Tables:
 
 
 class Following:
-    """Reads the rows of one keyspace as RowReader does, whose methods these are."""
+    """Reads the rows of one keyspace with the methods of RowReader, in replaced tables too."""
 
     def __init__(self, rows: RowReader) -> None:
         self._rows = rows
 
     def read(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
-        """Yield rows in their order; ``read.after`` may name a table that was replaced."""
+        """Yield rows in order; ``read.after`` may name a table that was replaced."""
         after, last = read.after, None
         while True:
             tables = current(tables)
@@ -95,9 +96,9 @@ class Following:
                 found = self._rows.read(tables, replace(read, after=behind))
                 first = next(found, None)
                 if last is None and _left(tables):
-                    continue  # nothing was given yet
+                    continue  # no row was yielded yet
                 if first is not None:
-                    tables = list(tables)  # what is made from now on need not be read
+                    tables = list(tables)  # tables made from now on need not be read
                     last = first
                     yield first
                 for row in found:
@@ -109,13 +110,13 @@ class Following:
                 tables = _replaced(tables, exc)
 
     def blocks(self, tables: Tables, read: Read) -> Optional[Iterator[MessageBlock]]:
-        """Read whole blocks, as RowReader does; TopicNotFound where a table was replaced."""
+        """Read whole blocks, like RowReader; raises TopicNotFound if a table was replaced."""
         tables = current(tables)
         found = self._rows.blocks(tables, read)
         return None if found is None else _unless_left(tables, found)
 
     def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
-        """Yield the rows received in the time range of a read, in the order of their reception."""
+        """Yield the rows received in the time range of a read, in order of their receive times."""
         last: Optional[StoredRow] = None
         while True:
             tables = current(tables)
@@ -131,17 +132,20 @@ class Following:
                 tables = _replaced(tables, exc)
 
     def exact(self, table: TopicTable, key: Union[Stamp, RowName]) -> Optional[StoredRow]:
-        """Read one row by the key that the store gave: one SELECT."""
+        """Return one row by a key that the store gave: one SELECT."""
         return followed([table], lambda now: self._rows.exact(now[0], key))
 
     def at(self, tables: Tables, read: Read) -> Optional[StoredRow]:
-        """Read the first row of a read whose time range is one time."""
+        """Return the first row of a read whose time range is one time."""
         return followed(tables, lambda now: self._rows.at(now, read))
 
     def beside(
         self, tables: Tables, t: int, whose: Whose, ways: Sequence[bool]
     ) -> Optional[Sequence[StoredRow]]:
-        """Find the rows nearest to a time, quickly; None where read has to."""
+        """Return the rows nearest to a time.
+
+        None if this fast way does not work and ``read`` must.
+        """
         return followed(tables, lambda now: self._rows.beside(now, t, whose, ways))
 
 

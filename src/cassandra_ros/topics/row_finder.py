@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows of a topic by its keys and conditions: found, walked through, counted, removed."""
+"""Rows of a topic by its keys and conditions: found, read, counted, deleted."""
 
 from __future__ import annotations
 
@@ -37,37 +37,37 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 NEAREST = ("before", "after", "either")
 _NEAR_NS = 256
-"""Nanoseconds that a time of today may lose on its way through a float."""
+"""Maximum error of a present time after its conversion to a float, ns."""
 
 
 def _is_ours(key: AnyKey) -> bool:
-    """Say whether the store gave a key: of one message."""
+    """Return whether a key was given by the store and so belongs to one message."""
     return isinstance(key, (RowName, Stamp)) and bool(key.table)
 
 
 @dataclass(frozen=True)
 class Finder:
-    """Finds the rows of one topic that keys mean."""
+    """Finds the rows of one topic by keys."""
 
     keyspace: Keyspace
     topic: str
-    """Its name."""
+    """Name of the topic."""
     key_format: str
     tables: Sequence[TopicTable]
     whose: Whose = EVERYBODY
     where: Optional[Filter] = None
-    """Only messages that pass it; None = all."""
+    """Condition that the messages must pass; None = no condition."""
 
     def many(
         self, key: AnyKey, to_key: AnyKey, *, limit: Optional[int] = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
-        """Walk through the rows that key and to_key mean: the time range between them, or one."""
+        """Yield the rows in the time range from key to to_key, or those with one key."""
         limit = check_limit(limit)
         read = replace(self.read_of(key, to_key), reverse=reverse, wanted=limit)
         return islice(self._rows(read), limit)
 
     def _rows(self, read: Read, *, bare: bool = False) -> Iterator[StoredRow]:
-        """Walk through the rows of a read that satisfy the condition."""
+        """Yield the rows of a read that satisfy the condition."""
         if self.where is not None and read.only is None:
             return self.where.rows(read, bare=bare)
         rows = self.keyspace.rows.read(self.tables, read)
@@ -76,21 +76,24 @@ class Finder:
     def columns(
         self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
     ) -> Iterator[StoredRow]:
-        """Walk through the rows of ``many``; of a time range only these columns are read."""
+        """Yield the rows of ``many``; for a time range only these columns are read."""
         read = self.read_of(key, to_key)
         if self.where is not None or read.only is not None:
             return self._rows(read)
         return self._rows(replace(read, columns=columns))
 
     def reads(self, key: AnyKey, to_key: AnyKey) -> Tuple[ReadRows, Optional[ReadBlocks]]:
-        """Return how the rows of ``many`` are read for arrays: one by one, or (None) as blocks."""
+        """Return how to read the rows of ``many`` for arrays.
+
+        Row by row, and as blocks (or None).
+        """
         read, blocks = self.read_of(key, to_key), None
         if self.where is None and read.only is None:
             blocks = partial(self.keyspace.rows.blocks, self.tables, read)
         return partial(self.columns, key, to_key), blocks
 
     def count(self, key: AnyKey, to_key: AnyKey) -> int:
-        """Count the rows of ``many``, of a whole time range without reading them."""
+        """Return the number of rows of ``many``; those of a time range are not read for it."""
         read = self.read_of(key, to_key)
         if read.only is None and self.where is None:
             return count_rows(self.keyspace.directory, self.tables, read)
@@ -106,7 +109,7 @@ class Finder:
         if key is None or to_key is not None:
             return self._remove(self.read_of(key, to_key))
         if _is_ours(key):
-            # It and no other of the same time, whosever that is.
+            # Only this message, not others of the same time.
             row = self._exact(key, self._table_of(key)) if self.whose.has(key) else None
             count = 0 if row is None else delete_rows(self.keyspace, [row])
         else:
@@ -121,7 +124,7 @@ class Finder:
         return delete_rows(self.keyspace, self._rows(read, bare=True))
 
     def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
-        """Find the one row that getData means by a key; None where there is none."""
+        """Return the row that getData means by a key; None if there is no such row."""
         if nearest is not None:
             return self._near(key, nearest)
         table = self._table_of(key) if self._is_exact(key) else None
@@ -130,17 +133,17 @@ class Finder:
         read = self.one(key)
         if read.only is None:
             return self._at(read)
-        newest = isinstance(read.only, Named)  # of several versions; of equal values the first
+        newest = isinstance(read.only, Named)  # of one name the newest; of equal values the first
         return next(self._rows(replace(read, reverse=newest)), None)
 
     def _at(self, read: Read) -> Optional[StoredRow]:
-        """Find the row at a time: of several the first in the order of all reads."""
+        """Return the row at a time: of several the first in the order of all reads."""
         if self.where is None:
             return self.keyspace.rows.at(self.tables, read)
         return next(self._rows(replace(read, wanted=1)), None)
 
     def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
-        """Return the table in which a key of ours lies; None where it is gone."""
+        """Return the table of a key that the store gave; None if it was dropped."""
         table = self.keyspace.tables.holding(key.table)
         return table if table is not None and table.metadata.topic == self.topic else None
 
@@ -150,7 +153,7 @@ class Finder:
         return row if passes else None
 
     def _is_exact(self, key: AnyKey) -> bool:
-        """Say whether a key is one that the store gave: it knows its row."""
+        """Return whether the store gave this key, which then identifies its row."""
         return _is_ours(key) and self.whose.has(key)
 
     def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
@@ -177,17 +180,17 @@ class Finder:
         if nearest != "before":
             after = next(self._rows(Read(TimeRange(t, LAST_NS), self.whose, wanted=1)), None)
             if after is not None and nearest == "either":
-                low = max(0, t - (after.t - t))  # what lies before that is further away
+                low = max(0, t - (after.t - t))  # earlier rows are further away
         if nearest != "after":
             back = Read(TimeRange(low, t), self.whose, reverse=True, wanted=2)
             for row in self._rows(back):
                 if before is not None and row.t != before.t:
                     break
-                before = row  # backwards the last of equal stamps comes first
+                before = row  # in descending order the last of equal stamps comes first
         return before or after
 
     def absent(self, key: AnyKey, nearest: Optional[str]) -> str:
-        """Say that there is no message at a key, what lies near, and what was probably meant."""
+        """Return an error text for a key without a message, with the nearest one and a hint."""
         read = self.one(key)
         none = f"topic {self.topic} has no message"
         if self.whose.nodes is not None:
@@ -205,7 +208,7 @@ class Finder:
         none += f" {nearest or 'at'} {iso_time(t)} ({t} ns)"
         if isinstance(key, int) and 0 < t < SECONDS_BELOW:
             return none + "; integers are nanoseconds; did you mean seconds (a float)?"
-        # The nearest that satisfies a condition may be far, and long to look for.
+        # With a condition the nearest message may be far away and take long to find.
         look = nearest is None and self.where is None
         near = self._nearest(t, "either") if look else None
         if near is None:
@@ -227,13 +230,13 @@ class Finder:
         return [t.value_part for t in self.tables if t.value_part is not None]
 
     def read_of(self, key: AnyKey, to_key: AnyKey) -> Read:
-        """Return the read of the time range between key and to_key, or of what key alone means."""
+        """Return the read of the time range from key to to_key, or of the messages with one key."""
         if key is None and to_key is None:
             return Read(whose=self.whose)
         if self._named and to_key is not None:
             raise InvalidKey(
                 f"messages of topic {self.topic} are kept under names (key_format "
-                f"{self.key_format}), and names have no order: there is no stretch between two of "
+                f"{self.key_format}), and names have no order: there is no range between two of "
                 "them; give one key, or none for all"
             )
         if to_key is None and (self._named or self._is_value(key)):
@@ -241,13 +244,13 @@ class Finder:
         if self._is_value(key) or self._is_value(to_key):
             raise InvalidKey(
                 f"the key of topic {self.topic} is its field {self._parts[0].field}, and its "
-                "messages lie in the order of time: a stretch goes from one genpy.Time to "
+                "messages are in the order of time: a range goes from one genpy.Time to "
                 "another; ask for a range of values with executeCQL"
             )
         return Read(time_range_between(self.keyspace, self.tables, key, to_key), self.whose)
 
     def one(self, key: AnyKey) -> Read:
-        """Return the read of what a single key means: one time, one name, or one value."""
+        """Return the read of the messages with a single key: a time, a name, or a value."""
         if self._named:
             return Read(whose=self.whose, only=Named(check_message_name(self.topic, key)))
         if self._is_value(key):
@@ -259,7 +262,7 @@ class Finder:
         return bool(self._parts) and key is not None and not is_time(key)
 
     def of_text(self, text: str) -> AnyKey:
-        """Read a key that a person typed; see CassandraTopic.keyOfText."""
+        """Return the key in a text that a user typed; see CassandraTopic.keyOfText."""
         if self._named or any(table.named for table in self.tables):
             return text
         if self._parts:
@@ -268,7 +271,10 @@ class Finder:
         return int(text) if text.isascii() and text.isdigit() and len(text) < 40 else text
 
     def _value(self, text: str) -> AnyKey:
-        """Read a value as the first table that can takes it: texts last, they take anything."""
+        """Return a value of the first table that accepts the text.
+
+        Text fields last: they accept all.
+        """
         problem: Optional[InvalidKey] = None
         for part in sorted(self._parts, key=lambda part: part.is_text):
             try:
@@ -279,7 +285,7 @@ class Finder:
 
 
 def seconds_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:
-    """Say why a key in nanoseconds was meant in seconds; '' where it was not, or nobody knows."""
+    """Return the reason why a key was meant in seconds; '' if it was not, or that is unknown."""
     if not isinstance(key, Integral) or not 0 < int(key) < SECONDS_BELOW:
         return ""
     timed = [table for table in tables if not table.named]
@@ -293,7 +299,7 @@ def seconds_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object)
 
 
 def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
-    """Raise InvalidKey for ints that were meant as seconds: they find everything, or nothing."""
+    """Raise InvalidKey for ints that were meant as seconds: they match all messages, or none."""
     for key in keys:
         reason = seconds_meant(keyspace, tables, key)
         if reason:
@@ -303,22 +309,22 @@ def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: obje
 def time_range_between(
     keyspace: Keyspace, tables: Sequence[TopicTable], key: Optional[Time], to_key: Optional[Time]
 ) -> TimeRange:
-    """Return the stretch of some tables between two times, None = open; refuses seconds."""
+    """Return the time range between two times, None = open; refuses keys meant as seconds."""
     time_range = range_between(key, to_key)
     refuse_seconds(keyspace, tables, key, to_key)
     return time_range
 
 
 Where = Union[str, Tuple[str, Sequence[Any]]]
-"""A condition: what stands behind WHERE in CQL, or that and the values of its ``?``."""
+"""A condition: the text after WHERE in CQL, or the text and the values of its ``?``."""
 
 
 class Filter:
     """The rows of one topic that satisfy a condition.
 
     Attributes:
-        text: The condition as it was given.
-        test: Tells whether a row of the topic satisfies it, whatever its node.
+        text: The condition as given.
+        test: Returns whether a row of the topic satisfies it, whatever its node.
     """
 
     def __init__(
@@ -338,5 +344,5 @@ class Filter:
         self.test = self._condition.test(topic.tables, whose)
 
     def rows(self, read: Read, *, bare: bool = False) -> Iterator[StoredRow]:
-        """Walk through those of a read; see Condition.rows."""
+        """Yield the rows of a read that satisfy the condition; see Condition.rows."""
         return self._condition.rows(self._topic, read, bare=bare)

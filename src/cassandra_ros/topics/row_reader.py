@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored rows of any topics, by time, name or value. No message object is made."""
+"""Stored rows of any topics, by time, name or value, without message objects."""
 
 from __future__ import annotations
 
@@ -45,8 +45,9 @@ class RowReader:
     def read(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Yield rows in the order (t, node, seq, table), or its reverse, lazily.
 
-        Of topics whose messages lie under names all keys are listed first, and all rows are read.
-        The server may leave out less than the chooser says.
+        For topics with names all keys are listed first, and all rows are read. The server may leave
+        out
+        fewer rows than the chooser asks.
         """
         if isinstance(read.only, Named):
             rows: Iterable[TableRow] = self._versions(tables, read.only, read)
@@ -65,7 +66,7 @@ class RowReader:
         return heapq.merge(rows, named, key=lambda row: row.position, reverse=read.reverse)
 
     def blocks(self, tables: Sequence[TopicTable], read: Read) -> Optional[Iterator[MessageBlock]]:
-        """Read the messages of a time range as whole blocks; None where not all lie in such.
+        """Read the messages of a time range as whole blocks; None if a table is not packed.
 
         Only time range, nodes and writers of the read count.
         """
@@ -82,7 +83,7 @@ class RowReader:
             by_name = {table.name: table for table in tables}
             made = (StoredRow(row, by_name[row.table]) for row in rows)
         for row in chunks_ahead(made):
-            self._cassandra.require_open()  # also an iterator says at once that it cannot go on
+            self._cassandra.require_open()  # so that an iterator ends when the connection is closed
             yield row
 
     def _named(self, tables: Sequence[TopicTable], read: Read) -> Iterator[TableRow]:
@@ -124,7 +125,7 @@ class RowReader:
             if value is not None:
                 keys.append(self._keys_of(table, part, value, read.whose))
         if problems and len(problems) == len(parts):
-            raise problems[0]  # in none of the tables the field is of the value's kind
+            raise problems[0]  # the field has the value's type in none of the tables
         merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
         merged = (key for key in merged if _inside(key.position, read))
         yield from fetch_rows(reversed(list(merged)) if read.reverse else merged)
@@ -138,15 +139,15 @@ class RowReader:
             keys = keys_by_shadow(self._directory, table, shadow, index, whose.nodes)
             yield from (key for key in keys if whose.wrote(key.position.seq))
             return
-        # A text that is too long for the index: its rows are marked, but not by a value.
+        # The text is too long for the index: its rows are marked as odd.
         for row in self.read([table], Read(whose=whose)):
             if row.odd and part.value(row.wire) == wanted:
                 yield Wanted(table, row.position)
 
     def received(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
-        """Yield the rows received in the time range of a read, in the order of their reception.
+        """Yield the rows received in the time range of a read, in order of their receive times.
 
-        Of topics whose key is a time in the message all keys are listed first.
+        For topics whose key is a time in the message all keys are listed first.
         """
         foreign = {t.name: t for t in tables if t.metadata.own_time and not t.named}
         own = self.read([t for t in tables if t.name not in foreign], read)
@@ -162,16 +163,16 @@ class RowReader:
         return heapq.merge(own, late, key=lambda row: row.arrival)
 
     def exact(self, table: TopicTable, key: Union[Stamp, RowName]) -> Optional[StoredRow]:
-        """Read one row by the key that the store gave: one SELECT."""
+        """Return one row by a key that the store gave: one SELECT."""
         t, name = (key.t, str(key)) if isinstance(key, RowName) else (key.ns, "")
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
         row = fetch_row(table, position)
         return None if row is None else StoredRow(row, table)
 
     def at(self, tables: Sequence[TopicTable], read: Read) -> Optional[StoredRow]:
-        """Read the first row of a read whose time range is one time."""
+        """Return the first row of a read whose time range is one time."""
         timed = [table for table in tables if not table.named]
-        if read.whose.writers is not None:  # the first of a partition may be another's
+        if read.whose.writers is not None:  # the first row may be of another writer
             return next(self.read(timed, replace(read, wanted=1)), None)
         row = first_at(self._directory, timed, read.time_range.low, read.whose.nodes)
         return next(self._stored([] if row is None else [row], tables), None)
@@ -179,7 +180,10 @@ class RowReader:
     def beside(
         self, tables: Sequence[TopicTable], t: int, whose: Whose, ways: Sequence[bool]
     ) -> Optional[Sequence[StoredRow]]:
-        """Find the rows nearest to a time, quickly; None where read has to; see fetch.beside."""
+        """Return the rows nearest to a time; None if this fast way does not work.
+
+        See fetch.beside.
+        """
         if whose.writers is not None or any(table.named for table in tables):
             return None
         rows = beside(self._directory, tables, t, whose.nodes, ways) if tables else None
@@ -187,6 +191,6 @@ class RowReader:
 
 
 def _inside(position: Position, read: Read) -> bool:
-    """Say whether a row of one name or value lies where a read looks."""
+    """Return whether a row with one name or value is in the time range and after the cursor."""
     low, high = read.time_range
     return low <= position.t <= high and is_behind(position, read.after, read.reverse)

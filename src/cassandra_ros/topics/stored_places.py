@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What places/ needs of a keyspace: its topics, and when which run has messages of one."""
+"""A keyspace as places/ sees it: its topics, and the times of messages of a run."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 
 _LONG_NS = 600 * SECOND_NS
-"""In longer buckets, as imports have, it is looked where the messages of an open one lie."""
+"""Length of a bucket, ns, above which the times of the messages in an open bucket are read."""
 
 
 class StoredPlaces:
-    """The topics of a keyspace, for those who ask where its robots were."""
+    """The topics of a keyspace, for lookups of the robots' places."""
 
     def __init__(
         self,
@@ -40,15 +40,15 @@ class StoredPlaces:
         return self._find(name)
 
     def topics(self) -> Sequence[CassandraTopic]:
-        """List all topics, sorted by name."""
+        """Return all topics, sorted by name."""
         return self._topics()
 
     def nodes(self, topic: ArraySource) -> Sequence[str]:
-        """List the nodeIDs that have messages of a topic, sorted."""
+        """Return the nodeIDs that have messages of a topic, sorted."""
         return self._keyspace.nodes(self._tables(topic))
 
     def extents(self, topic: ArraySource, node: str, low: int, high: int) -> Sequence[Extent]:
-        """List when runs of a node have messages of a topic, as far as that touches [low, high]."""
+        """Return the time ranges of a topic's messages by run of a node that meet [low, high]."""
         directory, whose = self._keyspace.directory, Whose([node])
 
         def extents(tables: Sequence[TopicTable]) -> List[Extent]:
@@ -60,7 +60,7 @@ class StoredPlaces:
                 for row in buckets_of(directory, table, whose, ends):
                     if row.closed and not row.rows:
                         continue
-                    # What is said of an open bucket is an estimate.
+                    # The directory has only estimates for an open bucket.
                     inside = (row.t_min, row.t_max) if row.closed else self._ends(table, row)
                     if inside is not None and inside[0] <= high and inside[1] >= low:
                         found.append(Extent(table.name, row.writer, *inside))
@@ -69,7 +69,7 @@ class StoredPlaces:
         return followed(self._tables(topic), extents)
 
     def _ends(self, table: TopicTable, row: BucketRow) -> Optional[Tuple[int, int]]:
-        """Return between which times a node may have messages in a bucket; None = it has none."""
+        """Return the time range of a node's messages in a bucket; None = it has no messages."""
         length = table.metadata.bucket_ns
         time_range = TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
         if length <= _LONG_NS:
@@ -87,11 +87,11 @@ class StoredPlaces:
         return (min(found), max(found)) if found else None
 
     def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
-        """Return the nodeIDs of the runs of some writers; None where a writer has no run."""
+        """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
         return self._keyspace.runs.nodes(writers)
 
     def run_text(self, writer: int) -> str:
-        """Return what RUN says of the messages of a writer."""
+        """Return the text of RUN for the messages of a writer."""
         return self._keyspace.runs.text(writer)
 
     def _tables(self, topic: ArraySource) -> List[TopicTable]:

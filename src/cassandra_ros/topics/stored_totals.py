@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How much is stored: from the directory where that can be, else counted."""
+"""Numbers of stored messages: from the directory where possible, otherwise counted."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 @dataclass(frozen=True, repr=False)
 class TopicInfo:
-    """What is stored of one topic, in one table, by one node."""
+    """Numbers of one topic in one table by one node."""
 
     topic: str
     type: str
@@ -31,25 +31,26 @@ class TopicInfo:
     node: str
     count: int
     bytes: int
-    """Serialised bytes of the messages."""
+    """Number of serialised bytes of the messages."""
     first_ns: Optional[int]
     last_ns: Optional[int]
     odd: int
-    """Messages with a field that is not held exactly in its column."""
+    """Number of messages with a field that is not held exactly in its column."""
     buckets: int
-    """Stretches of time, or names."""
+    """Number of buckets, or of names."""
     bucket_ns: int
     ttl: int
     table: str
     largest_bucket: int
-    """Messages in the fullest bucket, or under one name."""
+    """Maximum number of messages in one bucket, or with one name."""
     lost: int
-    """Messages of the topic by this node that are known to be lost, whatever their table."""
+    """Known number of lost messages of the topic by this node, for all tables together."""
     key: str
-    """What finds a message: 'time', 'hash', 'manual', or the field that is the key."""
+    """Key of a message: 'time', 'hash', 'manual', or the name of the key field."""
     rate_hz: Optional[float]
-    """Mean rate while messages came: gaps of more than a bucket do not count, as between two
-    recordings. None where no bucket holds two of one writer."""
+    """Mean rate while messages were coming, Hz: gaps between buckets, such as between two
+    recordings,
+    do not count. None if no bucket has two messages of one writer."""
 
     def __repr__(self) -> str:
         node = f" of {shown(self.node)}" if self.node else ""
@@ -61,9 +62,9 @@ class TopicInfo:
 
 
 def count_rows(directory: Directory, tables: Sequence[TopicTable], read: Read) -> int:
-    """Count the rows in the time range of a read, of its nodes and writers.
+    """Return the number of rows in the time range of a read, of its nodes and writers.
 
-    Whole closed buckets are counted by the directory.
+    Closed buckets that are wholly in the range are counted by the directory.
     """
 
     def count(now: Sequence[TopicTable]) -> int:
@@ -87,7 +88,7 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
 
 
 def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:
-    """Say whether some tables may hold messages of somebody; without reading those."""
+    """Return whether some tables may hold messages of ``whose``, without reading these."""
 
     def holds(now: Sequence[TopicTable]) -> bool:
         timed = (t for t in now if not t.named)
@@ -100,7 +101,7 @@ def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) 
 
 
 def count_buckets(directory: Directory, tables: Sequence[TopicTable]) -> int:
-    """Count the partitions of tables: time ranges of a node; 0 for named messages."""
+    """Return the number of partitions: buckets of a node in a table; 0 for named messages."""
 
     def count(now: Sequence[TopicTable]) -> int:
         every = ((t.name, row) for t in now for row in buckets_of(directory, t))
@@ -117,7 +118,7 @@ def describe(
 ) -> list[TopicInfo]:
     """Describe what is stored, by table and node; counts come from the directory.
 
-    Of a run and a node there are only the tables in which they have messages.
+    With a run or node only the tables in which it has messages are listed.
     """
     return followed(tables, lambda now: _described(directory, now, whose, losses))
 
@@ -147,13 +148,13 @@ def buckets_of(
     whose: Whose = EVERYBODY,
     ends: tuple[int, int] = (-(2**63), 2**63 - 1),
 ) -> list[BucketRow]:
-    """List the buckets of a table in which somebody wrote, one row for each writer."""
+    """Return the buckets of a table with messages of ``whose``, one row for each writer."""
     rows = directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
     return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
 
 
 def _names_as_buckets(table: TopicTable, whose: Whose) -> list[BucketRow]:
-    """Describe the messages of a node under a name as if that were a bucket."""
+    """Return totals of the messages of each name and node, each in the form of a bucket."""
     counted: dict[tuple[str, str], BucketTotals] = {}
     for (t, node, seq, _, name), size, chunked, odd in list_names(table, whose.nodes):
         if not whose.wrote(seq):
