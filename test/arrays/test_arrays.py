@@ -18,7 +18,7 @@ from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, install
 from query.rows import attribute, plain
 
 from cassandra_ros.arrays import table_values
-from cassandra_ros.arrays.gather import gather_fields, read_arrays
+from cassandra_ros.arrays.field_arrays import gather_fields, read_arrays
 from cassandra_ros.errors import CorruptMessage, InvalidQuery
 from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.messages.classes import (

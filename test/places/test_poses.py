@@ -19,7 +19,7 @@ from cassandra_ros import Stamp
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException, TypeMismatch
 from cassandra_ros.places import poses as poses_module
-from cassandra_ros.places.frame_poses import Chain
+from cassandra_ros.places.frame_poses import FrameChain
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.poses import poses_in_frame, poses_of_topic
 from cassandra_ros.places.rigid import Rigid, between
@@ -117,7 +117,7 @@ def test_random_frames_are_where_tf2_says(described, still, target, source):
         np.array([numbers(each) for each in moving], np.float64).reshape(-1, 7),
     )
     times = T0 + np.arange(-1, 18) * SEC // 4
-    chain = Chain(FramesAlone(fixed), source, target)
+    chain = FrameChain(FramesAlone(fixed), source, target)
     poses, known = chain.placed(samples, times, stamped=True, longest_gap_ns=100 * SEC)
     whole = Whole(moving, fixed, T0)
     for row, time in enumerate(times.tolist()):

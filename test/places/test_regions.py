@@ -21,8 +21,14 @@ from cassandra_ros.places.ground_cells import (
     cells_of,
     visits_of,
 )
-from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, clipped, merged, without
-from cassandra_ros.places.regions import Box, Polygon, Round
+from cassandra_ros.places.paths import (
+    LONGEST_GAP_NS,
+    Path,
+    clip_ranges,
+    merge_ranges,
+    subtract_ranges,
+)
+from cassandra_ros.places.regions import Box, DiskRegion, Polygon
 
 SEC = 10**9
 METRES = st.one_of(
@@ -45,7 +51,7 @@ def polygons():
 
 
 def disks():
-    return st.builds(Round, METRES, METRES, st.one_of(st.floats(0, 50), st.just(5.0)))
+    return st.builds(DiskRegion, METRES, METRES, st.one_of(st.floats(0, 50), st.just(5.0)))
 
 
 def moments(path):
@@ -98,7 +104,7 @@ def test_every_moment_lies_in_a_cell_that_is_visited(poses, region):
 def test_parts_of_a_way_have_the_visits_of_the_whole(poses, cut):
     path, open_visits, found = path_of(poses), OpenVisits(), {}
     for part in (slice(0, cut + 1), slice(cut, None)):
-        for visit in open_visits.go_on(Path(path.times[part], path.x[part], path.y[part])):
+        for visit in open_visits.visits(Path(path.times[part], path.x[part], path.y[part])):
             found[visit.cell, visit.low] = visit.high  # as a row that is written again
     for t in moments(path):
         place = path.at(t)
@@ -110,9 +116,9 @@ def test_parts_of_a_way_have_the_visits_of_the_whole(poses, cut):
 def test_a_stay_is_not_longer_than_it_is():
     path = path_of([(0, 0.0, 0.0), (10 * SEC, 10.0, 0.0)])
     ends = [4 * SEC, 6 * SEC]
-    for region in (Round(5, 0, 1), Polygon([(4, -1), (6, -1), (6, 1), (4, 1)])):
+    for region in (DiskRegion(5, 0, 1), Polygon([(4, -1), (6, -1), (6, 1), (4, 1)])):
         assert np.ravel(list(path.stays(region))) == pytest.approx(ends, abs=2_000_000, rel=0)
-    assert not list(path.stays(Round(5, 1.001, 1)))
+    assert not list(path.stays(DiskRegion(5, 1.001, 1)))
 
 
 def test_what_is_known_of_a_way():
@@ -123,13 +129,15 @@ def test_what_is_known_of_a_way():
     assert path.at(last) == (5, 5)
     assert path.at(last + 1) == (1e6, 0)
     # Two poses that no robot can have had one after the other.
-    assert not list(Path(np.array([0, 2]), np.array([0.0, 1e6]), np.zeros(2)).stays(Round(9, 0, 1)))
+    assert not list(
+        Path(np.array([0, 2]), np.array([0.0, 1e6]), np.zeros(2)).stays(DiskRegion(9, 0, 1))
+    )
     still = Path.still(1.0, 2.0)
     assert still.at(10**18) == (1, 2)
 
 
 def test_regions():
-    disk = Round(1.0, 1.0, 5.0)
+    disk = DiskRegion(1.0, 1.0, 5.0)
     assert disk.holds(4.0, 5.0)  # on the rim
     assert not disk.holds(4.0, 5.000001)
     square = Polygon([(0, 0), (2, 0), (2, 2), (0, 2)])
@@ -150,18 +158,18 @@ def test_cells_cover_what_is_asked_for():
         (4, 0, -1),
         (4, 0, 0),
     ]
-    assert {cell.size for cell in cells_of(Round(0, 0, 30).box)} == {64}
-    assert len(cells_of(Round(0, 0, 5000).box)) <= MOST_CELLS
-    assert cells_of(Round(0, 0, 1e6).box) is None
+    assert {cell.size for cell in cells_of(DiskRegion(0, 0, 30).box)} == {64}
+    assert len(cells_of(DiskRegion(0, 0, 5000).box)) <= MOST_CELLS
+    assert cells_of(DiskRegion(0, 0, 1e6).box) is None
 
 
 def test_spans():
-    assert list(merged([(0, 3), (4, 5), (7, 9), (8, 8)])) == [(0, 5), (7, 9)]
-    assert list(clipped([(0, 3), (5, 9)], 2, 6)) == [(2, 3), (5, 6)]
-    assert list(without([(0, 9), (20, 29)], [(2, 3), (5, 5), (9, 21)])) == [
+    assert list(merge_ranges([(0, 3), (4, 5), (7, 9), (8, 8)])) == [(0, 5), (7, 9)]
+    assert list(clip_ranges([(0, 3), (5, 9)], 2, 6)) == [(2, 3), (5, 6)]
+    assert list(subtract_ranges([(0, 9), (20, 29)], [(2, 3), (5, 5), (9, 21)])) == [
         (0, 1),
         (4, 4),
         (6, 8),
         (22, 29),
     ]
-    assert list(without([(0, 9)], [])) == [(0, 9)]
+    assert list(subtract_ranges([(0, 9)], [])) == [(0, 9)]

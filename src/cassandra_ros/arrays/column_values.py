@@ -38,7 +38,7 @@ _FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in _BIG.items
 _NO_LIST = b"\0\0\0\1"
 
 
-class Values(NamedTuple):
+class ColumnArray(NamedTuple):
     """An array of values, one value or array per row."""
 
     values: AnyArray
@@ -46,7 +46,7 @@ class Values(NamedTuple):
     """A bool for each row: its value is missing. Takes no memory if no value is missing."""
 
 
-Convert = Callable[[Raws], Values]
+Convert = Callable[[Raws], ColumnArray]
 
 
 def compile_convert(
@@ -108,8 +108,8 @@ def _one(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
     return partial(_numbers, np.dtype(_BIG[column.cql_type]), kind.dtype)
 
 
-def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> Values:
-    return Values(_joined(raws, big).astype(dtype), _absent(raws))
+def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> ColumnArray:
+    return ColumnArray(_joined(raws, big).astype(dtype), _absent(raws))
 
 
 def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
@@ -121,17 +121,17 @@ def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
     return np.frombuffer(joined, dtype)
 
 
-def _varints(raws: Raws) -> Values:
+def _varints(raws: Raws) -> ColumnArray:
     joined = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
-    return Values(np.frombuffer(joined, ">u8").astype(np.uint64), _absent(raws))
+    return ColumnArray(np.frombuffer(joined, ">u8").astype(np.uint64), _absent(raws))
 
 
-def _texts(raws: Raws) -> Values:
+def _texts(raws: Raws) -> ColumnArray:
     # Texts such as frame names repeat: equal texts share one object.
     known = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
     values = np.empty(len(raws), object)
     values[:] = [None if raw is None else known[raw] for raw in raws]
-    return Values(values, _absent(raws))
+    return ColumnArray(values, _absent(raws))
 
 
 def _numbers_of(kind: str, wire: bytes) -> AnyArray:
@@ -149,31 +149,35 @@ def _size_of(kind: str) -> int:
     return 8 if kind in ("time", "duration") else np.dtype(kind).itemsize
 
 
-def _cells(kind: str, raws: Raws) -> Values:
+def _cells(kind: str, raws: Raws) -> ColumnArray:
     missing = _absent(raws)
     sizes = {0 if raw is None else len(raw) for raw in raws}
     if (
         len(sizes) == 1 and 0 not in sizes
     ):  # arrays of equal length, as in most scans, are read together
         rows = _arrays(kind, sizes.pop() // _size_of(kind), raws).values
-        return Values(objects_of(list(rows)), missing)
+        return ColumnArray(objects_of(list(rows)), missing)
     cells = [None if raw is None else _numbers_of(kind, raw) for raw in raws]
-    return Values(objects_of(cells), missing)
+    return ColumnArray(objects_of(cells), missing)
 
 
-def _arrays(kind: str, length: int, raws: Raws) -> Values:
+def _arrays(kind: str, length: int, raws: Raws) -> ColumnArray:
     joined = _joined(raws, np.dtype(f"V{length * _size_of(kind)}"))
-    return Values(_numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws))
+    return ColumnArray(
+        _numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws)
+    )
 
 
-def _element(index: int, kind: str, raws: Raws) -> Values:
+def _element(index: int, kind: str, raws: Raws) -> ColumnArray:
     size = _size_of(kind)
     low, high = index * size, (index + 1) * size
     cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
-    return Values(_numbers_of(kind, _joined(cut, np.dtype(f"V{size}")).tobytes()), _absent(cut))
+    return ColumnArray(
+        _numbers_of(kind, _joined(cut, np.dtype(f"V{size}")).tobytes()), _absent(cut)
+    )
 
 
-def _split(convert: Convert, raws: Raws) -> Values:
+def _split(convert: Convert, raws: Raws) -> ColumnArray:
     """Convert all elements of lists, list after list."""
     cut: List[Optional[bytes]] = []
     for raw in raws:
@@ -181,7 +185,7 @@ def _split(convert: Convert, raws: Raws) -> Values:
     return convert(cut)
 
 
-def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> Values:
+def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> ColumnArray:
     """Convert like _split, for elements that all have the same size."""
     value = np.dtype(_FIXED_LISTS[column.cql_type])
     element = np.dtype([("size", ">i4"), ("value", value)])
@@ -193,25 +197,25 @@ def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> Values:
     found = np.frombuffer(joined, element)
     if (found["size"] != value.itemsize).any():
         raise CorruptMessage(f"list column {column.name} has a malformed element")
-    return Values(found["value"].astype(kind.dtype), np.repeat(_absent(raws), counts))
+    return ColumnArray(found["value"].astype(kind.dtype), np.repeat(_absent(raws), counts))
 
 
-def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> Values:
+def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> ColumnArray:
     # A missing list counts as one element.
     every, ends = elements(raws).values, np.cumsum(count_elements(raws))
     cells = np.split(every, ends[:-1])
     return _arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
 
 
-def _listed(index: int, raws: Raws) -> Values:
+def _listed(index: int, raws: Raws) -> ColumnArray:
     """Return the element with this index of each string[]."""
     lists = [[] if raw is None else split_list(raw) for raw in raws]
     return _texts([found[index] if index < len(found) else None for found in lists])
 
 
-def _part(convert: Convert, part: str, raws: Raws) -> Values:
+def _part(convert: Convert, part: str, raws: Raws) -> ColumnArray:
     values, missing = convert(raws)
-    return Values(values // SECOND_NS if part == "secs" else values % SECOND_NS, missing)
+    return ColumnArray(values // SECOND_NS if part == "secs" else values % SECOND_NS, missing)
 
 
 def objects_of(cells: Sequence[object]) -> AnyArray:
@@ -222,26 +226,26 @@ def objects_of(cells: Sequence[object]) -> AnyArray:
     return values
 
 
-def _arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> Values:
+def _arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> ColumnArray:
     """Return one-dimensional arrays as the rows of one array, if their length is fixed."""
     missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
     if kind.length is None:
-        return Values(objects_of(cells), missing)
+        return ColumnArray(objects_of(cells), missing)
     values = empty_values(kind, len(cells)).values
     for n, cell in enumerate(cells):
         if cell is not None:
             values[n] = cell
-    return Values(values, missing)
+    return ColumnArray(values, missing)
 
 
-def from_decoded(values: Sequence[Any], kind: ArrayType) -> Values:
+def from_decoded(values: Sequence[Any], kind: ArrayType) -> ColumnArray:
     """Return the arrays of values that were decoded one by one."""
     if kind.depth == 1:
         return _arrays_of([None if value is None else _cell(value, kind) for value in values], kind)
     if kind.depth > 1 or kind.dtype.kind == "O":
-        return Values(objects_of(values), _absent(values))
+        return ColumnArray(objects_of(values), _absent(values))
     filled = np.array([0 if value is None else value for value in values], kind.dtype)
-    return Values(filled, _absent(values))
+    return ColumnArray(filled, _absent(values))
 
 
 def _cell(value: Any, kind: ArrayType) -> AnyArray:
@@ -252,25 +256,25 @@ def _cell(value: Any, kind: ArrayType) -> AnyArray:
     return np.array(value, kind.dtype)
 
 
-def empty_values(kind: ArrayType, count: int) -> Values:
+def empty_values(kind: ArrayType, count: int) -> ColumnArray:
     """Return ``count`` values that are all missing."""
     dtype = np.dtype(object) if kind.cells else kind.dtype
     shape = (count, kind.length) if kind.depth == 1 and kind.length is not None else (count,)
     values = np.full(shape, None, object) if dtype.kind == "O" else np.zeros(shape, dtype)
-    return Values(values, np.ones(count, bool))
+    return ColumnArray(values, np.ones(count, bool))
 
 
-def join_values(parts: Sequence[Values], kind: ArrayType) -> Values:
+def join_values(parts: Sequence[ColumnArray], kind: ArrayType) -> ColumnArray:
     """Concatenate values of one type."""
     if not parts:
         return empty_values(kind, 0)
     values = np.concatenate([part.values for part in parts])
     if not any(part.missing.any() for part in parts):
-        return Values(values, none_missing(len(values)))
-    return Values(values, np.concatenate([part.missing for part in parts]))
+        return ColumnArray(values, none_missing(len(values)))
+    return ColumnArray(values, np.concatenate([part.missing for part in parts]))
 
 
-def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
+def cast_values(found: ColumnArray, own: ArrayType, kind: ArrayType) -> ColumnArray:
     """Convert the values of one table from their own type to the type common to all tables."""
     values, missing = found
     if own == kind or own.depth > 1:
@@ -279,12 +283,14 @@ def cast_values(found: Values, own: ArrayType, kind: ArrayType) -> Values:
         values = values.astype(kind.dtype)
         if values.dtype.kind == "O":
             values[missing] = None
-        return Values(values, missing)
+        return ColumnArray(values, missing)
     if own.depth == 0:
-        return Values(rows_of(values.astype(object), missing), missing)  # other tables have arrays
+        return ColumnArray(
+            rows_of(values.astype(object), missing), missing
+        )  # other tables have arrays
     cells = rows_of(values, missing)
     dtype = own.dtype if kind.depth == 0 else kind.dtype
-    return Values(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
+    return ColumnArray(objects_of([c if c is None else c.astype(dtype) for c in cells]), missing)
 
 
 def rows_of(values: AnyArray, missing: AnyArray) -> AnyArray:

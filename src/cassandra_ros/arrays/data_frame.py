@@ -13,7 +13,7 @@ import numpy as np
 
 from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.column_values import rows_of
-from cassandra_ros.arrays.gather import (
+from cassandra_ros.arrays.field_arrays import (
     FieldArray,
     Fields,
     ReadBlocks,

@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Se
 import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType
-from cassandra_ros.arrays.column_values import Values, empty_values
+from cassandra_ros.arrays.column_values import ColumnArray, empty_values
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import FieldColumn
@@ -29,9 +29,9 @@ from cassandra_ros.query.tree.field_names import FieldRef
 
 _NUMBERS = ("int", "float", "bool", "time", "duration")
 
-Grouped = Iterable[Tuple[Int64Array, ByteArray]]
+SizeGroups = Iterable[Tuple[Int64Array, ByteArray]]
 """Pairs of message indices, ascending, and message planes; one pair for each message size."""
-Left = Sequence[Tuple[int, bytes]]
+RestMessages = Sequence[Tuple[int, bytes]]
 """Index and bytes of the messages that share no layout with others."""
 
 
@@ -45,11 +45,11 @@ class MessageBlock(NamedTuple):
     times: Int64Array
     """Row keys of the messages, ns."""
     seqs: Int64Array
-    groups: Grouped
+    groups: SizeGroups
     """The messages by size; a message in no group is unreadable."""
 
 
-def together(blocks: Sequence[MessageBlock]) -> Grouped:
+def join_blocks(blocks: Sequence[MessageBlock]) -> SizeGroups:
     """Join the groups of blocks: if sizes vary, each block has only few messages of a size."""
     found: Dict[int, List[Tuple[Int64Array, ByteArray]]] = {}
     first = 0
@@ -82,7 +82,7 @@ class StackedField(NamedTuple):
             return False
         return column.kind in (*_NUMBERS, "text", "array")
 
-    def put(self, stack: Stack, found: Values) -> None:
+    def put(self, stack: Stack, found: ColumnArray) -> None:
         """Set the values of the messages of a layout at their indices."""
         if self.column.kind == "text":
             found.values[stack.members] = _texts(stack, self.column.name)
@@ -128,7 +128,7 @@ def _texts(stack: Stack, path: str) -> AnyArray:
     return values  # type: ignore[no-any-return]
 
 
-def grouped(wires: Sequence[Optional[bytes]]) -> Grouped:
+def group_by_size(wires: Sequence[Optional[bytes]]) -> SizeGroups:
     """Group messages by size; None stands for a missing message."""
     places = np.array([n for n, wire in enumerate(wires) if wire is not None], np.int64)
     for members, planes in by_size([wire for wire in wires if wire is not None]):
@@ -136,8 +136,8 @@ def grouped(wires: Sequence[Optional[bytes]]) -> Grouped:
 
 
 def read_stacked(
-    definition: Definition, fields: Sequence[StackedField], count: int, groups: Grouped
-) -> Tuple[List[Values], Left]:
+    definition: Definition, fields: Sequence[StackedField], count: int, groups: SizeGroups
+) -> Tuple[List[ColumnArray], RestMessages]:
     """Read fields of ``count`` messages.
 
     Returns:

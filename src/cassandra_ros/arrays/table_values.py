@@ -18,8 +18,8 @@ import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
 from cassandra_ros.arrays.column_values import (
+    ColumnArray,
     Convert,
-    Values,
     cast_values,
     compile_convert,
     count_elements,
@@ -32,9 +32,9 @@ from cassandra_ros.arrays.column_values import (
 from cassandra_ros.arrays.stacked_values import (
     MessageBlock,
     StackedField,
-    grouped,
+    group_by_size,
+    join_blocks,
     read_stacked,
-    together,
 )
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidQuery, MessageNotFound
 from cassandra_ros.messages.wire.layout import FieldColumn
@@ -106,7 +106,7 @@ class TableValues:
 
     def renew(self) -> None:
         """Discard the gathered values."""
-        self._chunks: list[list[Values]] = [[] for _ in self._outputs]
+        self._chunks: list[list[ColumnArray]] = [[] for _ in self._outputs]
         self._orders: list[AnyArray] = []
         self.places: list[MessageBlock] = []
         """Times, nodes and _seq of the gathered blocks."""
@@ -241,12 +241,14 @@ class TableValues:
             gathered.append(chunk)
         self._clear()
 
-    def _all_at_once(self) -> list[Values]:
+    def _all_at_once(self) -> list[ColumnArray]:
         definition, cut = self._table.definition, self._cut
         if definition is None or cut is None:
             raise AssertionError("only fields of a definition are stacked")
         count = len(self._numbers)
-        groups = together(self._blocks) if self._blocks else grouped([r for (r,) in self._raws])
+        groups = (
+            join_blocks(self._blocks) if self._blocks else group_by_size([r for (r,) in self._raws])
+        )
         found, rest = read_stacked(definition, self._stacked, count, groups)
         columns = list(zip(*[self._cut_one(n, wire, cut) for n, wire in rest]))
         fields, places = iter(found), np.array([n for n, _ in rest], np.int64)
@@ -276,7 +278,7 @@ class TableValues:
             _log.warning("a message of type %s at %s cannot be read: %s", kind, key, exc)
             return [None] * len(self._names)
 
-    def _value_by_value(self) -> list[Values]:
+    def _value_by_value(self) -> list[ColumnArray]:
         columns = list(zip(*self._decoded))
         self._orders.append(_order(self._numbers))
         chunks = []
@@ -288,7 +290,7 @@ class TableValues:
                 raise InvalidQuery(self._text, len("SELECT "), reason) from exc
         return chunks
 
-    def _column_by_column(self) -> list[Values]:
+    def _column_by_column(self) -> list[ColumnArray]:
         columns = list(zip(*self._raws))
         counts = kept = None
         if self._tester is not None:
@@ -304,16 +306,16 @@ class TableValues:
             else:
                 chunk = origin.convert(columns[origin.place])
                 repeats = None if origin.inside else counts
-            chunks.append(Values(*(_chosen(values, repeats, kept) for values in chunk)))
+            chunks.append(ColumnArray(*(_chosen(values, repeats, kept) for values in chunk)))
         self._orders.append(_chosen(_order(self._numbers), counts, kept))
         return chunks
 
-    def _own_values(self, place: int, kind: ArrayType) -> Values:
+    def _own_values(self, place: int, kind: ArrayType) -> ColumnArray:
         own = [pair[place] for pair in self._own]
         values = objects_of(own) if kind.dtype.kind == "O" else np.array(own, np.int64)
-        return Values(values, none_missing(len(own)))
+        return ColumnArray(values, none_missing(len(own)))
 
-    def _of_blocks(self, place: int, kind: ArrayType) -> Values:
+    def _of_blocks(self, place: int, kind: ArrayType) -> ColumnArray:
         blocks = self._blocks
         counts = [len(block.times) for block in blocks]
         if place == KEY_PLACE:
@@ -321,7 +323,7 @@ class TableValues:
         else:
             texts = [block.node if place == NODE_PLACE else block.run() for block in blocks]
             values = np.repeat(objects_of(texts), counts)
-        return Values(values, none_missing(sum(counts)))
+        return ColumnArray(values, none_missing(sum(counts)))
 
     @property
     def count(self) -> int:
@@ -333,7 +335,7 @@ class TableValues:
         """Numbers of the rows that the values come from."""
         return np.concatenate(self._orders)
 
-    def take(self, name: str, kind: ArrayType) -> Values:
+    def take(self, name: str, kind: ArrayType) -> ColumnArray:
         """Return the values of a column as type ``kind`` and forget them.
 
         Missing if not in the table.

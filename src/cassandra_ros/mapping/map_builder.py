@@ -37,7 +37,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.mapping.beams import SENSORS, Sensor
 from cassandra_ros.mapping.grid import LogOddsGrid
 from cassandra_ros.mapping.occupancy import OCCUPANCY_GRID, OccupancyMap
-from cassandra_ros.mapping.pose_offers import Measurements, PoseOffer, united_offers
+from cassandra_ros.mapping.pose_offers import Measurements, PoseOffer, merge_offers
 from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
 from cassandra_ros.places.poses import Poses
@@ -169,7 +169,7 @@ def makeMap(
     stored = rosCas.getTopic(topic)
     each = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
     nodes = [None if node is None else check_node(node) for node in each]
-    wanted = _Rows(stored, key, to_key, nodes, rosCas.catalog.keyspace.runs.writers(run))
+    wanted = _SelectedRows(stored, key, to_key, nodes, rosCas.catalog.keyspace.runs.writers(run))
     types = {table.msg_type for table in stored.tables}
     if types == {OCCUPANCY_GRID}:
         return _stored_map(wanted, name)
@@ -181,7 +181,7 @@ def makeMap(
             f"{' or '.join(SENSORS)}, or is a {OCCUPANCY_GRID}"
         )
     total = wanted.count()
-    work = _Work(rosCas.catalog, SENSORS[types.pop()], options, poses, wanted)
+    work = _MapBuilder(rosCas.catalog, SENSORS[types.pop()], options, poses, wanted)
     step = 1 if options.most is None else max(1, -(-total // options.most))
     for done, batch in _batches(wanted.read(), step):
         if progress is not None:
@@ -193,7 +193,7 @@ def makeMap(
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _SelectedRows:
     """The selected messages."""
 
     topic: CassandraTopic
@@ -226,7 +226,7 @@ class _Rows:
         return [first, next((row.t for row in later.read(limit=1)), last), last]
 
 
-def _stored_map(wanted: _Rows, name: Optional[str]) -> MadeMap:
+def _stored_map(wanted: _SelectedRows, name: Optional[str]) -> MadeMap:
     """Return the newest stored map, or the newest with a name, unchanged."""
     topic = wanted.topic
     if name is None:
@@ -264,7 +264,7 @@ def _batches(rows: Iterator[StoredRow], step: int) -> Iterator[Tuple[int, List[S
         yield begun, batch
 
 
-class _Measured(NamedTuple):
+class _Measurement(NamedTuple):
     """A message, and its receive time, ns."""
 
     key: int
@@ -275,7 +275,7 @@ class _Measured(NamedTuple):
         return int(self.message.header.stamp.to_nsec())
 
 
-class _Work:
+class _MapBuilder:
     """A map that is being made."""
 
     def __init__(
@@ -284,7 +284,7 @@ class _Work:
         sensor: Sensor,
         options: MapOptions,
         choice: PoseChoice,
-        wanted: _Rows,
+        wanted: _SelectedRows,
     ) -> None:
         self._catalog = catalog
         self._sensor = sensor
@@ -295,14 +295,14 @@ class _Work:
         self._robots: Dict[str, SensorPoses] = {}
         self._frames: Dict[str, str] = {}
         """Frame of the map, by robot and sensor."""
-        self._lost: Optional[Tuple[Poses, _Measured]] = None
+        self._lost: Optional[Tuple[Poses, _Measurement]] = None
         """The first message without a known pose."""
         self.seen = self._used = self._without_pose = self._unreadable = 0
         self._stamp = 0
 
     def add(self, rows: Sequence[StoredRow]) -> None:
         """Add some messages to the map."""
-        measured: Dict[Tuple[str, str], List[_Measured]] = defaultdict(list)
+        measured: Dict[Tuple[str, str], List[_Measurement]] = defaultdict(list)
         for row in rows:
             self.seen += 1
             try:
@@ -311,11 +311,11 @@ class _Work:
                 _log.warning("message %s of topic %s is left out: %s", row.key, row.topic, exc)
                 self._unreadable += 1
                 continue
-            measured[row.node, message.header.frame_id].append(_Measured(row.t, message))
+            measured[row.node, message.header.frame_id].append(_Measurement(row.t, message))
         for (node, frame), those in measured.items():
             self._place(node, frame, those)
 
-    def _place(self, node: str, sensor: str, measured: Sequence[_Measured]) -> None:
+    def _place(self, node: str, sensor: str, measured: Sequence[_Measurement]) -> None:
         """Add the messages of one sensor to the map."""
         if node not in self._robots:
             mine, times = self._wanted.measured(self._catalog, node), self._wanted.some_times(node)
@@ -340,7 +340,7 @@ class _Work:
                 f"the poses lie in several frames ({told}): give the frame that all have, or a node"
             )
 
-    def _draw(self, pose: Rigid, measured: _Measured) -> None:
+    def _draw(self, pose: Rigid, measured: _Measurement) -> None:
         try:
             beams = self._sensor.beams(measured.message, self._options.max_range)
         except CorruptMessage as exc:
@@ -378,5 +378,5 @@ class _Work:
             self._unreadable,
             sum(robot.received for robot in robots),
             [source for robot in robots for source in robot.sources],
-            united_offers(robot.offers for robot in robots),
+            merge_offers(robot.offers for robot in robots),
         )

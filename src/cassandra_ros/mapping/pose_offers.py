@@ -116,7 +116,7 @@ def _covered(filled: Bools, gap: float) -> Bools:
     return np.asarray(known & (after - before <= gap + 1))
 
 
-def united_offers(robots: Iterable[Sequence[PoseOffer]]) -> List[PoseOffer]:
+def merge_offers(robots: Iterable[Sequence[PoseOffer]]) -> List[PoseOffer]:
     """Return the offers of several robots as one list.
 
     Of each topic the offer with most messages.

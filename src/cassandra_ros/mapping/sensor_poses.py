@@ -12,12 +12,12 @@ import numpy as np
 from cassandra_ros.errors import InvalidOption, TopicNotFound, TransformException
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.mapping.pose_offers import Measurements, PoseOffer
-from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
-from cassandra_ros.places.pose_samples import Flags, Placed, Samples, Times
+from cassandra_ros.places.array_source import key_after
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
+from cassandra_ros.places.pose_samples import Flags, KnownPoses, Samples, Times
 from cassandra_ros.places.pose_topic import PoseTopic, tells_robot
 from cassandra_ros.places.poses import LONGEST_GAP_SEC, Poses
 from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.places.sources import key_behind
 from cassandra_ros.transforms.lookup import lookup_transform
 
 FRAMES = ("map", "odom", "odom_combined", "world")
@@ -79,14 +79,16 @@ class SensorPoses:
         self.offers: List[PoseOffer] = []
         self.received = 0
 
-    def _recorded_tf(self) -> Optional[Frames]:
+    def _recorded_tf(self) -> Optional[TfRecording]:
         choice = self._choice
         try:
-            return Frames(self._catalog.get, self._node, self._writers, choice.tf, choice.tf_static)
+            return TfRecording(
+                self._catalog.get, self._node, self._writers, choice.tf, choice.tf_static
+            )
         except TopicNotFound:
             return None
 
-    def at(self, sensor: str, keys: Times, stamps: Times) -> Placed:
+    def at(self, sensor: str, keys: Times, stamps: Times) -> KnownPoses:
         """Return the poses of a sensor's frame at the times of measurements.
 
         Args:
@@ -126,13 +128,13 @@ class SensorPoses:
         choice = self._choice
         if self._stands(sensor):
             self._sources[sensor] = f"none: {sensor.lstrip('/')} itself is the frame of the map"
-            return Poses(_Standing(sensor.lstrip("/")))
+            return Poses(_OriginPoses(sensor.lstrip("/")))
         if self._frames is not None:
             above = self._frames.above(sensor, self._times) if sensor.strip("/") else []
             frame = choice.frame or self._best(sensor, above)
             if frame is not None and above:
                 self._sources[sensor] = f"tf ({frame.lstrip('/')} to {sensor.lstrip('/')})"
-                return Poses(Chain(self._frames, sensor, frame), choice.longest_gap_sec)
+                return Poses(FrameChain(self._frames, sensor, frame), choice.longest_gap_sec)
         self.offers = self.offers or self._pose_offers()
         topic = self._catalog.get(choice.odom or self._best_topic(sensor)).name
         self.offers = [offer._replace(taken=offer.topic == topic) for offer in self.offers]
@@ -191,7 +193,7 @@ class SensorPoses:
             topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
             for topic in self._catalog.all(None)
             if any(t.msg_type in _TYPES for t in topic.tables) and tells_robot(topic)
-            if key_behind(topic, -1, self._node, self._writers) is not None
+            if key_after(topic, -1, self._node, self._writers) is not None
         }
         gap_ns = round(self._choice.longest_gap_sec * SECOND_NS)
         return self._measured.offers(kinds, gap_ns)
@@ -218,7 +220,7 @@ class SensorPoses:
         return Rigid.none(1), "no sensor offset"
 
 
-class _Standing:
+class _OriginPoses:
     """The poses of a sensor in its own frame: always the origin."""
 
     def __init__(self, frame: str) -> None:
@@ -227,8 +229,10 @@ class _Standing:
     def read(self, low: int, high: int) -> Samples:
         return Samples.none()
 
-    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
-        return Placed(Rigid.none(len(times)), np.ones(len(times), bool))
+    def placed(
+        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
+    ) -> KnownPoses:
+        return KnownPoses(Rigid.none(len(times)), np.ones(len(times), bool))
 
     def on_way(self, samples: Samples) -> Flags:
         return np.zeros(len(samples), bool)

@@ -10,7 +10,7 @@ from typing import NamedTuple, Optional, Sequence, Tuple, Union
 import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
-from cassandra_ros.arrays.column_values import Values
+from cassandra_ros.arrays.column_values import ColumnArray
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.name_resolution import Output
@@ -120,7 +120,7 @@ def _reason(kind: ArrayType) -> str:
     return "text" if kind.kind == "string" else ""
 
 
-def as_floats(found: Values, kind: ArrayType) -> AnyArray:
+def as_floats(found: ColumnArray, kind: ArrayType) -> AnyArray:
     """Return the values of a column as float64; NaN for missing values and for other types."""
     values, missing = found
     if values.dtype.kind == "O":

@@ -12,11 +12,17 @@ from __future__ import annotations
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, Cell, cells_of
-from cassandra_ros.places.paths import LONGEST_GAP_NS, Span, clipped, merged, without
+from cassandra_ros.places.paths import (
+    LONGEST_GAP_NS,
+    NsRange,
+    clip_ranges,
+    merge_ranges,
+    subtract_ranges,
+)
 from cassandra_ros.places.regions import Region
 from cassandra_ros.places.robots import MOST_FRAMES, Robot
-from cassandra_ros.places.stored import Extent, Stored
-from cassandra_ros.places.track_windows import overlaps
+from cassandra_ros.places.stored_topics import Extent, StoredTopics
+from cassandra_ros.places.track_windows import overlapping_pairs
 from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square
 
 _FIRST = LONGEST_NS + JOIN_NS
@@ -26,11 +32,11 @@ _FIRST = LONGEST_NS + JOIN_NS
 class Coverage:
     """Finds the times at which robots of a keyspace may have been in a region."""
 
-    def __init__(self, stored: Stored, index: PlaceIndex) -> None:
+    def __init__(self, stored: StoredTopics, index: PlaceIndex) -> None:
         self._stored = stored
         self._index = index
 
-    def candidates(self, robot: Robot, region: Region, low: int, high: int) -> List[Span]:
+    def candidates(self, robot: Robot, region: Region, low: int, high: int) -> List[NsRange]:
         """Return the time ranges in [low, high], ns, with possible stays, sorted and disjoint."""
         extents = self._stored.extents(
             robot.topic, robot.node, low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
@@ -39,10 +45,10 @@ class Coverage:
             return []
         cells = cells_of(region.box)
         noted = [] if cells is None else self._noted(robot)
-        found = list(uncovered(extents, noted))
+        found = list(uncovered_ranges(extents, noted))
         if cells is not None and any(robot.frame in each.above for each in noted):
             found += self._visits(robot, cells, low, high)
-        return list(clipped(merged(sorted(found)), low, high))
+        return list(clip_ranges(merge_ranges(sorted(found)), low, high))
 
     def _noted(self, robot: Robot) -> List[Placed]:
         """Return the index records of a robot that are still valid."""
@@ -53,14 +59,16 @@ class Coverage:
             if each.node == robot.node and each.robot in robot.keys
         ]
         fixed = robot.fixed() if every else {}
-        return [each for each in every if holds(each, robot, fixed)]
+        return [each for each in every if is_valid(each, robot, fixed)]
 
-    def _visits(self, robot: Robot, cells: Sequence[Cell], low: int, high: int) -> Iterable[Span]:
+    def _visits(
+        self, robot: Robot, cells: Sequence[Cell], low: int, high: int
+    ) -> Iterable[NsRange]:
         squares = [Square(robot.frame, key, *cell) for key in robot.keys for cell in cells]
         return self._index.visits(squares, robot.node, max(0, low) - _FIRST, high)
 
 
-def holds(noted: Placed, robot: Robot, fixed: Mapping[str, str]) -> bool:
+def is_valid(noted: Placed, robot: Robot, fixed: Mapping[str, str]) -> bool:
     """Return whether an index record is still valid for a robot.
 
     Args:
@@ -80,20 +88,20 @@ def _carries(frame: str, fixed: Mapping[str, str]) -> bool:
     return any(how.startswith(f"{frame} [") for how in fixed.values())
 
 
-def uncovered(extents: Sequence[Extent], noted: Sequence[Placed]) -> Iterator[Span]:
+def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[Placed]) -> Iterator[NsRange]:
     """Yield the time ranges that the index does not fully cover, in no order.
 
     These are the times of poses without an index record, those around the ends of records, and
     those at which several runs recorded: then each message is judged by the poses of its own run.
     """
-    known: Dict[Tuple[str, int], List[Span]] = {}
+    known: Dict[Tuple[str, int], List[NsRange]] = {}
     for each in noted:
         known.setdefault((each.table, each.writer), []).append((each.low, each.high))
     for extent in extents:
-        said = list(merged(sorted(known.get(extent[:2], ()))))
-        for low, high in without([extent[2:]], said):
+        said = list(merge_ranges(sorted(known.get(extent[:2], ()))))
+        for low, high in subtract_ranges([extent[2:]], said):
             yield low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
-    for one, other in overlaps(extents):
+    for one, other in overlapping_pairs(extents):
         yield other.low - LONGEST_GAP_NS, min(one.high, other.high) + LONGEST_GAP_NS
     # The robot may have moved between the last pose of one run and the first pose of the next.
     there = {extent[:2] for extent in extents}

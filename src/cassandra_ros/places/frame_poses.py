@@ -19,15 +19,15 @@ from cassandra_ros.arrays.array_types import AnyArray
 from cassandra_ros.errors import TransformException
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, Placed, Samples, Times
-from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.places.sources import (
+from cassandra_ros.places.array_source import (
     ArraySource,
     Find,
     arrays_between,
     find_stored,
-    key_behind,
+    key_after,
 )
+from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, KnownPoses, Samples, Times
+from cassandra_ros.places.rigid import Rigid
 from cassandra_ros.read import Writers
 from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.transforms.transform_samples import FixedTransforms, TransformTopic
@@ -41,7 +41,7 @@ _STAMP = "transforms.header.stamp"
 _FIELDS = ["KEY", _STAMP, *_NAMES, *(f"transforms.transform.{number}" for number in _NUMBERS)]
 
 
-class Way(NamedTuple):
+class AncestorPath(NamedTuple):
     """The path from a frame up to the root, for all times at which it has the same frames."""
 
     rows: Codes
@@ -52,7 +52,7 @@ class Way(NamedTuple):
     """Poses of the frame itself in each frame of the path."""
 
 
-class Frames:
+class TfRecording:
     """Recorded transforms, of one robot or of all.
 
     Args:
@@ -135,7 +135,7 @@ class Frames:
         """Return the first row key after a time, ns; None if there are no later rows."""
         if self.moving is None:
             return None
-        return key_behind(self.moving, time, self._node, self._writers)
+        return key_after(self.moving, time, self._node, self._writers)
 
     def above(self, name: str, times: Sequence[int]) -> List[str]:
         """Return the ancestors of a frame, nearest first, as recorded around some row keys, ns."""
@@ -167,7 +167,7 @@ def filled(values: AnyArray, missing: float) -> AnyArray:
     return made
 
 
-class Chain:
+class FrameChain:
     """Poses of one frame in another.
 
     Args:
@@ -176,7 +176,7 @@ class Chain:
         frame: Frame in which the poses are given, as 'map'.
     """
 
-    def __init__(self, frames: Frames, of: str, frame: str) -> None:
+    def __init__(self, frames: TfRecording, of: str, frame: str) -> None:
         self._frames = frames
         self.of, self.frame = of.lstrip("/"), frame.lstrip("/")
         self._of, self._frame = frames.code(of), frames.code(frame)
@@ -205,9 +205,11 @@ class Chain:
                 return on_way & ~np.isin(samples.children, still)
             above = wider
 
-    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
+    def placed(
+        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
+    ) -> KnownPoses:
         """Return the poses at some times, ns, computed from the samples around them."""
-        climb = _Climb(self._frames, samples, times, stamped, longest_gap_ns)
+        climb = _AncestorSearch(self._frames, samples, times, stamped, longest_gap_ns)
         poses, known = Rigid.none(len(times)), np.zeros(len(times), bool)
         downs = climb.ways(self._frame)
         for up in climb.ways(self._of):
@@ -221,23 +223,28 @@ class Chain:
                 outer = down.poses[down.frames.index(meeting)].take(others)
                 poses.put(rows, outer.inverse() @ inner)
                 known[rows] = True
-        return Placed(poses, known)
+        return KnownPoses(poses, known)
 
 
-class _Climb:
+class _AncestorSearch:
     """Follows frames to their ancestors at some times."""
 
     def __init__(
-        self, frames: Frames, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
+        self,
+        frames: TfRecording,
+        samples: Samples,
+        times: Times,
+        stamped: bool,
+        longest_gap_ns: int,
     ) -> None:
         self._frames, self._samples, self._times = frames, samples, times
         self._stamped, self._gap = stamped, longest_gap_ns
 
-    def ways(self, frame: int) -> Sequence[Way]:
+    def ways(self, frame: int) -> Sequence[AncestorPath]:
         """Return the paths upwards from a frame; each time belongs to one path."""
         count = len(self._times)
-        done: List[Way] = []
-        going = [Way(np.arange(count), (frame,), (Rigid.none(count),))]
+        done: List[AncestorPath] = []
+        going = [AncestorPath(np.arange(count), (frame,), (Rigid.none(count),))]
         while going:
             way = going.pop()
             steps, parents = self._step(way.frames[-1], way.rows)
@@ -247,7 +254,7 @@ class _Climb:
                     done.append(part)
                     continue
                 higher = steps.take(parents == parent) @ part.poses[-1]
-                going.append(Way(part.rows, (*way.frames, parent), (*part.poses, higher)))
+                going.append(AncestorPath(part.rows, (*way.frames, parent), (*part.poses, higher)))
         return done
 
     def _step(self, frame: int, rows: Codes) -> Tuple[Rigid, Codes]:
@@ -262,5 +269,5 @@ class _Climb:
         return placed.poses, parents
 
 
-def _part(way: Way, which: Flags) -> Way:
-    return Way(way.rows[which], way.frames, tuple(pose.take(which) for pose in way.poses))
+def _part(way: AncestorPath, which: Flags) -> AncestorPath:
+    return AncestorPath(way.rows[which], way.frames, tuple(pose.take(which) for pose in way.poses))

@@ -144,7 +144,7 @@ class OpenVisits:
     def __init__(self) -> None:
         self._open: Dict[Cell, Visit] = {}
 
-    def go_on(self, path: Path) -> List[Visit]:
+    def visits(self, path: Path) -> List[Visit]:
         """Return the visits of the next part of a path; an extended visit from its beginning."""
         found = []
         for visit in visits_of(path):

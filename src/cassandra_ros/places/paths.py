@@ -26,7 +26,7 @@ LONGEST_WAY_M = 40_000.0
 """Maximum distance between two connected poses, metres in x or y. A robot cannot move farther."""
 AROUND_NS = 1_000_000
 """Margin added to both ends of a computed stay, ns, because times are rounded."""
-Span = Tuple[int, int]
+NsRange = Tuple[int, int]
 """A time range, ns since 1970, both ends included."""
 
 
@@ -98,11 +98,11 @@ class Path:
         lines = Lines(x, y, self.x[n + 1] - x, self.y[n + 1] - y)
         return self.times[n], self.times[n + 1], lines
 
-    def stays(self, region: Region) -> Iterator[Span]:
+    def stays(self, region: Region) -> Iterator[NsRange]:
         """Yield the time ranges of stays in a region, up to AROUND_NS too long, in time order."""
         starts, ends, lines = self.lines
         begun, ended = starts.tolist(), ends.tolist()
-        found: List[Span] = []
+        found: List[NsRange] = []
         for n, first, last in region.shares(lines):
             length = ended[n] - begun[n]
             low, high = begun[n] + int(first * length), begun[n] + int(last * length)
@@ -110,7 +110,7 @@ class Path:
         for n in self.alone.tolist():
             if region.holds(float(self.x[n]), float(self.y[n])):
                 found.append((int(self.times[n]), int(self.times[n])))
-        return merged(sorted(found))
+        return merge_ranges(sorted(found))
 
     @property
     def alone(self) -> Times:
@@ -121,9 +121,9 @@ class Path:
         return numbers
 
 
-def merged(spans: Iterable[Span]) -> Iterator[Span]:
+def merge_ranges(spans: Iterable[NsRange]) -> Iterator[NsRange]:
     """Join overlapping and adjacent time ranges; they must be sorted by their start."""
-    current: Optional[Span] = None
+    current: Optional[NsRange] = None
     for low, high in spans:
         if current is not None and low <= current[1] + 1:
             current = current[0], max(current[1], high)
@@ -135,14 +135,14 @@ def merged(spans: Iterable[Span]) -> Iterator[Span]:
         yield current
 
 
-def clipped(spans: Iterable[Span], low: int, high: int) -> Iterator[Span]:
+def clip_ranges(spans: Iterable[NsRange], low: int, high: int) -> Iterator[NsRange]:
     """Yield the parts of time ranges within [low, high]."""
     for start, end in spans:
         if start <= high and end >= low:
             yield max(start, low), min(end, high)
 
 
-def without(spans: Sequence[Span], taken: Sequence[Span]) -> Iterator[Span]:
+def subtract_ranges(spans: Sequence[NsRange], taken: Sequence[NsRange]) -> Iterator[NsRange]:
     """Yield the parts of time ranges that are not in ``taken``; both sorted and disjoint."""
     behind = 0
     for low, high in spans:

@@ -23,7 +23,7 @@ _UNIT = 10e-3
 """Maximum deviation of the squared norm of a rotation from 1 that tf2 accepts."""
 
 
-class Placed(NamedTuple):
+class KnownPoses(NamedTuple):
     """Poses at many times."""
 
     poses: Rigid
@@ -41,7 +41,7 @@ class Track:
     """Parent frame of each pose."""
     poses: Rigid
 
-    def at(self, times: Times, longest_gap_ns: int) -> tuple[Placed, Codes]:
+    def at(self, times: Times, longest_gap_ns: int) -> tuple[KnownPoses, Codes]:
         """Interpolate as tf2 does; return the poses and their parent frames.
 
         Between poses in two different frames the earlier one is used. Without a pose the parent is
@@ -50,7 +50,7 @@ class Track:
         count = len(self.times)
         if not count:
             nowhere = np.full(len(times), NO_FRAME)
-            return Placed(Rigid.none(len(times)), np.zeros(len(times), bool)), nowhere
+            return KnownPoses(Rigid.none(len(times)), np.zeros(len(times), bool)), nowhere
         before = np.searchsorted(self.times, times, side="right") - 1
         begun = before >= 0
         before = np.maximum(before, 0)
@@ -62,7 +62,7 @@ class Track:
         share = np.where(steady, 0, (times - self.times[before]) / np.maximum(gap, 1))
         poses = between(self.poses.take(before), self.poses.take(after), share)
         poses.put(~known, Rigid.none(int((~known).sum())))
-        return Placed(poses, known), np.where(known, self.parents[before], NO_FRAME)
+        return KnownPoses(poses, known), np.where(known, self.parents[before], NO_FRAME)
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.places.array_source import ArraySource, Find, arrays_between, key_after, last_key
 from cassandra_ros.places.frame_poses import filled
-from cassandra_ros.places.pose_samples import Flags, Placed, Samples, Times
+from cassandra_ros.places.pose_samples import Flags, KnownPoses, Samples, Times
 from cassandra_ros.places.rigid import Floats, Rigid
-from cassandra_ros.places.sources import ArraySource, Find, arrays_between, key_behind, last_key
 from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.read import Writers
 
@@ -94,7 +94,7 @@ class PoseTopic:
         """Frame of the first pose, without a slash in front; '' if the type has no frame."""
 
     def _first_frame(self) -> str:
-        first = key_behind(self._topic, -1, self._node, self._writers)
+        first = key_after(self._topic, -1, self._node, self._writers)
         if first is None:
             return ""
         whose = (self._node, self._writers)
@@ -116,7 +116,7 @@ class PoseTopic:
     def explain(self, time: int) -> str:
         """Return why there is no pose at a time, as a text."""
         whose = f" of node {self._node}" if self._node else ""
-        first = key_behind(self._topic, -1, self._node, self._writers)
+        first = key_after(self._topic, -1, self._node, self._writers)
         last = last_key(self._topic, self._node, self._writers)
         if first is None or last is None:
             return f"topic {self._topic.name} has no message{whose}"
@@ -127,16 +127,18 @@ class PoseTopic:
 
     def next_key(self, time: int) -> Optional[int]:
         """Return the first row key after a time, ns; None if there are no later rows."""
-        return key_behind(self._topic, time, self._node, self._writers)
+        return key_after(self._topic, time, self._node, self._writers)
 
     def on_way(self, samples: Samples) -> Flags:
         """Return which samples affect the poses: all of them."""
         return np.ones(len(samples), bool)
 
-    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
+    def placed(
+        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
+    ) -> KnownPoses:
         """Return the poses at some times, ns, computed from the samples around them."""
         (poses, known), _ = samples.track(1, stamped).at(times, longest_gap_ns)
-        return Placed(poses @ self._offset, known)
+        return KnownPoses(poses @ self._offset, known)
 
 
 def _numbers(columns: Sequence[Floats]) -> Floats:

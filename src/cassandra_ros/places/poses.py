@@ -22,11 +22,19 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
-from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, Placed, Samples, Times, Track
+from cassandra_ros.places.array_source import Find
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
+from cassandra_ros.places.pose_samples import (
+    NO_FRAME,
+    Codes,
+    Flags,
+    KnownPoses,
+    Samples,
+    Times,
+    Track,
+)
 from cassandra_ros.places.pose_topic import PoseTopic
 from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.places.sources import Find
 from cassandra_ros.read import Writers
 
 LONGEST_GAP_SEC = 10.0
@@ -37,7 +45,7 @@ MAX_SPAN_NS = 120 * SECOND_NS
 """Maximum length of the range of row keys whose poses are read together, ns."""
 
 
-class Recording(Protocol):
+class PoseSource(Protocol):
     """A source of poses: a chain of frames, or a topic."""
 
     frame: str
@@ -46,7 +54,9 @@ class Recording(Protocol):
     def read(self, low: int, high: int) -> Samples:
         """Return the samples with a row key in [low, high], ns."""
 
-    def placed(self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int) -> Placed:
+    def placed(
+        self, samples: Samples, times: Times, stamped: bool, longest_gap_ns: int
+    ) -> KnownPoses:
         """Return the poses at some times, ns, computed from the samples around them."""
 
     def on_way(self, samples: Samples) -> Flags:
@@ -74,20 +84,20 @@ class Poses:
         InvalidOption: The gap is not a positive number of seconds.
     """
 
-    def __init__(self, recording: Recording, longest_gap_sec: float = LONGEST_GAP_SEC) -> None:
+    def __init__(self, source: PoseSource, longest_gap_sec: float = LONGEST_GAP_SEC) -> None:
         if not 0 < longest_gap_sec < float(MAX_NS // SECOND_NS):
             raise InvalidOption(
                 f"longest_gap={longest_gap_sec!r} is no length of time: give seconds above 0"
             )
-        self._recording = recording
+        self._source = source
         self._gap = round(longest_gap_sec * SECOND_NS)
         self._reach = max(REACH_NS, self._gap)
         self._held: Tuple[int, int, Samples] = (0, -1, Samples.none())
         """First and last row key of the range that was read last, both included, and its
         samples."""
-        self.frame = recording.frame
+        self.frame = source.frame
 
-    def at(self, keys: Times, stamps: Optional[Times] = None) -> Placed:
+    def at(self, keys: Times, stamps: Optional[Times] = None) -> KnownPoses:
         """Return the poses at the receive times of messages, or at their stamps.
 
         Args:
@@ -107,10 +117,10 @@ class Poses:
         for rows in self._together(keys, order):
             low, high = int(keys[rows[0]]), int(keys[rows[-1]])
             samples = self._samples(low - self._reach, high + self._reach)
-            placed = self._recording.placed(samples, times[rows], stamps is not None, self._gap)
+            placed = self._source.placed(samples, times[rows], stamps is not None, self._gap)
             poses.put(rows, placed.poses)
             known[rows] = placed.known
-        return Placed(poses, known)
+        return KnownPoses(poses, known)
 
     def tracks(self, low: int, high: int, stamped: bool = False) -> Iterator[Track]:
         """Yield all recorded poses that were received in [low, high], ns, in time order.
@@ -125,10 +135,10 @@ class Poses:
         while start <= high:
             end = min(high, start + MAX_SPAN_NS - 1)
             around = self._samples(start - self._reach, end + self._reach)
-            mine = (around.keys >= start) & (around.keys <= end) & self._recording.on_way(around)
+            mine = (around.keys >= start) & (around.keys <= end) & self._source.on_way(around)
             if mine.any():
                 times = np.unique(around.times(stamped)[mine])
-                poses, known = self._recording.placed(around, times, stamped, self._gap)
+                poses, known = self._source.placed(around, times, stamped, self._gap)
                 parents: Codes = np.full(int(known.sum()), NO_FRAME)
                 if known.any():
                     yield Track(times[known], parents, poses.take(known))
@@ -140,12 +150,12 @@ class Poses:
 
     def _next_key(self, time: int) -> int:
         """Return a row key after a time such that nothing was recorded in between."""
-        found = self._recording.next_key(time)
+        found = self._source.next_key(time)
         return MAX_NS + 1 if found is None else found
 
     def explain(self, time: int) -> str:
         """Return why the pose at a time is unknown, as a text."""
-        return self._recording.explain(time) or (
+        return self._source.explain(time) or (
             f"the recorded poses around that time are more than {self._gap / SECOND_NS:g} s apart"
         )
 
@@ -167,10 +177,10 @@ class Poses:
         first, last, held = self._held
         if first <= low <= last + 1 and low <= high:
             if high > last:
-                held = held.within(low, last).followed(self._recording.read(last + 1, high))
+                held = held.within(low, last).followed(self._source.read(last + 1, high))
                 self._held = (low, high, held)
         else:
-            self._held = (low, high, self._recording.read(low, high))
+            self._held = (low, high, self._source.read(low, high))
         return self._held[2].within(low, high)
 
 
@@ -201,7 +211,9 @@ def poses_in_frame(
         TypeMismatch: A topic holds other messages.
         InvalidName, InvalidOption: An argument is invalid.
     """
-    return Poses(Chain(Frames(find, node, writers, tf, tf_static), of, frame), longest_gap_sec)
+    return Poses(
+        FrameChain(TfRecording(find, node, writers, tf, tf_static), of, frame), longest_gap_sec
+    )
 
 
 def poses_of_topic(

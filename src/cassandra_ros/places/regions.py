@@ -39,7 +39,7 @@ class Lines(NamedTuple):
     """Difference from start to end of each line."""
 
 
-Shares = Tuple[int, float, float]
+LinePart = Tuple[int, float, float]
 """Index of a line and a part of it, from share to share: 0 is its start, 1 its end."""
 
 
@@ -53,12 +53,12 @@ class Region(Protocol):
     def holds(self, x: float, y: float) -> bool:
         """Return whether a point lies in the region, exactly."""
 
-    def shares(self, lines: Lines) -> Iterator[Shares]:
+    def shares(self, lines: Lines) -> Iterator[LinePart]:
         """Yield the parts of lines that lie in the region, or slightly more; in no order."""
 
 
 @dataclass(frozen=True)
-class Round:
+class DiskRegion:
     """A disk, its rim included."""
 
     x: float
@@ -75,7 +75,7 @@ class Round:
         """Return whether a point is within the radius of the centre."""
         return math.hypot(x - self.x, y - self.y) <= self.radius
 
-    def shares(self, lines: Lines) -> Iterator[Shares]:
+    def shares(self, lines: Lines) -> Iterator[LinePart]:
         """Yield the part of each line that lies in the disk, if any."""
         wide = self.radius * (1 + SLACK) + SLACK
         away_x, away_y = lines.x - self.x, lines.y - self.y
@@ -128,7 +128,7 @@ class Polygon:
                 odd = not odd
         return odd
 
-    def shares(self, lines: Lines) -> Iterator[Shares]:
+    def shares(self, lines: Lines) -> Iterator[LinePart]:
         """Yield the parts of lines that lie in the polygon, cut where they cross its sides."""
         box = self.box
         left, right = (

@@ -27,12 +27,12 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.array_source import ArraySource, Find, find_stored, key_after, last_key
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.pose_samples import NO_FRAME, Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
-from cassandra_ros.places.poses import Poses, Recording
-from cassandra_ros.places.sources import ArraySource, Find, find_stored, key_behind, last_key
-from cassandra_ros.places.stored import Stored
+from cassandra_ros.places.poses import Poses, PoseSource
+from cassandra_ros.places.stored_topics import StoredTopics
 from cassandra_ros.read import Writers
 
 BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
@@ -42,9 +42,9 @@ MOST_FRAMES = 1000
 """Maximum number of frame names remembered for one robot."""
 MOST_ROBOTS = 8
 """Maximum number of moving frames treated as robots when no frame has a robot's usual name."""
-_LOOKS = 5
+_SAMPLES = 5
 """Number of samples, evenly spaced over the recording, that are searched for frame names."""
-_LOOK_NS = 1 * SECOND_NS
+_SAMPLE_NS = 1 * SECOND_NS
 _TYPES = (
     "nav_msgs/Odometry",
     "geometry_msgs/PoseWithCovarianceStamped",
@@ -52,10 +52,10 @@ _TYPES = (
     "geometry_msgs/TransformStamped",
 )
 """Types of topics that are used without being named, in order of preference."""
-_UNTOLD = "no frame"
+_NO_FRAME_NAME = "no frame"
 
 
-class Seen(NamedTuple):
+class TfFrames(NamedTuple):
     """The frames that tf has for a node."""
 
     frames: FrozenSet[str]
@@ -85,23 +85,23 @@ class Robot:
         """Names under which the index holds its places."""
         return (self.name,) if self.name else tuple(table.name for table in self.topic.tables)
 
-    def recording(self, writers: Writers = None) -> Recording:
+    def source(self, writers: Writers = None) -> PoseSource:
         """Return the poses of some runs as recorded; None = the runs of ``self.writers``."""
         writers = self.writers if writers is None else writers
         if self.name:
-            return Chain(Frames(self.find, self.node, writers), self.name, self.frame)
+            return FrameChain(TfRecording(self.find, self.node, writers), self.name, self.frame)
         return PoseTopic(self.find, self.topic.name, self.node, writers)
 
     def poses(self, writers: Writers = None) -> Poses:
         """Return the poses of some runs; None = the runs of ``self.writers``."""
-        return Poses(self.recording(writers))
+        return Poses(self.source(writers))
 
     def fixed(self) -> Mapping[str, str]:
         """Return parent and pose of each fixed frame, as a text, by frame."""
-        return fixed_frames(Frames(self.find, self.node, self.writers)) if self.name else {}
+        return fixed_frames(TfRecording(self.find, self.node, self.writers)) if self.name else {}
 
 
-def fixed_frames(frames: Frames) -> Dict[str, str]:
+def fixed_frames(frames: TfRecording) -> Dict[str, str]:
     """Return parent and pose of each fixed frame, as a text, by frame."""
     return {
         frames.names[child]: f"{frames.names[parent]} {pose.moved.tolist()} {pose.turned.tolist()}"
@@ -110,7 +110,7 @@ def fixed_frames(frames: Frames) -> Dict[str, str]:
     }
 
 
-def frames_above(frames: Frames, samples: Samples, name: str) -> List[str]:
+def frames_above(frames: TfRecording, samples: Samples, name: str) -> List[str]:
     """Return a frame and its ancestors, as far as samples and fixed transforms are known."""
     above: Set[int] = {frames.code(name)}
     while True:
@@ -122,7 +122,7 @@ def frames_above(frames: Frames, samples: Samples, name: str) -> List[str]:
         above = wider
 
 
-def seen_in(frames: Frames, parts: Iterable[Samples]) -> Seen:
+def frames_in(frames: TfRecording, parts: Iterable[Samples]) -> TfFrames:
     """Return the frames in samples and among the fixed transforms."""
     moving: Set[int] = set()
     carrying: Set[int] = set()
@@ -136,7 +136,9 @@ def seen_in(frames: Frames, parts: Iterable[Samples]) -> Seen:
         frames.names[code] for code in (moving | carrying | fixed) - moving if code != NO_FRAME
     )
     tops = [name for name in tops if frames.code(name) not in frames.fixed]
-    return Seen(frozenset(sorted(every)[:MOST_FRAMES]), tuple(robots[:MOST_ROBOTS]), tuple(tops))
+    return TfFrames(
+        frozenset(sorted(every)[:MOST_FRAMES]), tuple(robots[:MOST_ROBOTS]), tuple(tops)
+    )
 
 
 def _bodies(frames: Iterable[str]) -> List[str]:
@@ -149,26 +151,26 @@ def _bodies(frames: Iterable[str]) -> List[str]:
     return sorted(min(n, key=lambda f: BASES.index(f.rpartition("/")[2])) for n in found.values())
 
 
-def look(find: Find, node: str, writers: Writers = None) -> Optional[Seen]:
+def find_frames(find: Find, node: str, writers: Writers = None) -> Optional[TfFrames]:
     """Return the frames that tf has for a node and some runs, at some times; None without tf."""
     try:
-        frames = Frames(find, node, writers)
+        frames = TfRecording(find, node, writers)
     except TopicNotFound:
         return None
     parts = []
     if frames.moving is not None:
-        first = key_behind(frames.moving, -1, node, writers)
+        first = key_after(frames.moving, -1, node, writers)
         last = last_key(frames.moving, node, writers)
         if first is not None and last is not None:
-            for number in range(_LOOKS):
-                near = first + (last - _LOOK_NS - first) * number // (_LOOKS - 1)
-                at = key_behind(frames.moving, max(first, near) - 1, node, writers)
-                parts.append(frames.read(first if at is None else at, (at or first) + _LOOK_NS))
-    seen = seen_in(frames, parts)
+            for number in range(_SAMPLES):
+                near = first + (last - _SAMPLE_NS - first) * number // (_SAMPLES - 1)
+                at = key_after(frames.moving, max(first, near) - 1, node, writers)
+                parts.append(frames.read(first if at is None else at, (at or first) + _SAMPLE_NS))
+    seen = frames_in(frames, parts)
     return seen if seen.frames else None
 
 
-class Choice:
+class RobotFinder:
     """Finds the sources of the poses of the robots of a keyspace.
 
     Args:
@@ -183,13 +185,13 @@ class Choice:
     """
 
     def __init__(
-        self, stored: Stored, frame: str, robot: str = "", writers: Writers = None
+        self, stored: StoredTopics, frame: str, robot: str = "", writers: Writers = None
     ) -> None:
         self._stored = stored
         self._frame, self._robot, self._writers = frame.lstrip("/"), robot, writers
         self._told: Dict[str, List[str]] = {}
         """Frames in which topics give poses, by topic, for the text of an error."""
-        self._look = lru_cache(None)(partial(look, stored.find))
+        self._find_frames = lru_cache(None)(partial(find_frames, stored.find))
 
     def robots(self, nodes: Optional[Sequence[str]] = None) -> List[Robot]:
         """Return the robots of some nodes, one for each node that has poses; None = all nodes."""
@@ -217,7 +219,7 @@ class Choice:
         """Return the most usual frame for places: map or odom, else one that exists."""
         topics = [*self._tf(), *self._candidates]
         nodes = sorted({each for topic in topics for each in self._stored.nodes(topic)})
-        seen = [found for found in map(self._look, nodes) if found is not None]
+        seen = [found for found in map(self._find_frames, nodes) if found is not None]
         told = {self._frame_of(topic, node) for topic in self._candidates for node in nodes}
         known = {frame for each in seen for frame in each.frames} | told
         tops = [frame for each in seen for frame in each.tops]
@@ -258,11 +260,11 @@ class Choice:
             return Robot(node, topic, self._frame, "", self._stored.find, writers)
 
         if named is not None:
-            if writers is not None and key_behind(named, -1, node, writers) is None:
+            if writers is not None and key_after(named, -1, node, writers) is None:
                 return None
             told = self._frame_of(named, node, writers)
             return of_topic(named) if told in (self._frame, "") else None
-        seen = self._look(node, writers)
+        seen = self._find_frames(node, writers)
         if seen is not None and self._frame in seen.frames:
             return self._in_tf(node, seen, writers)
         if self._robot:
@@ -278,7 +280,7 @@ class Choice:
             )
         return of_topic(meant[0]) if meant else None
 
-    def _in_tf(self, node: str, seen: Seen, writers: Writers) -> Optional[Robot]:
+    def _in_tf(self, node: str, seen: TfFrames, writers: Writers) -> Optional[Robot]:
         name = self._robot.lstrip("/")
         if name and name not in seen.frames:
             return None
@@ -296,13 +298,13 @@ class Choice:
 
     def _frame_of(self, topic: ArraySource, node: str, writers: Writers = None) -> str:
         frame = PoseTopic(self._stored.find, topic.name, node, writers).frame
-        self._told.setdefault(topic.name, []).append(frame or _UNTOLD)
+        self._told.setdefault(topic.name, []).append(frame or _NO_FRAME_NAME)
         return frame
 
     def _nothing(self, nodes: Sequence[str]) -> str:
         known: Set[str] = set()
         for node in nodes:
-            seen = self._look(node)
+            seen = self._find_frames(node)
             known |= set() if seen is None else seen.frames
         of = f" of {self._robot}" if self._robot else ""
         text = f"no pose{of} in frame {self._frame!r} is stored"
@@ -313,7 +315,7 @@ class Choice:
         example = "odom"
         for topic, frames in self._told.items():
             text += f"; {topic} tells poses in {', '.join(sorted(set(frames)))}"
-            example = next(iter(sorted(set(frames) - {_UNTOLD})), example)
+            example = next(iter(sorted(set(frames) - {_NO_FRAME_NAME})), example)
         return f"{text}: name another frame, as NEAR(x, y, radius, '{example}')"
 
 

@@ -22,11 +22,11 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS, Path
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.robots import Robot
-from cassandra_ros.places.stored import Extent, Stored
+from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.read import Writers
 
 WINDOW_NS = 30 * SECOND_NS
-KEPT = 8
+MAX_CACHED_WINDOWS = 8
 """Maximum number of cached windows."""
 FRESH_SEC = 2.0
 """How long a window that may still get poses is cached, s."""
@@ -58,7 +58,7 @@ class Window:
 class Windows:
     """The time windows of one robot. For use by one thread at a time."""
 
-    def __init__(self, robot: Robot, stored: Stored) -> None:
+    def __init__(self, robot: Robot, stored: StoredTopics) -> None:
         self.robot = robot
         self._stored = stored
         self._poses: Dict[Writers, Poses] = {}
@@ -69,7 +69,7 @@ class Windows:
     def _still(self) -> Optional[Path]:
         # A pose that is known without any moving transform is fixed.
         nothing, once = Samples.none(), np.zeros(1, np.int64)
-        poses, known = self.robot.recording().placed(nothing, once, False, 0)
+        poses, known = self.robot.source().placed(nothing, once, False, 0)
         return Path.still(float(poses.x[0]), float(poses.y[0])) if known[0] else None
 
     def _poses_of(self, writers: Writers) -> Poses:
@@ -90,7 +90,7 @@ class Windows:
         until = math.inf if window.complete else time.monotonic() + FRESH_SEC
         self._kept[number] = (until, window)
         self._kept.move_to_end(number)
-        while len(self._kept) > KEPT:
+        while len(self._kept) > MAX_CACHED_WINDOWS:
             self._kept.popitem(last=False)
         return window
 
@@ -104,7 +104,7 @@ class Windows:
         extents = self._stored.extents(robot.topic, robot.node, low, high)
         # Several runs may have the same value of RUN: then their poses are used together.
         called: Dict[str, Set[int]] = {}
-        for writer in {each.writer for pair in overlaps(extents) for each in pair}:
+        for writer in {each.writer for pair in overlapping_pairs(extents) for each in pair}:
             called.setdefault(self._stored.run_text(writer), set()).add(writer)
         own = {
             text: Path.of(self._poses_of(frozenset(writers)).tracks(low, high))
@@ -113,7 +113,7 @@ class Windows:
         return Window(every, own, int(every.times[-1]) > high - LONGEST_GAP_NS)
 
 
-def overlaps(extents: Sequence[Extent]) -> Iterator[Tuple[Extent, Extent]]:
+def overlapping_pairs(extents: Sequence[Extent]) -> Iterator[Tuple[Extent, Extent]]:
     """Yield pairs of time ranges of two runs that overlap, sorted by their start."""
     longest: Optional[Extent] = None
     for extent in sorted(extents, key=lambda each: (each.low, each.high)):

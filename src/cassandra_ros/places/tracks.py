@@ -15,7 +15,7 @@ from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple, Un
 import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, Path, merged
+from cassandra_ros.places.paths import LONGEST_GAP_NS, LONGEST_WAY_M, Path, merge_ranges
 from cassandra_ros.places.pose_samples import Times
 from cassandra_ros.places.robots import Robot
 from cassandra_ros.places.whereabouts import Whereabouts
@@ -23,11 +23,11 @@ from cassandra_ros.read import Writers
 
 WHOLE_NS = 7200 * SECOND_NS
 """Maximum length of a time range with poses that is read completely, ns."""
-_LOOKS = 400
+_SAMPLES = 400
 """Number of moments in a longer time range around which poses are read."""
-_LOOK_NS = SECOND_NS
+_SAMPLE_NS = SECOND_NS
 
-Points = Union[List[str], List[float], List[bool], str]
+JsonValues = Union[List[str], List[float], List[bool], str]
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class RobotTrack:
     joined: Sequence[bool]
     """For each point, whether the line from the previous point is known."""
 
-    def told(self) -> Dict[str, Points]:
+    def told(self) -> Dict[str, JsonValues]:
         """Return the track for JSON: times are ns, as texts."""
         path = self.path
         return {
@@ -75,10 +75,10 @@ def find_tracks(
     found = []
     for robot in places.robots(*asked, nodes, writers):
         extents = places.extents(robot, low, high)
-        spans = list(merged(sorted((max(low, e[2]), min(high, e[3])) for e in extents)))
+        spans = list(merge_ranges(sorted((max(low, e[2]), min(high, e[3])) for e in extents)))
         path = _path(robot, spans, watch)
         if len(path):
-            found.append(RobotTrack(robot.node, robot.frame, *thinned(path, most)))
+            found.append(RobotTrack(robot.node, robot.frame, *reduce_points(path, most)))
     return found
 
 
@@ -95,19 +95,19 @@ def _path(robot: Robot, spans: Sequence[Tuple[int, int]], watch: Callable[[], No
     if total <= WHOLE_NS or not len(path):
         return path
     # The lines between two moments are drawn as known, unless a run ended in between.
-    step = total // _LOOKS
+    step = total // _SAMPLES
     return Path(path.times, path.x, path.y, max(2 * step, LONGEST_GAP_NS))
 
 
 def _looks(spans: Sequence[Tuple[int, int]], total: int) -> Iterator[Tuple[int, int]]:
     """Yield time ranges of one second, evenly spaced over the given ones."""
-    step = max(1, total // _LOOKS)
+    step = max(1, total // _SAMPLES)
     for start, end in spans:
-        for at in itertools.chain(range(start, end, step), [max(start, end - _LOOK_NS)]):
-            yield at, min(end, at + _LOOK_NS)
+        for at in itertools.chain(range(start, end, step), [max(start, end - _SAMPLE_NS)]):
+            yield at, min(end, at + _SAMPLE_NS)
 
 
-def thinned(path: Path, most: int) -> Tuple[Path, List[bool]]:
+def reduce_points(path: Path, most: int) -> Tuple[Path, List[bool]]:
     """Reduce the points of a path to at most ``most``, leaving out those that change it least.
 
     The ends of known parts stay, unless there are too many of them.
@@ -119,12 +119,14 @@ def thinned(path: Path, most: int) -> Tuple[Path, List[bool]]:
     far = np.maximum(np.abs(np.diff(path.x)), np.abs(np.diff(path.y))) > LONGEST_WAY_M
     breaks = (np.diff(path.times) > path.gap) | far
     before = np.concatenate([[0], np.cumsum(breaks)])
-    chosen = np.arange(count) if count <= most else _chosen(path, most, np.flatnonzero(breaks))
+    chosen = (
+        np.arange(count) if count <= most else _chosen_indices(path, most, np.flatnonzero(breaks))
+    )
     kept = Path(path.times[chosen], path.x[chosen], path.y[chosen], path.gap)
     return kept, [False, *(np.diff(before[chosen]) == 0).tolist()][: len(kept)]
 
 
-def _chosen(path: Path, most: int, broken: Times) -> Times:
+def _chosen_indices(path: Path, most: int, broken: Times) -> Times:
     """Return the indices of the points that stay."""
     count = len(path)
     ends = np.unique(np.concatenate([[0, count - 1], broken, broken + 1]))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Times at which robots were in a region, for NEAR and for the lasso on the map.
 
-The index of cells (see indexing.py) gives candidate times as far as it covers the recording; all
+The index of cells (see run_index.py) gives candidate times as far as it covers the recording; all
 other times are candidates too. For the candidates the recorded poses are read and decide.
 """
 
@@ -15,10 +15,10 @@ from typing import Callable, Dict, Iterable, Iterator, List, Mapping, Optional, 
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.coverage import Coverage
-from cassandra_ros.places.paths import Span, clipped, merged
-from cassandra_ros.places.regions import Region, Round
-from cassandra_ros.places.robots import Choice, Robot
-from cassandra_ros.places.stored import Extent, Stored
+from cassandra_ros.places.paths import NsRange, clip_ranges, merge_ranges
+from cassandra_ros.places.regions import DiskRegion, Region
+from cassandra_ros.places.robots import Robot, RobotFinder
+from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import WINDOW_NS, Window, Windows
 from cassandra_ros.query.protocols import Disk
 from cassandra_ros.read import Writers
@@ -69,7 +69,7 @@ class RegionStays:
         reverse: bool = False,
         node: Optional[str] = None,
         watch: Callable[[], None] = lambda: None,
-    ) -> Iterator[Span]:
+    ) -> Iterator[NsRange]:
         """Yield time ranges in [low, high], ns, that contain all stays; see query.protocols.Stays.
 
         Args:
@@ -90,22 +90,22 @@ class RegionStays:
         high: int,
         reverse: bool,
         watch: Callable[[], None],
-    ) -> Iterator[Span]:
+    ) -> Iterator[NsRange]:
         candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in asked]
-        every = merged(sorted(span for spans in candidates for span in spans))
+        every = merge_ranges(sorted(span for spans in candidates for span in spans))
         for number in _numbers(list(every), reverse):
             watch()
             start, end = number * WINDOW_NS, (number + 1) * WINDOW_NS - 1
-            found: List[Span] = []
+            found: List[NsRange] = []
             for windows, spans in zip(asked, candidates):
                 if _meets(spans, start, end):
                     for path in self._window(windows, start).paths:
                         found += path.stays(self._region)
-            inside = list(clipped(merged(sorted(found)), max(low, start), min(high, end)))
+            inside = list(clip_ranges(merge_ranges(sorted(found)), max(low, start), min(high, end)))
             yield from reversed(inside) if reverse else inside
 
 
-def _numbers(spans: Sequence[Span], reverse: bool) -> Iterator[int]:
+def _numbers(spans: Sequence[NsRange], reverse: bool) -> Iterator[int]:
     """Yield the numbers of the windows that some time ranges touch, each once."""
     last: Optional[int] = None
     for low, high in reversed(spans) if reverse else spans:
@@ -116,15 +116,15 @@ def _numbers(spans: Sequence[Span], reverse: bool) -> Iterator[int]:
             last = number
 
 
-def _meets(spans: Sequence[Span], start: int, end: int) -> bool:
+def _meets(spans: Sequence[NsRange], start: int, end: int) -> bool:
     """Return whether one of some time ranges, sorted and disjoint, touches [start, end]."""
     n = bisect_right(spans, (end, MAX_NS)) - 1
     return n >= 0 and spans[n][1] >= start
 
 
-def _touching(spans: Iterable[Span]) -> Iterator[Span]:
+def _touching(spans: Iterable[NsRange]) -> Iterator[NsRange]:
     """Join adjacent and overlapping time ranges, in ascending or descending order."""
-    last: Optional[Span] = None
+    last: Optional[NsRange] = None
     for low, high in spans:
         if last is not None and low <= last[1] + 1 and last[0] <= high + 1:
             last = min(last[0], low), max(last[1], high)
@@ -139,7 +139,7 @@ def _touching(spans: Iterable[Span]) -> Iterator[Span]:
 class Whereabouts:
     """The poses of the robots of one keyspace; see query.protocols.Places. Thread-safe."""
 
-    def __init__(self, stored: Stored, index: PlaceIndex) -> None:
+    def __init__(self, stored: StoredTopics, index: PlaceIndex) -> None:
         self._stored = stored
         self._coverage = Coverage(stored, index)
         self._local = threading.local()
@@ -163,7 +163,7 @@ class Whereabouts:
         answers = getattr(self._local, "answers", {})
         asked = disk, node, writers
         if asked not in answers:
-            region = Round(disk.x, disk.y, disk.radius)
+            region = DiskRegion(disk.x, disk.y, disk.radius)
             nodes = None if node is None else [node]
             answers[asked] = self.within(region, disk.frame, disk.robot, nodes, writers)
         return answers[asked]
@@ -197,11 +197,11 @@ class Whereabouts:
         writers: Writers = None,
     ) -> List[Robot]:
         """Return the sources of robots' poses; arguments and errors as in ``within``."""
-        return Choice(self._stored, frame, robot, writers).robots(nodes)
+        return RobotFinder(self._stored, frame, robot, writers).robots(nodes)
 
     def usual_frame(self) -> str:
         """Return the most usual frame for places: map or odom, else one that exists."""
-        return Choice(self._stored, "").usual_frame()
+        return RobotFinder(self._stored, "").usual_frame()
 
     def extents(self, robot: Robot, low: int, high: int) -> Sequence[Extent]:
         """Return the time ranges of a robot's recorded poses, by run, that touch [low, high]."""

@@ -29,13 +29,13 @@ from typing import (
     Tuple,
 )
 
-from cassandra_ros.arrays.gather import read_arrays
+from cassandra_ros.arrays.field_arrays import read_arrays
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.frame_poses import TF, TF_STATIC
-from cassandra_ros.places.indexing import TfNotes, TopicNotes, Whose
 from cassandra_ros.places.paths import LONGEST_GAP_NS
+from cassandra_ros.places.run_index import RobotRun, TfVisits, TopicVisits
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.read import Read, Writers
 from cassandra_ros.recording.losses import LossLog
@@ -163,7 +163,7 @@ class PlaceKeeper:
     def __init__(
         self,
         store: Future[Catalog],
-        whose: Whose,
+        whose: RobotRun,
         losses: LossLog,
         wanted: bool = True,
     ) -> None:
@@ -184,8 +184,8 @@ class PlaceKeeper:
         """The tables and robots of which the index says how far it goes."""
         self._wrong = False
         """What it says does not hold any more."""
-        self._tf: Optional[TfNotes] = None
-        self._told: Dict[str, TopicNotes] = {}
+        self._tf: Optional[TfVisits] = None
+        self._told: Dict[str, TopicVisits] = {}
         self._latest = 0
         self._noted = self._read_to = -1
         """All poses up to here are noted, or were looked at, ns; -1 = none."""
@@ -327,11 +327,11 @@ class PlaceKeeper:
     def _visits(self, name: str, low: int, high: int) -> List[Visited]:
         if name == TF:
             if self._tf is None:
-                self._tf = TfNotes(self._find, self._whose)
-            return list(self._tf.go_on(low, high))
+                self._tf = TfVisits(self._find, self._whose)
+            return list(self._tf.visits(low, high))
         if name not in self._told:
-            self._told[name] = TopicNotes(self._find, name, self._whose)
-        return list(self._told[name].go_on(self._table(name), low, high))
+            self._told[name] = TopicVisits(self._find, name, self._whose)
+        return list(self._told[name].visits(self._table(name), low, high))
 
     def _placed(self, name: str, high: int) -> List[Placed]:
         notes = self._tf if name == TF else self._told[name]

@@ -22,7 +22,7 @@ from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.places.indexing import Whose
+from cassandra_ros.places.run_index import RobotRun
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import Buffer, Feed, Item, Source
@@ -122,7 +122,9 @@ class Recording:
         self._sources: _Sources = weakref.WeakValueDictionary()
         self.writer_id = new_writer_id()
         self._losses = LossLog(node, self.writer_id)
-        self._places = PlaceKeeper(self._store, Whose(node, self.writer_id), self._losses, places)
+        self._places = PlaceKeeper(
+            self._store, RobotRun(node, self.writer_id), self._losses, places
+        )
         self._counts = Counts(self._losses)
         self._writers: list[MessageWriter] = []
         """Empty until the store answers."""

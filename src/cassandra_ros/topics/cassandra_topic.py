@@ -18,7 +18,7 @@ from cassandra_ros.arguments import (
     check_user_keys,
 )
 from cassandra_ros.arrays.data_frame import read_frame
-from cassandra_ros.arrays.gather import read_arrays
+from cassandra_ros.arrays.field_arrays import read_arrays
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.keys import Position

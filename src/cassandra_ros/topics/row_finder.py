@@ -11,7 +11,7 @@ from numbers import Integral
 from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
-from cassandra_ros.arrays.gather import ReadBlocks, ReadRows
+from cassandra_ros.arrays.field_arrays import ReadBlocks, ReadRows
 from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
 from cassandra_ros.messages.key_part import KeyPart

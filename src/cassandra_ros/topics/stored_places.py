@@ -8,8 +8,8 @@ from itertools import islice
 from typing import Callable, FrozenSet, List, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.sources import ArraySource
-from cassandra_ros.places.stored import Extent
+from cassandra_ros.places.array_source import ArraySource
+from cassandra_ros.places.stored_topics import Extent
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.directory import BucketRow
 from cassandra_ros.topics.cassandra_topic import CassandraTopic

@@ -9,10 +9,10 @@ from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.places.frame_poses import TF, Frames
-from cassandra_ros.places.indexing import RunIndex, Whose
+from cassandra_ros.places.frame_poses import TF, TfRecording
 from cassandra_ros.places.pose_topic import tells_poses
 from cassandra_ros.places.robots import fixed_frames
+from cassandra_ros.places.run_index import RobotRun, RunIndex
 from cassandra_ros.tables.place_index import Placed
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
@@ -56,7 +56,7 @@ def index_places(
         if state.state != "not indexed":
             found.append(state)
             continue
-        whose = Whose(each.node, each.writer)
+        whose = RobotRun(each.node, each.writer)
         made = RunIndex(stored, catalog.keyspace.place_index, whose, ttl).make(progress)
         if made is not None:
             state = state._replace(state="indexed", first_ns=made.poses_from)
@@ -131,6 +131,6 @@ class _Look:
 
     def _fixed(self, node: str) -> Mapping[str, str]:
         try:
-            return fixed_frames(Frames(self._stored.find, node))
+            return fixed_frames(TfRecording(self._stored.find, node))
         except TopicNotFound:
             return {}

@@ -9,7 +9,7 @@ from typing import List, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.places.regions import Polygon, Region, Round
+from cassandra_ros.places.regions import DiskRegion, Polygon, Region
 from cassandra_ros.places.tracks import find_tracks
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.call import Call
@@ -88,7 +88,7 @@ def _region(call: Call) -> Region:
         raise InvalidOption("say where: x, y and radius, or polygon=x,y;x,y;x,y, in metres")
     if radius < 0:
         raise InvalidOption(f"radius is {radius}: it is 0 or more metres")
-    return Round(x, y, radius)
+    return DiskRegion(x, y, radius)
 
 
 def _corners(text: str) -> Sequence[Tuple[float, float]]:

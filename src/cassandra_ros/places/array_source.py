@@ -55,7 +55,7 @@ def arrays_between(
     return topic.getArrays(fields, *ends, nodeID=node, run=writers)
 
 
-def key_behind(
+def key_after(
     topic: ArraySource, time: int, node: Optional[str], writers: Writers
 ) -> Optional[int]:
     """Return the first row key of a topic after a time, ns; None if there are no later rows."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import FrozenSet, NamedTuple, Optional, Protocol, Sequence
 
-from cassandra_ros.places.sources import ArraySource
+from cassandra_ros.places.array_source import ArraySource
 
 
 class Extent(NamedTuple):
@@ -20,7 +20,7 @@ class Extent(NamedTuple):
     """First and last row key, ns, both included."""
 
 
-class Stored(Protocol):
+class StoredTopics(Protocol):
     """The topics of a keyspace."""
 
     def find(self, name: str) -> ArraySource:

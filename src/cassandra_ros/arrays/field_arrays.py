@@ -30,9 +30,9 @@ Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition and the values of its ``?``."""
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all fields."""
-Columns = Callable[[Table], Sequence[str]]
+ColumnChoice = Callable[[Table], Sequence[str]]
 """Function from a table to the names of its columns that must be read."""
-ReadRows = Callable[[Columns], Iterator[Row]]
+ReadRows = Callable[[ColumnChoice], Iterator[Row]]
 """Function that reads the stored rows that satisfy the condition."""
 
 ReadBlocks = Callable[[], Optional[Iterator[MessageBlock]]]
@@ -80,7 +80,7 @@ def gather_fields(
         text, params = where
     if text is not None:
         parse_condition(text, params)  # parsed alone, so that it cannot close the bracket around it
-    select = _located(_statement(topic, fields, text, params), topic.tables, whose)
+    select = _with_places(_statement(topic, fields, text, params), topic.tables, whose)
     findings = Findings(select.text)
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
@@ -105,7 +105,7 @@ def gather_fields(
         tables[name].add(row, number)
     for table in tables.values():
         table.flush()
-    return _united(select, list(tables.values()))
+    return _join_tables(select, list(tables.values()))
 
 
 def _from_blocks(
@@ -124,7 +124,7 @@ def _from_blocks(
         return None
     for table in tables.values():
         table.flush()
-    return _united(select, list(tables.values()))
+    return _join_tables(select, list(tables.values()))
 
 
 def read_arrays(
@@ -142,10 +142,10 @@ def read_arrays(
     """
     found = gather_fields(topic, fields, where, read, blocks, whose=whose)
     # pop() frees each column after its conversion, so that only one column exists twice.
-    return {name: _presented(*found.pop(name)) for name in list(found)}
+    return {name: _masked(*found.pop(name)) for name in list(found)}
 
 
-def _presented(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
+def _masked(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
     many = values.ndim > 1
     if kind.depth == 1 and not many and not missing.any():
         # Stacked only here, where all messages are known: the shape must not depend on one batch.
@@ -157,7 +157,7 @@ def _presented(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray
     return masked
 
 
-def _located(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
+def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
     """Return a statement whose NEAR conditions know their times for its robot and runs."""
     named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
     bounds = bounds_of(select, Read(whose=whose), named, runs)
@@ -195,7 +195,7 @@ def _statement(
     return select
 
 
-def _united(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
+def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, FieldArray]:
     if not tables:  # the topic has no message type yet
         columns = select.columns or (Selected(KeyOperand(0)),)
         kinds = {c.text: "time" if isinstance(c.what, KeyOperand) else MIXED for c in columns}

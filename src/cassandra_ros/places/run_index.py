@@ -15,32 +15,32 @@ from functools import partial
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.frame_poses import TF, TF_STATIC, Chain, Frames
+from cassandra_ros.places.array_source import ArraySource, Find, find_stored
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.ground_cells import OpenVisits
-from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, merged
+from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, merge_ranges
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
-from cassandra_ros.places.robots import MOST_FRAMES, fixed_frames, frames_above, seen_in
-from cassandra_ros.places.sources import ArraySource, Find, find_stored
-from cassandra_ros.places.stored import Extent, Stored
+from cassandra_ros.places.robots import MOST_FRAMES, fixed_frames, frames_above, frames_in
+from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square, Visited
 
 MOST_ABOVE = 16
 """Maximum number of frames above a robot in which its places are indexed."""
 _WINDOW_SEC = MAX_SPAN_NS // SECOND_NS
-_KEPT = 4
+_MAX_CACHED = 4
 """Maximum number of cached time ranges of transforms, shared by all robots and frames."""
 
 
-class Whose(NamedTuple):
+class RobotRun(NamedTuple):
     """The run whose poses are indexed."""
 
     node: str
     writer: int
 
 
-class _Remembering(Frames):
+class _CachedRecording(TfRecording):
     """Transforms with a cache, because several chains read the same time ranges."""
 
     def __init__(self, find: Find, node: str) -> None:
@@ -51,12 +51,12 @@ class _Remembering(Frames):
         """Return the moving transforms with a row key in [low, high], ns."""
         if (low, high) not in self._read:
             self._read[low, high] = super().read(low, high)
-            if len(self._read) > _KEPT:
+            if len(self._read) > _MAX_CACHED:
                 self._read.popitem(last=False)
         return self._read[low, high]
 
 
-class _Way:
+class _RobotVisits:
     """The visits of one robot in one frame, computed part by part."""
 
     def __init__(self, poses: Poses, frame: str, robot: str) -> None:
@@ -64,15 +64,15 @@ class _Way:
         self._at = (frame, robot)
         self._open = OpenVisits()
 
-    def go_on(self, whose: Whose, low: int, high: int) -> Iterator[Visited]:
+    def visits(self, whose: RobotRun, low: int, high: int) -> Iterator[Visited]:
         """Yield the visits of the time range [low, high], ns, and of the path into it."""
         path = Path.of(self._poses.tracks(low - LONGEST_GAP_NS, high))
-        for visit in self._open.go_on(path):
+        for visit in self._open.visits(path):
             square = Square(*self._at, *visit.cell)
             yield Visited(square, whose.node, visit.low, whose.writer, visit.high)
 
 
-class TfNotes:
+class TfVisits:
     """Index of the robots in tf, for one run.
 
     Args:
@@ -80,19 +80,19 @@ class TfNotes:
         whose: The run.
     """
 
-    def __init__(self, find: Find, whose: Whose) -> None:
+    def __init__(self, find: Find, whose: RobotRun) -> None:
         self._whose = whose
-        self._frames = _Remembering(find, whose.node)
-        self._ways: Dict[Tuple[str, str], _Way] = {}
+        self._frames = _CachedRecording(find, whose.node)
+        self._ways: Dict[Tuple[str, str], _RobotVisits] = {}
         self._since: Dict[str, int] = {}
         """Row key from which a robot is indexed, ns, by frame."""
         self._seen: Set[str] = set()
         self._begun = False
 
-    def go_on(self, low: int, high: int) -> Iterator[Visited]:
+    def visits(self, low: int, high: int) -> Iterator[Visited]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         samples = self._frames.read(low, high)
-        seen = seen_in(self._frames, [samples])
+        seen = frames_in(self._frames, [samples])
         self._seen.update(sorted(seen.frames)[: max(0, MOST_FRAMES - len(self._seen))])
         for robot in seen.robots:
             self._since.setdefault(robot, low if self._begun else 0)
@@ -101,9 +101,9 @@ class TfNotes:
             for frame in frames_above(self._frames, samples, robot)[:MOST_ABOVE]:
                 if frame != robot:
                     if (robot, frame) not in self._ways:
-                        poses = Poses(Chain(self._frames, robot, frame))
-                        self._ways[robot, frame] = _Way(poses, frame, robot)
-                    yield from self._ways[robot, frame].go_on(self._whose, low, high)
+                        poses = Poses(FrameChain(self._frames, robot, frame))
+                        self._ways[robot, frame] = _RobotVisits(poses, frame, robot)
+                    yield from self._ways[robot, frame].visits(self._whose, low, high)
 
     def placed(self, table: str, low: int, high: int) -> List[Placed]:
         """Return the index records of the row keys [low, high], ns, in a table."""
@@ -125,21 +125,21 @@ class TfNotes:
         return [robot, *(frame for name, frame in self._ways if name == robot)]
 
 
-class TopicNotes:
-    """Index of the robot of a topic of poses, for one run; arguments as for TfNotes."""
+class TopicVisits:
+    """Index of the robot of a topic of poses, for one run; arguments as for TfVisits."""
 
-    def __init__(self, find: Find, topic: str, whose: Whose) -> None:
+    def __init__(self, find: Find, topic: str, whose: RobotRun) -> None:
         self._whose = whose
         recording = PoseTopic(find, topic, whose.node)
         self._frame = recording.frame
         self._poses = Poses(recording)
-        self._ways: Dict[str, _Way] = {}
+        self._ways: Dict[str, _RobotVisits] = {}
 
-    def go_on(self, table: str, low: int, high: int) -> Iterator[Visited]:
+    def visits(self, table: str, low: int, high: int) -> Iterator[Visited]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         if table not in self._ways:
-            self._ways[table] = _Way(self._poses, self._frame, table)
-        yield from self._ways[table].go_on(self._whose, low, high)
+            self._ways[table] = _RobotVisits(self._poses, self._frame, table)
+        yield from self._ways[table].visits(self._whose, low, high)
 
     def placed(self, table: str, low: int, high: int) -> List[Placed]:
         """Return the index records of the row keys [low, high], ns, in a table."""
@@ -147,7 +147,7 @@ class TopicNotes:
         return [Placed(table, *self._whose, table, low, high, frames, {self._frame: ""})]
 
 
-class Indexed(NamedTuple):
+class IndexResult(NamedTuple):
     """The result of indexing a run."""
 
     poses_from: int
@@ -167,16 +167,18 @@ class RunIndex:
         ttl: Time to live of the index rows, s; 0 = without limit.
     """
 
-    def __init__(self, stored: Stored, index: PlaceIndex, whose: Whose, ttl: int = 0) -> None:
+    def __init__(
+        self, stored: StoredTopics, index: PlaceIndex, whose: RobotRun, ttl: int = 0
+    ) -> None:
         self._stored, self._index, self._whose, self._ttl = stored, index, whose, ttl
 
-    def make(self, progress: Optional[Callable[[int, int], None]] = None) -> Optional[Indexed]:
+    def make(self, progress: Optional[Callable[[int, int], None]] = None) -> Optional[IndexResult]:
         """Index all poses of the run; return None if it has no poses. Can be repeated.
 
         Args:
             progress: Called with the seconds that are done, and the seconds in all.
         """
-        parts = [part for part in self._parts() if part.extents]
+        parts = [part for part in self._poses_of_topics() if part.extents]
         if not parts:
             return None
         every = [extent for part in parts for extent in part.extents]
@@ -186,28 +188,28 @@ class RunIndex:
             self._index.withdraw(table, run=self._whose)  # the visits are written again
         for part in parts:
             for low, high in _windows(part.extents):
-                found = list(part.go_on(low, high))
+                found = list(part.visits(low, high))
                 self._index.put(found, [], self._ttl)
                 done, visits = done + 1, visits + len(found)
                 if progress is not None:
                     progress(done * _WINDOW_SEC, total * _WINDOW_SEC)
             self._index.put([], part.placed(), self._ttl)
-        return Indexed(min(e.low for e in every), max(e.high for e in every), visits)
+        return IndexResult(min(e.low for e in every), max(e.high for e in every), visits)
 
-    def _parts(self) -> Iterator[_Part]:
+    def _poses_of_topics(self) -> Iterator[_TopicPoses]:
         whose = self._whose
         tf = [find_stored(self._stored.find, name) for name in (TF, TF_STATIC)]
         if tf[0] is not None:
-            notes = TfNotes(self._stored.find, whose)
-            yield _Part(self._extents(tf[0]), notes.go_on, notes.placed)
+            notes = TfVisits(self._stored.find, whose)
+            yield _TopicPoses(self._extents(tf[0]), notes.visits, notes.placed)
         for topic in self._stored.topics():
             if tells_poses(topic):
                 extents = self._extents(topic)
                 if extents:
-                    told = TopicNotes(self._stored.find, topic.name, whose)
+                    told = TopicVisits(self._stored.find, topic.name, whose)
                     for table in sorted({extent.table for extent in extents}):
                         own = [extent for extent in extents if extent.table == table]
-                        yield _Part(own, partial(told.go_on, table), told.placed)
+                        yield _TopicPoses(own, partial(told.visits, table), told.placed)
 
     def _extents(self, topic: ArraySource) -> List[Extent]:
         node, writer = self._whose
@@ -215,11 +217,11 @@ class RunIndex:
         return [extent for extent in every if extent.writer == writer]
 
 
-class _Part(NamedTuple):
+class _TopicPoses(NamedTuple):
     """The poses of one topic."""
 
     extents: Sequence[Extent]
-    go_on: Callable[[int, int], Iterator[Visited]]
+    visits: Callable[[int, int], Iterator[Visited]]
     note: Callable[[str, int, int], List[Placed]]
 
     def placed(self) -> Iterator[Placed]:
@@ -232,7 +234,7 @@ class _Part(NamedTuple):
 def _windows(extents: Sequence[Extent]) -> Iterator[Tuple[int, int]]:
     """Yield the windows of MAX_SPAN_NS that the ranges touch, each once."""
     last = -1
-    for low, high in merged(sorted((extent.low, extent.high) for extent in extents)):
+    for low, high in merge_ranges(sorted((extent.low, extent.high) for extent in extents)):
         for number in range(low // MAX_SPAN_NS, high // MAX_SPAN_NS + 1):
             if number != last:
                 start = number * MAX_SPAN_NS
