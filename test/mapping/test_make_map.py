@@ -216,7 +216,7 @@ def test_what_no_map_can_be_made_of_says_why(store, fresh):
         makeMap(store, "/scan", run="yesterday")
     with pytest.raises(MessageNotFound):
         makeMap(store, "/scan", Stamp.from_ns(T0 + YEAR), Stamp.from_ns(T0 + 2 * YEAR))
-    with pytest.raises(TransformException, match="of none of 64 messages .* 'attic' is not in"):
+    with pytest.raises(TransformException, match="for none of 64 messages .* 'attic' is not in"):
         makeMap(store, "/scan", nodeID="tidy", poses=PoseChoice(frame="attic"))
     with pytest.raises(TypeMismatch, match="tells no poses"):
         makeMap(store, "/scan", poses=PoseChoice(odom="/points"))
@@ -368,7 +368,7 @@ def test_figure_4_is_drawn_of_a_real_lidar(bags, cassandra, rosCas, ros_env, tmp
     with Image.open(out) as image:
         assert image.width > 1.5 * image.height
     # The clouds came before the first pose: they are drawn as if the lidar had stood still.
-    with pytest.raises(TransformException, match="of none of 5 .* tells no pose at 2020-03"):
+    with pytest.raises(TransformException, match="for none of 5 .* tells no pose at 2020-03"):
         makeMap(rosCas, "/luminar_pointcloud")
     frame = rosCas.getTopic("/luminar_pointcloud").getData(0, nearest="after").header.frame_id
     coarse = MapOptions(resolution=0.2, max_range=100, min_height=-1, max_height=3)

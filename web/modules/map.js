@@ -214,7 +214,7 @@ function described(topic, meta) {
   const size = `${(meta.width * meta.resolution).toFixed(1)} × ${(meta.height * meta.resolution).toFixed(1)} m`;
   const parts = [`${topic} in frame ${meta.frame || "?"}: ${size}, cells of ${metres(Number(meta.resolution.toPrecision(6)))}`];
   parts.push(`${meta.used} messages, poses by ${meta.sources.join("; ")}`);
-  if (meta.without_pose) parts.push(`${meta.without_pose} left out, for nobody knows where the sensor was`);
+  if (meta.without_pose) parts.push(`${meta.without_pose} left out, because the pose of the sensor is unknown`);
   if (meta.received) parts.push(`${meta.received} placed by when they were received`);
   if (meta.unreadable) parts.push(`${meta.unreadable} unreadable`);
   return parts.join(" · ");

@@ -202,7 +202,9 @@ def draw_plot(
     lines = lines_of(series)
     if not lines:
         reasons = [f"{u.name} is {u.reason}" for each in series for u in each.left_out]
-        raise InvalidOption(f"no column can be drawn: {'; '.join(reasons) or 'there is none'}")
+        raise InvalidOption(
+            f"no column can be drawn: {'; '.join(reasons) or 'there are no columns'}"
+        )
     figures = optional_module("matplotlib.figure", PURPOSE)
     figure: Figure = figures.Figure([side / _DPI for side in size], _DPI, layout="constrained")
     units = list(dict.fromkeys(line.unit for line in lines))

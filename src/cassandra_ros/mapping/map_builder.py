@@ -360,8 +360,8 @@ class _MapBuilder:
             poses, first = self._lost
             why = poses.explain(first.stamp or first.key)
             raise TransformException(
-                f"of none of {self.seen} messages of topic {topic} is known where the sensor was: "
-                f"{why}"
+                f"the pose of the sensor is known for none of {self.seen} messages of topic "
+                f"{topic}: {why}"
             )
         frame = next(iter(self._frames.values()), "")
         made = OccupancyMap.of_grid(self._grid, frame, self._stamp)

@@ -177,14 +177,14 @@ class SensorPoses:
             return self.offers[0].topic
         tf, tf_static = self._choice.tf, self._choice.tf_static
         if self._choice.sensor_offset is not None:
-            what = "a sensor offset is one on the robot of which a topic tells poses"
+            what = "a sensor offset needs a topic with poses of the robot"
         elif self._frames is None:
             what = f"neither {tf} nor {tf_static} is stored"
         else:
             what = f"frame {sensor!r} does not move in {tf} and {tf_static}"
         raise TransformException(
-            f"nobody knows where the sensor was: {what}, and no topic of Odometry, PoseStamped or "
-            "PoseWithCovarianceStamped is; name what tells poses with odom="
+            f"the pose of the sensor is unknown: {what}, and there is no topic of Odometry, "
+            "PoseStamped or PoseWithCovarianceStamped; name a topic with poses by odom="
         )
 
     def _pose_offers(self) -> List[PoseOffer]:

@@ -160,7 +160,7 @@ def deserialize(cls: Any, wire: bytes) -> Any:
     try:
         return _maker(cls)(wire)
     except struct.error as exc:
-        why = "they end too early or count too far"
+        why = "they end too early, or a length exceeds them"
         raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {why}") from exc
     except Exception as exc:
         raise CorruptMessage(f"{len(wire)} bytes are no {cls._type}: {str(exc)[:300]}") from exc
@@ -214,8 +214,8 @@ def exact_message(cls: Any, wire: bytes) -> Any:
     found = deserialize(cls, wire)
     if serialize(found) != wire:
         raise CorruptMessage(
-            f"{len(wire)} bytes are no {cls._type}: as a message they would be others, for a bool "
-            "is neither 0 nor 1, or something stands behind its end"
+            f"{len(wire)} bytes are no {cls._type}: serialised again they "
+            "would differ, because a bool is neither 0 nor 1, or bytes follow the end"
         )
     return found
 

@@ -78,7 +78,9 @@ class KeyPart:
         try:
             raw = self._encode(value)
         except (TypeError, ValueError, ArithmeticError, struct.error) as exc:
-            what = f"field {self.field}, a {self._column.field_type}; {value!r:.80} is none"
+            what = (
+                f"field {self.field}, a {self._column.field_type}; {value!r:.80} is no such value"
+            )
             raise InvalidKey(f"the key of these messages is their {what}") from exc
         return None if raw is None else self._normal(raw)
 

@@ -145,7 +145,7 @@ class Pushdown:
         watch: Watch = unwatched,
     ) -> None:
         if plan not in PLANS:
-            raise ValueError(f"plan {plan!r} is none of {', '.join(PLANS)}")
+            raise ValueError(f"plan {plan!r} is not one of {', '.join(PLANS)}")
         self._expression = expression
         self._plan = plan
         self._watch = watch

@@ -94,7 +94,7 @@ def _check_columns(select: Select) -> None:
     if not (select.group or select.aggregates):
         return
     if select.columns is None:
-        reason = "names what stands behind GROUP BY, and aggregates of the rest, instead of *"
+        reason = "selects the terms of GROUP BY, and aggregates of other fields, instead of *"
         raise StatementError(select.group[0].position, f"a statement with GROUP BY {reason}")
     known = {term.text for term in select.group}
     for column in select.columns:
@@ -106,7 +106,7 @@ def _check_columns(select: Select) -> None:
             reason = "is one value made of all rows: it stands alone or beside other aggregates, "
             reason += f"not beside {what.text}, unless GROUP BY names that"
             raise StatementError(one.position, f"{one.text} {reason}")
-        reason = f"{what.text} is none of what the rows are grouped by; name it in GROUP BY, or "
+        reason = f"{what.text} is not a term of GROUP BY; add it there, or "
         raise StatementError(what.position, f"{reason}take one value of it, as max({what.text})")
 
 
@@ -125,8 +125,12 @@ def _ordered(select: Select) -> Select:
                 reason = f"with {how} rows are ordered by a column that is shown; select it, too"
                 raise StatementError(part.position, f"{part.what.text} is not selected: {reason}")
             if isinstance(part.what, Aggregate):
-                reason = "is one value made of all rows, which orders none of them: GROUP BY makes "
-                reason += "it one of each group, by which groups are ordered where it is selected"
+                reason = (
+                    "is one value made of all rows, so rows cannot be ordered by it; with GROUP "
+                )
+                reason += (
+                    "BY it is one value of each group, and groups are ordered by it if selected"
+                )
                 raise StatementError(part.position, f"{part.what.text} {reason}")
             place = every + len(hidden)
             hidden.append(Selected(part.what))

@@ -151,12 +151,16 @@ def _constant(literal: Literal) -> Computed:
         kind = "string"
     elif isinstance(value, Integral) and not isinstance(value, bool):
         if int(value).bit_length() > MAX_BITS:
-            raise StatementError(literal.position, f"nothing is computed of over {MAX_BITS} bits")
+            raise StatementError(
+                literal.position, f"integers in expressions have at most {MAX_BITS} bits"
+            )
         kind, value = INTEGER, int(value)
     elif isinstance(value, Real) and not isinstance(value, bool):
         kind, value = "float64", float(value)
     if not kind:
-        reason = f"{literal.text} is no number, time or duration: nothing is computed of it"
+        reason = (
+            f"{literal.text} is not a number, time or duration, and cannot be used in an expression"
+        )
         raise StatementError(literal.position, reason)
     return Computed(kind, _always(value))
 
@@ -307,7 +311,7 @@ _OF_ARRAYS = ("len", "min", "max", "sum", "avg")
 def _of_array(call: Call, find: Find) -> Optional[Computed]:
     array, function = call.arguments[0], call.function
     if not isinstance(array, Path):
-        reason = f"{function} stands here for that of an array, and {array.text} is none"
+        reason = f"{function} takes an array here, and {array.text} is not an array"
         raise StatementError(array.position, reason)
     found = find(array, None if function == "len" else True)
     if found is None:

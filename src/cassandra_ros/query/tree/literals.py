@@ -70,7 +70,7 @@ def fit_to_time(literal: Literal, name: str = "KEY") -> int:
     Numbers may be outside ROS time: the comparison is then simply true or false.
     """
     if length_ns(literal.value) is not None:
-        reason = f"{name} is a time, {literal.text} is none; now() - {literal.text} would be one"
+        reason = f"{name} is a time, {literal.text} a duration; now() - {literal.text} would be one"
         raise StatementError(literal.position, reason)
     ns = _number_to_ns(literal.value)
     if ns is not None:

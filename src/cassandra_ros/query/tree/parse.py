@@ -109,8 +109,8 @@ def parse_select(text: str, params: Sequence[object] = ()) -> Select:
     statement = parse_statement(text, params)
     if isinstance(statement, Select):
         return statement
-    reason = "this changes what is stored; here only SELECT can be asked, and executeCQL runs "
-    raise InvalidQuery(text, len(text) - len(text.lstrip()), f"{reason}the others")
+    reason = "this changes what is stored; only SELECT is allowed here; executeCQL runs "
+    raise InvalidQuery(text, len(text) - len(text.lstrip()), f"{reason}other statements")
 
 
 def parse_condition(text: str, params: Sequence[object] = ()) -> Expression:

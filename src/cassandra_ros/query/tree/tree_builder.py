@@ -321,8 +321,8 @@ def _value(term: Term) -> Literal:
         return term
     if isinstance(term, Call) and is_constant(_part(term)):
         return Literal(None, term.position, bound=False, made=term)
-    reason = f"{_part(term).text} differs from row to row, and here is a value wanted; text stands "
-    raise StatementError(term.position, f"{reason}in quotes: 'text'")
+    reason = f"{_part(term).text} differs from row to row, but here a constant is needed; "
+    raise StatementError(term.position, f"{reason}text stands in quotes: 'text'")
 
 
 _FLIPPED = {"=": "=", "!=": "!=", "<": ">", "<=": ">=", ">": "<", ">=": "<="}
@@ -340,7 +340,7 @@ def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
         raise StatementError(right.position, reason)
     if is_constant(right):
         if is_constant(left):
-            reason = "names no field, and what it is compared with does not, either"
+            reason = "names no field, and the other operand names no field either"
             raise StatementError(left.position, f"{left.text} {reason}")
         return Compare(left, sign, _value(right))
     if is_constant(left):
