@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.query.tree.parse import parse_select
-from cassandra_ros.query.tree.statement_completion import Known, complete
+from cassandra_ros.query.tree.statement_completion import NameSource, complete
 
 TOPICS = {
     "/fix": "sensor_msgs/NavSatFix",
@@ -25,7 +25,9 @@ def definitions(topic):
     return [installed_definition(kind)] if kind else []
 
 
-KNOWN = Known(lambda: list(TOPICS), definitions, lambda: ["husky", "o'neill"], lambda: ["drive"])
+KNOWN = NameSource(
+    lambda: list(TOPICS), definitions, lambda: ["husky", "o'neill"], lambda: ["drive"]
+)
 
 
 def offered(text, known=KNOWN):

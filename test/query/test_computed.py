@@ -29,9 +29,9 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.rows.projection import Projections
-from cassandra_ros.query.rows.result_groups import gather
+from cassandra_ros.query.rows.result_groups import make_groups
 from cassandra_ros.query.tree.parse import parse_select
 from cassandra_ros.topics.query_result import Condition
 
@@ -48,7 +48,7 @@ def matches(msg, text, params=(), **place):
 def shown(msg, text, params=(), t=T0):
     """The one row that a message gives for some columns."""
     row = row_of(msg, t=t)
-    select = settle(parse_select(f"select {text} from t", params), [row.table])
+    select = analyse_select(parse_select(f"select {text} from t", params), [row.table])
     (found,) = Projections(select, [row.table]).of(row.table).rows(row)
     return found if len(found) > 1 else found[0]
 
@@ -221,10 +221,10 @@ def test_what_is_missing_makes_the_rest_so():
 def made(statement, messages, nodes=""):
     rows = [row_of(m, t=T0 + n, node=nodes[n : n + 1]) for n, m in enumerate(messages)]
     tables = list({row.table.name: row.table for row in rows}.values())
-    select = settle(parse_select(statement), tables)
+    select = analyse_select(parse_select(statement), tables)
     projections = Projections(select, tables)
     found = (one for row in rows for one in projections.of(row.table).rows(row))
-    return list(gather(select, projections.names, found, select.limit))
+    return list(make_groups(select, projections.names, found, select.limit))
 
 
 def test_groups():
@@ -320,11 +320,11 @@ def test_random_statements_without_a_database(name, caplog):
     def check(statement, seed):
         writer = Writer(seed)
         text = writer.statement(statement, "/topic")
-        select = settle(parse_select(text, writer.params), tables)
+        select = analyse_select(parse_select(text, writer.params), tables)
         projections = Projections(select, tables)
         ordered = rows[::-1] if select.descending else rows
         found = (one for row in ordered for one in projections.of(row.table).rows(row))
-        given_ = gather(select, projections.names, found, select.limit)
+        given_ = make_groups(select, projections.names, found, select.limit)
         shown = [tuple(map(canonical, row)) for row in itertools.islice(given_, select.limit)]
         assert shown == statement.answer(messages), (text, writer.params)
         seen["gathered"] += select.gathers

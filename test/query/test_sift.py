@@ -31,7 +31,7 @@ from cassandra_ros.messages.wire import message_stacks
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.plan.block_filter import compile_sift
 from cassandra_ros.query.plan.pushdown import Pushdown
-from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.rows.projection import Projections
 from cassandra_ros.query.tree.parse import parse_select
 
@@ -145,7 +145,7 @@ def test_nothing_that_matches_is_left_out(name, caplog):
     def check(statement, seed):
         writer = Writer(seed)
         select = parse_select(writer.statement(statement, "/topic"), writer.params)
-        select = settle(select, tables)
+        select = analyse_select(select, tables)
         projections = Projections(select, tables)
         table, wires, block, rows = blocks[seed % len(blocks)]
         expected = [any(projections.of(table).hits(row)) for row in rows]

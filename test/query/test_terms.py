@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.query.plan.pushdown import NEVER, Held, span_of, ways_of
+from cassandra_ros.query.plan.pushdown import NEVER, ServerColumn, span_of, ways_of
 
 OPERATORS = {
     "=": operator.eq,
@@ -89,7 +89,7 @@ def comparisons(draw):
 @given(comparisons())
 def test_the_server_leaves_nothing_out_that_matches(case):
     cql_type, value, sign, asked = case
-    ways = ways_of(Held("c", cql_type), sign, [asked])
+    ways = ways_of(ServerColumn("c", cql_type), sign, [asked])
     if OPERATORS[sign](value, asked):
         assert serverSays(cql_type, value, ways)
 
@@ -99,10 +99,12 @@ def test_nor_what_is_one_of_many(case, others):
     cql_type, value, _, asked = case
     values = [*others, asked]
     if value in [v for v in values if v == v]:
-        held = Held("c", cql_type)
+        held = ServerColumn("c", cql_type)
         assert serverSays(cql_type, value, ways_of(held, "=", values))
         assert serverSays(cql_type, value, span_of(held, values))
-        assert serverSays(cql_type, value, ways_of(Held("c", cql_type, True), "CONTAINS", values))
+        assert serverSays(
+            cql_type, value, ways_of(ServerColumn("c", cql_type, True), "CONTAINS", values)
+        )
 
 
 @pytest.mark.parametrize(
@@ -120,27 +122,27 @@ def test_nor_what_is_one_of_many(case, others):
     ],
 )
 def test_what_no_column_can_hold_is_not_looked_for(cql_type, sign, asked):
-    assert ways_of(Held("c", cql_type), sign, [asked]) == NEVER
+    assert ways_of(ServerColumn("c", cql_type), sign, [asked]) == NEVER
 
 
 def test_a_bound_is_pushed_as_narrow_as_the_column_allows():
-    ((term,),) = ways_of(Held("c", "int"), ">", [5.5])
+    ((term,),) = ways_of(ServerColumn("c", "int"), ">", [5.5])
     assert term == ("c", ">=", struct.pack(">i", 6))
-    ((term,),) = ways_of(Held("c", "float"), "<", [0.1])
+    ((term,),) = ways_of(ServerColumn("c", "float"), "<", [0.1])
     assert term == ("c", "<=", struct.pack(">f", 0.1))
     zeros = [struct.pack(">d", zero) for zero in (-0.0, 0.0)]
-    assert ways_of(Held("c", "double"), "=", [0]) == (
+    assert ways_of(ServerColumn("c", "double"), "=", [0]) == (
         (("c", ">=", zeros[0]), ("c", "<=", zeros[1])),
     )
     for asked, raw in ((True, b"\1"), (False, b"\0"), (1, b"\1"), (0.0, b"\0")):
-        assert ways_of(Held("c", "boolean"), "=", [asked]) == ((("c", "=", raw),),)
-    assert ways_of(Held("c", "double", True), "CONTAINS", [0.0]) == tuple(
+        assert ways_of(ServerColumn("c", "boolean"), "=", [asked]) == ((("c", "=", raw),),)
+    assert ways_of(ServerColumn("c", "double", True), "CONTAINS", [0.0]) == tuple(
         (("c", "CONTAINS", zero),) for zero in zeros
     )
 
 
 def test_a_text_that_may_be_missing_in_the_column_is_not_pushed():
-    held = Held("c", "text", longest=4)
+    held = ServerColumn("c", "text", longest=4)
     assert ways_of(held, "=", ["äb"]) == ((("c", "=", "äb".encode()),),)
     assert ways_of(held, "=", ["äbcd"]) is None
     assert ways_of(held, "=", ["\ud800"]) is None
@@ -153,7 +155,7 @@ def test_integers_at_the_edges_of_their_type(cql_type):
     low, high = (0, 2**64 - 1) if bits is None else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
     for asked in (low - 1, low, low + 1, low + 0.5, high - 1, high, high + 1):
         for sign, compare in OPERATORS.items():
-            ways = ways_of(Held("c", cql_type), sign, [asked])
+            ways = ways_of(ServerColumn("c", cql_type), sign, [asked])
             for value in (low, low + 1, high - 1, high):
                 if compare(value, asked):
                     assert serverSays(cql_type, value, ways), (sign, asked, value)

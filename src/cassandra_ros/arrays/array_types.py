@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.name_resolution import Output
 from cassandra_ros.query.rows.projection import Projection, Projections
@@ -85,7 +85,7 @@ def group_types(projection: Projection, table: Table) -> list[list[Typed]]:
 
 def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
     """Return name and type of each column of the result of a statement on a topic's tables."""
-    select = replace(settle(select, tables), hidden=())
+    select = replace(analyse_select(select, tables), hidden=())
     projections = Projections(select, tables)
     known = dict(unite_columns([group_types(projections.of(table), table) for table in tables]))
     every = chain.from_iterable(projections.names)

@@ -16,8 +16,8 @@ from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.query.plan.key_bounds import bounds_of
-from cassandra_ros.query.plan.nearby import located
-from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.plan.near_conditions import with_stays
+from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.expressions import INTEGER
@@ -161,7 +161,7 @@ def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Selec
     """Return a statement whose NEAR conditions know their times for its robot and runs."""
     named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
     bounds = bounds_of(select, Read(whose=whose), named, runs)
-    return located(select, tables, bounds.read.whose)
+    return with_stays(select, tables, bounds.read.whose)
 
 
 def _statement(
@@ -181,7 +181,7 @@ def _statement(
         reason = "DISTINCT stands in a statement, not before fields; executeCQL answers it"
         raise InvalidQuery(select.text, len("SELECT "), reason)
     tables = topic.tables
-    select = settle(select, tables)
+    select = analyse_select(select, tables)
     called: dict[str, Term] = {}
     for column in select.columns or ():
         what = column.what

@@ -19,8 +19,8 @@ from cassandra_ros.query.tree.field_names import FieldRef
 from cassandra_ros.query.tree.syntax import (
     Aggregate,
     KeyOperand,
-    Part,
     Path,
+    PathPart,
     Select,
     Selected,
     Term,
@@ -106,9 +106,9 @@ def _what(output: Output, selected: Optional[Selected]) -> Union[Term, Aggregate
 
 def path_of(ref: FieldRef) -> Path:
     """Return the path that names a field."""
-    parts = [Part(step.name, step.index, 0) for step in ref.steps]
+    parts = [PathPart(step.name, step.index, 0) for step in ref.steps]
     parts[-1] = replace(parts[-1], index=ref.index)
-    return Path((*parts, *([Part(ref.part, None, 0)] if ref.part else ())), 0)
+    return Path((*parts, *([PathPart(ref.part, None, 0)] if ref.part else ())), 0)
 
 
 def _reason(kind: ArrayType) -> str:

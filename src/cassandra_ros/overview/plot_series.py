@@ -22,9 +22,9 @@ from cassandra_ros.overview.bucket_envelope import Wanted
 from cassandra_ros.overview.envelopes import EnvelopeCache, EnvelopeReader, Envelopes
 from cassandra_ros.overview.plot_columns import Column, Drawn, Undrawn, as_float, drawn_columns
 from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of
-from cassandra_ros.query.plan.nearby import located, spans_of
+from cassandra_ros.query.plan.near_conditions import spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
-from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.rows.projection import ResultRow
 from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected
 from cassandra_ros.read import EVERYBODY, Read, Whose
@@ -124,10 +124,10 @@ def read_series(
         InvalidQuery: The statement names a field that the topic does not have.
     """
     tables = topic.tables
-    plain = settle(select, tables)
+    plain = analyse_select(select, tables)
     named, runs = any(t.named for t in tables), next((t.runs for t in tables), None)
     bounds = bounds_of(plain, Read(whose=asker.whose), named, runs)
-    settled = located(plain, tables, bounds.read.whose)
+    settled = with_stays(plain, tables, bounds.read.whose)
     drawn = drawn_columns(settled, tables)
     if named:
         return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))

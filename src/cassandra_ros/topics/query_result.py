@@ -14,12 +14,12 @@ from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_behind
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
 from cassandra_ros.printable import MOST_ROWS, html_table
 from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of, meant_as_seconds
-from cassandra_ros.query.plan.nearby import Span, located, spans_of
+from cassandra_ros.query.plan.near_conditions import Span, spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
-from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.projection import Projections, ResultRow
-from cassandra_ros.query.rows.result_groups import gather
+from cassandra_ros.query.rows.result_groups import make_groups
 from cassandra_ros.query.source import RowT_co, Source
 from cassandra_ros.query.tree.change_statements import Delete
 from cassandra_ros.query.tree.parse import parse_condition
@@ -88,7 +88,7 @@ class Condition:
                 compares a field with a value of another kind.
         """
         bounds = self.bounds(tables, Read(whose=whose))
-        select = located(self._select, tables, bounds.read.whose)
+        select = with_stays(self._select, tables, bounds.read.whose)
         return Projections(select, tables).hit
 
     def rows(
@@ -103,7 +103,7 @@ class Condition:
         """
         tables = source.tables
         bounds = self.bounds(tables, read)
-        select = located(self._select, tables, bounds.read.whose)
+        select = with_stays(self._select, tables, bounds.read.whose)
         projections = Projections(select, tables)
         columns, chooser = projections.columns if bare else None, Pushdown(select.condition)
         read = replace(bounds.read, columns=columns, chooser=chooser)
@@ -188,12 +188,12 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         watch: Watch = unwatched,
     ) -> None:
         tables = source.tables
-        select = settle(select, tables)
+        select = analyse_select(select, tables)
         self._source, self._watch = source, watch
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
         bounds = bounds_of(select, Read(whose=whose), named, runs)
-        self.select = select = located(select, tables, bounds.read.whose)
+        self.select = select = with_stays(select, tables, bounds.read.whose)
         if not named:
             _warn_of_seconds(select)
         self._place = place = read_place(after)
@@ -341,7 +341,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             return iter([(count,) * len(select.aggregates)])
         stored = self._read(bounds)
         rows = chain.from_iterable(projections.of(row.table).rows(row) for row in stored)
-        return gather(select, projections.names, rows, most)
+        return make_groups(select, projections.names, rows, most)
 
 
 def _warn_of_seconds(select: Select) -> None:

@@ -18,9 +18,9 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
-from cassandra_ros.query.plan.select_analysis import settle
+from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.tree.parse import parse_select
-from cassandra_ros.query.tree.statement_completion import Known, complete
+from cassandra_ros.query.tree.statement_completion import NameSource, complete
 from cassandra_ros.query.tree.syntax import (
     All,
     Compare,
@@ -107,7 +107,7 @@ def _windowed(call: Call) -> Select:
     select = _statement(call)
     tables = call.store.statements.topic_of(select).tables
     low, high = call.time_ns("start"), call.time_ns("end")
-    if settle(select, tables).gathers or any(table.named for table in tables):
+    if analyse_select(select, tables).gathers or any(table.named for table in tables):
         return select
     ends = {">=": low, "<=": high}
     terms: list[Expression] = [
@@ -195,7 +195,7 @@ def _complete(call: Call) -> Json:
             return ()
         return [table.definition for table in tables if table.definition is not None]
 
-    known = Known(
+    known = NameSource(
         lambda: [topic.name for topic in store.getAllTopics()],
         definitions,
         lambda: sorted({info.node for info in store.info() if info.node}),

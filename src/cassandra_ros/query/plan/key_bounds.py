@@ -16,7 +16,7 @@ from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidQuery
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW
-from cassandra_ros.query.plan.nearby import Spans
+from cassandra_ros.query.plan.near_conditions import Spans
 from cassandra_ros.query.protocols import Runs
 from cassandra_ros.query.tree.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.tree.syntax import (

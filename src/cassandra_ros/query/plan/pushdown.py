@@ -31,8 +31,8 @@ from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.plan.block_filter import Sift, compile_sift
 from cassandra_ros.query.plan.terms import (
     NEVER,
-    Held,
-    Term,
+    ServerColumn,
+    ServerTerm,
     Ways,
     span_of,
     ways_of,
@@ -75,7 +75,7 @@ ZONES_SHARE = 0.5
 """Share of unpacked messages above which zones are no longer checked."""
 CROWDED_SHARE = 0.3
 """Share of matching rows above which a bucket is read once instead of by several queries."""
-Query = Tuple[Tuple[Term, ...], bool]
+Query = Tuple[Tuple[ServerTerm, ...], bool]
 """Terms that the server checks, all of which must hold, and whether an index finds the rows."""
 _ODD: Query = ((("_odd", "=", b"\x01"),), False)
 
@@ -100,7 +100,7 @@ class _Bucket(Protocol):
     def filled(self) -> FrozenSet[str]: ...
 
 
-class Need(NamedTuple):
+class ServerCheck(NamedTuple):
     """One comparison, and the ways in which the server can check it."""
 
     leaf: Leaf
@@ -112,7 +112,7 @@ class Need(NamedTuple):
     """Terms on the indexed column."""
 
 
-Branch = Tuple[Need, ...]
+Branch = Tuple[ServerCheck, ...]
 """Comparisons that must all hold."""
 Used = Dict[Tuple[int, str], Leaf]
 """Comparisons that the server checked, by identity (comparing them may be slow) and way."""
@@ -249,7 +249,7 @@ class Pushdown:
         self, branch: Branch, filled: frozenset[str], used: Used, way_without: str
     ) -> Optional[list[Query]]:
         """Return the queries of one branch; None if the server cannot check any part of it."""
-        if any(NEVER in (need.filtered, need.indexed) for need in branch):
+        if any(NEVER in (check.filtered, check.indexed) for check in branch):
             return []
         usable = [n for n in branch if n.indexed is not None and n.shadow in filled]
         # An index with an equality finds fewer rows than one with a range.
@@ -258,25 +258,25 @@ class Pushdown:
         chosen = [
             (bool(shadow) and n.shadow == shadow and n.indexed is not None, n) for n in branch
         ]
-        for by_index, need in sorted(chosen, key=lambda found: not found[0]):
-            way = need.indexed if by_index else need.filtered
+        for by_index, check in sorted(chosen, key=lambda found: not found[0]):
+            way = check.indexed if by_index else check.filtered
             if way is not None and count * len(way) <= MAX_QUERIES:
                 count *= len(way)
                 ways.append(way)
-                used[id(need.leaf), "index" if by_index else way_without] = need.leaf
+                used[id(check.leaf), "index" if by_index else way_without] = check.leaf
         if not ways:
             return None
         return [(_compatible(sum(terms, ())), bool(shadow)) for terms in product(*ways)]
 
 
-def _is_range(need: Need) -> bool:
-    return any(term[1] not in ("=", "CONTAINS") for way in need.indexed or () for term in way)
+def _is_range(check: ServerCheck) -> bool:
+    return any(term[1] not in ("=", "CONTAINS") for way in check.indexed or () for term in way)
 
 
-def _compatible(terms: Sequence[Term]) -> tuple[Term, ...]:
+def _compatible(terms: Sequence[ServerTerm]) -> tuple[ServerTerm, ...]:
     """Remove terms that the server refuses in combination: second bounds, bounds with =."""
     equal = {column for column, operator, _ in terms if operator == "="}
-    kept: dict[Tuple[object, ...], Term] = {}
+    kept: dict[Tuple[object, ...], ServerTerm] = {}
     for term in terms:
         column, operator, value = term
         if operator == "CONTAINS":
@@ -296,8 +296,8 @@ def _branches(expression: Expression, table: Table) -> Optional[list[Branch]]:
         return None if None in found or len(every) > MAX_QUERIES else every
     if isinstance(expression, All):
         return _joined([_branches(item, table) for item in expression.items])
-    need = _need(expression, table)
-    return None if need.filtered is None and need.indexed is None else [(need,)]
+    check = _check_of(expression, table)
+    return None if check.filtered is None and check.indexed is None else [(check,)]
 
 
 def _joined(found: Sequence[Optional[list[Branch]]]) -> Optional[list[Branch]]:
@@ -311,32 +311,34 @@ def _joined(found: Sequence[Optional[list[Branch]]]) -> Optional[list[Branch]]:
     return joined
 
 
-def _need(leaf: Leaf, table: Table) -> Need:
+def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
     if not isinstance(leaf, (Compare, OneOf)) or table.definition is None:
-        return Need(leaf)
+        return ServerCheck(leaf)
     if not isinstance(leaf.operand, Path):
-        return Need(leaf)
+        return ServerCheck(leaf)
     operator = leaf.operator if isinstance(leaf, Compare) else "="
     try:
         ref = field_of(leaf.operand, table.definition, wants_array(leaf))
     except StatementError:
-        return Need(
+        return ServerCheck(
             leaf, NEVER
         )  # this definition lacks the field, and a missing value never matches
     values = list(fitting(leaf, ref))
     if not values or ref.part:
-        return Need(leaf, None if values else NEVER)
+        return ServerCheck(leaf, None if values else NEVER)
     if table.packed:
-        return Need(leaf, _zone_ways(ref, table, operator, values))
+        return ServerCheck(leaf, _zone_ways(ref, table, operator, values))
     filtered = _ways(_column_of(ref, table), operator, values, FEW_VALUES)
     index = table.index_fields.get(ref.column)
     if index is None:
-        return Need(leaf, filtered)
-    carried = Held(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
-    return Need(leaf, filtered, index.shadow, _ways(carried, operator, values, MAX_QUERIES))
+        return ServerCheck(leaf, filtered)
+    carried = ServerColumn(index.shadow, index.element_type, index.many, MAX_TEXT_BYTES)
+    return ServerCheck(leaf, filtered, index.shadow, _ways(carried, operator, values, MAX_QUERIES))
 
 
-def _ways(held: Optional[Held], operator: str, values: Sequence[Comparable], most: int) -> Ways:
+def _ways(
+    held: Optional[ServerColumn], operator: str, values: Sequence[Comparable], most: int
+) -> Ways:
     if held is None:
         return None
     found = ways_of(held, operator, values)
@@ -347,12 +349,12 @@ def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comp
     column = None if table.definition is None else zone_map(table.definition).fields.get(ref.column)
     if column is None:
         return None
-    held = Held(column.name, column.element_type)
+    held = ServerColumn(column.name, column.element_type)
     found = zone_ways(held, operator, values)
     return found if found is None or len(found) <= FEW_VALUES else zone_span(held, values)
 
 
-def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
+def _column_of(ref: FieldRef, table: Table) -> Optional[ServerColumn]:
     """Return the column of format ``ros`` with a field's value or all its elements, or None."""
     if not table.by_field:
         return None
@@ -360,4 +362,4 @@ def _column_of(ref: FieldRef, table: Table) -> Optional[Held]:
     column = columns.get(ref.column)
     if column is None or column.kind in ("array", "wire"):
         return None
-    return Held(column.name, column.element_type, column.is_list, table.longest_text)
+    return ServerColumn(column.name, column.element_type, column.is_list, table.longest_text)

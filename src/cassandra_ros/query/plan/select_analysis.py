@@ -30,7 +30,7 @@ from cassandra_ros.query.tree.syntax import (
 What = Union[Term, Aggregate]
 
 
-def settle(select: Select, tables: Sequence[Table]) -> Select:
+def analyse_select(select: Select, tables: Sequence[Table]) -> Select:
     """Return the analysed statement, with its ``hidden`` columns.
 
     Analysing it again changes nothing.
@@ -40,11 +40,11 @@ def settle(select: Select, tables: Sequence[Table]) -> Select:
     """
     if select.hidden or not (select.aggregates or select.group or select.order):
         return select
-    told = _Telling(tables)
+    splitter = _AggregateSplitter(tables)
     columns = select.columns
     if columns is not None:
-        columns = tuple(replace(c, what=told.of(c.what)) for c in columns)
-    order = tuple(replace(o, what=told.of(o.what)) for o in select.order)
+        columns = tuple(replace(c, what=splitter.of(c.what)) for c in columns)
+    order = tuple(replace(o, what=splitter.of(o.what)) for o in select.order)
     try:
         select = replace(select, columns=columns, order=order)
         select = _grouped(select) if select.group else select
@@ -54,7 +54,7 @@ def settle(select: Select, tables: Sequence[Table]) -> Select:
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
 
 
-class _Telling:
+class _AggregateSplitter:
     """Distinguishes aggregates of one array from aggregates of all rows."""
 
     def __init__(self, tables: Sequence[Table]) -> None:

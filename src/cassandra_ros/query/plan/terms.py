@@ -23,9 +23,9 @@ from cassandra_ros.query.tree.literals import Comparable
 
 MAX_TERM_BYTES = 1024
 """Maximum size of a text that is compared with zones, bytes."""
-Term = Tuple[str, str, bytes]
+ServerTerm = Tuple[str, str, bytes]
 """Column, operator and encoded value."""
-Ways = Optional[Tuple[Tuple[Term, ...], ...]]
+Ways = Optional[Tuple[Tuple[ServerTerm, ...], ...]]
 """Alternatives; each is a set of terms that must all hold. A matching row satisfies at least one.
 None: any row may match. Empty: no row can match."""
 
@@ -38,7 +38,7 @@ _FLOATS: Any = {"float": numpy.float32, "double": numpy.float64}
 
 
 @dataclass(frozen=True)
-class Held:
+class ServerColumn:
     """A column of a table, or one that carries an index."""
 
     column: str
@@ -51,7 +51,7 @@ class Held:
     of texts are not checked."""
 
 
-def ways_of(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
+def ways_of(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
     """Return the terms for a comparison of a column (= < <= > >= CONTAINS) with values.
 
     ``=`` and ``CONTAINS`` may have several values, one of which must match.
@@ -63,7 +63,7 @@ def ways_of(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
     return _bounded(held, operator, values[0])
 
 
-def span_of(held: Held, values: Sequence[Comparable]) -> Ways:
+def span_of(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
     """Return the terms for a number between the minimum and maximum of some values."""
     numbers = [v for v in values if not isinstance(v, str) and v == v]
     if held.many or not numbers or len(numbers) < len(values):
@@ -75,8 +75,8 @@ def span_of(held: Held, values: Sequence[Comparable]) -> Ways:
     return (terms,) if terms else None
 
 
-def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
-    ways: dict[tuple[Term, ...], None] = {}
+def _equal(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
+    ways: dict[tuple[ServerTerm, ...], None] = {}
     for value in values:
         raws = _exact(held, value)
         if raws is None:
@@ -88,7 +88,7 @@ def _equal(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
     return tuple(ways)
 
 
-def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
+def _exact(held: ServerColumn, value: Comparable) -> Optional[list[bytes]]:
     """Encode all values that equal one; None if the column may lack such a value."""
     if isinstance(value, str) != (held.cql_type == "text") or value != value:
         return []
@@ -109,7 +109,7 @@ def _exact(held: Held, value: Comparable) -> Optional[list[bytes]]:
     return [encode_value(held.cql_type, int(value))]
 
 
-def _bounded(held: Held, operator: str, value: Comparable) -> Ways:
+def _bounded(held: ServerColumn, operator: str, value: Comparable) -> Ways:
     if isinstance(value, str) or held.cql_type in ("text", "boolean"):
         return None
     if value != value:
@@ -143,7 +143,7 @@ def _float(cql_type: str, value: Comparable, upwards: bool) -> bytes:
     return encode_value(cql_type, found if found else (-0.0 if upwards else 0.0))
 
 
-def zone_ways(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
+def zone_ways(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> Ways:
     """Return the terms on the zone columns for a block that may match a comparison.
 
     The zone columns hold the minimum and the maximum of the block.
@@ -158,13 +158,13 @@ def zone_ways(held: Held, operator: str, values: Sequence[Comparable]) -> Ways:
     return _zone_bounded(held, operator, values[0])
 
 
-def zone_span(held: Held, values: Sequence[Comparable]) -> Ways:
+def zone_span(held: ServerColumn, values: Sequence[Comparable]) -> Ways:
     """Return the terms on the zone columns for values between the minimum and maximum of some."""
     fitting = [v for v in values if isinstance(v, str) == (held.cql_type == "text") and v == v]
     return _zone_around(held, min(fitting), max(fitting)) if fitting else NEVER
 
 
-def _zone_around(held: Held, low: Comparable, high: Comparable) -> Ways:
+def _zone_around(held: ServerColumn, low: Comparable, high: Comparable) -> Ways:
     if low == high and held.cql_type != "text" and _exact(held, low) == []:
         return NEVER
     ways = [_zone_bounded(held, ">=", low), _zone_bounded(held, "<=", high)]
@@ -174,7 +174,7 @@ def _zone_around(held: Held, low: Comparable, high: Comparable) -> Ways:
     return (terms,) if terms else None
 
 
-def _zone_bounded(held: Held, operator: str, value: Comparable) -> Ways:
+def _zone_bounded(held: ServerColumn, operator: str, value: Comparable) -> Ways:
     upwards = operator in (">", ">=")
     end = replace(held, column=(HIGH if upwards else LOW) + held.column)
     if isinstance(value, str) != (held.cql_type == "text"):
@@ -192,7 +192,7 @@ def _zone_bounded(held: Held, operator: str, value: Comparable) -> Ways:
     return (((end.column, "=", encode_value("boolean", wanted)),),)
 
 
-def _zone_text(end: Held, operator: str, value: str) -> Ways:
+def _zone_text(end: ServerColumn, operator: str, value: str) -> Ways:
     try:
         raw = encode_value("text", value)
     except UnicodeEncodeError:

@@ -16,10 +16,10 @@ from typing import Any, Callable, Dict, List, Optional, Sequence, Tuple
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS
 from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.rows.evaluate import Check
-from cassandra_ros.query.rows.extract import Direct, Get
+from cassandra_ros.query.rows.condition_check import Check
+from cassandra_ros.query.rows.field_extractor import ColumnField, Get
 
-Held = Sequence[Optional[bytes]]
+RawColumns = Sequence[Optional[bytes]]
 """Encoded columns of a row."""
 ResultRows = List[Tuple[Any, ...]]
 CompiledRows = Callable[[Row], Optional[ResultRows]]
@@ -27,16 +27,16 @@ CompiledRows = Callable[[Row], Optional[ResultRows]]
 Shown = Sequence[Tuple[Optional[int], Optional[Get]]]
 """For each column of the result the index of its value (None: missing in this table), and the
 conversion for display."""
-_Fill = Callable[[Held, List[Any]], bool]
+_Fill = Callable[[RawColumns, List[Any]], bool]
 """Function that sets the values of some fields; it returns False if one is missing."""
-_Part = Tuple[int, int, Direct]
+_FieldPlace = Tuple[int, int, ColumnField]
 """Index among the values, index among the columns, and the field's decoder."""
 _NONE: ResultRows = []
 """Shared empty result; callers do not change it."""
 
 
 def compile_rows(
-    direct: Sequence[Direct],
+    direct: Sequence[ColumnField],
     own: Callable[[Row], Tuple[Any, ...]],
     check: Check,
     checked: Sequence[int],
@@ -120,7 +120,7 @@ def _compile_rows(
     return rows
 
 
-def _fills(parts: Sequence[_Part], checked: Sequence[int]) -> Tuple[_Fill, _Fill]:
+def _fills(parts: Sequence[_FieldPlace], checked: Sequence[int]) -> Tuple[_Fill, _Fill]:
     """Return the functions that set the checked fields, and the other fields.
 
     If one number is checked, all numbers are read: together they cost hardly more than one.
@@ -130,7 +130,7 @@ def _fills(parts: Sequence[_Part], checked: Sequence[int]) -> Tuple[_Fill, _Fill
     return _compile_fill(first), _compile_fill([part for part in parts if part not in first])
 
 
-def _compile_fill(parts: Sequence[_Part]) -> _Fill:
+def _compile_fill(parts: Sequence[_FieldPlace]) -> _Fill:
     numbers = [part for part in parts if part[2].code]
     if len(numbers) < 2:  # itemgetter returns a tuple only for two and more
         numbers = []
@@ -145,7 +145,7 @@ def _compile_fill(parts: Sequence[_Part]) -> _Fill:
 
 
 def _others(parts: Sequence[Tuple[int, int, Get]]) -> _Fill:
-    def fill(held: Held, values: List[Any]) -> bool:
+    def fill(held: RawColumns, values: List[Any]) -> bool:
         for place, at, decode in parts:
             raw = held[at]
             if raw is None:
@@ -156,14 +156,14 @@ def _others(parts: Sequence[Tuple[int, int, Get]]) -> _Fill:
     return fill
 
 
-def _numbers(parts: Sequence[_Part]) -> _Fill:
+def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
     take = itemgetter(*(at for _, at, _ in parts))
     unpack = struct.Struct(">" + "".join(d.code for _, _, d in parts)).unpack
     places = [place for place, _, _ in parts]
     first, end = places[0], places[-1] + 1
     together = places == list(range(first, end))
 
-    def fill(held: Held, values: List[Any]) -> bool:
+    def fill(held: RawColumns, values: List[Any]) -> bool:
         raws = take(held)
         if None in raws:
             return False

@@ -12,13 +12,13 @@ from typing import Callable, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.protocols import Table
-from cassandra_ros.query.rows.evaluate import Check, compile_condition
+from cassandra_ros.query.rows.condition_check import Check, compile_condition
 from cassandra_ros.query.tree.expressions import (
     INTEGER,
     NO_NUMBERS,
     Computed,
-    Found,
     Get,
+    OperandPlace,
     compile_term,
     family,
     kind_name,
@@ -87,7 +87,7 @@ class Output(NamedTuple):
     """Function that computes its value, if the value has no index yet."""
 
 
-class Names:
+class NameResolver:
     """Resolves the names of a statement in one table; implements ``Fields`` of the conditions."""
 
     def __init__(self, table: Table, findings: Findings) -> None:
@@ -180,16 +180,16 @@ class Names:
                     self._computed(part)
         return made
 
-    def _find(self, operand: Operand, array: Optional[bool]) -> Optional[Found]:
+    def _find(self, operand: Operand, array: Optional[bool]) -> Optional[OperandPlace]:
         if array is None and isinstance(operand, Path):
             return self._find_counted(operand)
         found = self._output(operand, array)
         if found is None:
             return None
         self._used.add(found.place)
-        return Found(found.kind, found.place, found.ref is not None and found.ref.is_array)
+        return OperandPlace(found.kind, found.place, found.ref is not None and found.ref.is_array)
 
-    def _find_counted(self, path: Path) -> Optional[Found]:
+    def _find_counted(self, path: Path) -> Optional[OperandPlace]:
         """Return a field with one value per element, also for an array of messages."""
         found = self._resolved(path, lambda definition: [counted_field(path, definition)])
         if not found:
@@ -198,9 +198,9 @@ class Names:
         array = ref.steps[: len(path.parts)]
         self._used.add(self._place(ref))
         if not array[-1].many:
-            return Found(ref.type, self._place(ref), ref.is_array)
+            return OperandPlace(ref.type, self._place(ref), ref.is_array)
         self._counted.append((path, array))
-        return Found(ref.type, self._place(ref), True)
+        return OperandPlace(ref.type, self._place(ref), True)
 
     def check_lengths(self) -> None:
         """Refuse len() of an array that is unnested."""

@@ -14,9 +14,15 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.compiled_rows import CompiledRows, compile_rows, compile_wire_rows
-from cassandra_ros.query.rows.evaluate import Check, Values
-from cassandra_ros.query.rows.extract import Extractor, extractor_of
-from cassandra_ros.query.rows.name_resolution import COUNTED, KEY_PLACE, OWN_WIDTH, Names, Output
+from cassandra_ros.query.rows.condition_check import Check, Values
+from cassandra_ros.query.rows.field_extractor import Extractor, extractor_of
+from cassandra_ros.query.rows.name_resolution import (
+    COUNTED,
+    KEY_PLACE,
+    OWN_WIDTH,
+    NameResolver,
+    Output,
+)
 from cassandra_ros.query.tree.expressions import Get
 from cassandra_ros.query.tree.field_names import Array, Findings
 from cassandra_ros.query.tree.syntax import Select
@@ -64,7 +70,7 @@ class Projection:
     @classmethod
     def compile(cls, select: Select, table: Table, findings: Findings) -> Projection:
         """Compile a statement for a table; ``findings`` collects the names that the table lacks."""
-        names = Names(table, findings)
+        names = NameResolver(table, findings)
         groups = [names.outputs(selected) for selected in select.visible]
         groups += [names.single(selected) for selected in select.hidden]
         checked, check = names.condition(select.condition)

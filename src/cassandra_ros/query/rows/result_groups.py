@@ -30,7 +30,7 @@ LEAST_KEPT = 1000
 """Minimum number of kept rows at which rows beyond LIMIT are dropped."""
 
 
-def gather(
+def make_groups(
     select: Select, names: Sequence[Sequence[str]], rows: Iterable[ResultRow], most: Optional[int]
 ) -> Iterator[ResultRow]:
     """Make the rows of a result from rows with all columns, hidden ones included.

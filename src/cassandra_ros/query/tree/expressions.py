@@ -57,7 +57,7 @@ class Computed(NamedTuple):
     get: Get
 
 
-class Found(NamedTuple):
+class OperandPlace(NamedTuple):
     """The place of an operand in the rows of one table."""
 
     kind: str
@@ -66,7 +66,7 @@ class Found(NamedTuple):
     array: bool = False
 
 
-Find = Callable[[Operand, Optional[bool]], Optional[Found]]
+Find = Callable[[Operand, Optional[bool]], Optional[OperandPlace]]
 """Function that finds an operand; the flag says whether it must be an array (None = either). It
 returns None if the table lacks the operand. StatementError: the operand is of another kind."""
 

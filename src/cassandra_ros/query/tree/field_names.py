@@ -18,8 +18,8 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field
 from cassandra_ros.query.tree.syntax import (
     OWN_WORDS,
-    Part,
     Path,
+    PathPart,
     StatementError,
     path_text,
 )
@@ -29,7 +29,7 @@ _TIME_PARTS = {"time": "uint32", "duration": "int32"}
 
 
 @dataclass(frozen=True)
-class Step:
+class FieldStep:
     """One field on the path to a value."""
 
     name: str
@@ -39,7 +39,7 @@ class Step:
     """Index of the selected element of the array; None = no index."""
 
 
-Array = Tuple[Step, ...]
+Array = Tuple[FieldStep, ...]
 """The path to an array of messages."""
 
 
@@ -47,7 +47,7 @@ Array = Tuple[Step, ...]
 class FieldRef:
     """A field of primitive type, or an array of a primitive type."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[FieldStep, ...]
     """Path from the message to the field."""
     type: str
     """Primitive type, aliases resolved."""
@@ -104,14 +104,14 @@ def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
 
     StatementError: no such field.
     """
-    steps: tuple[Step, ...] = ()
+    steps: tuple[FieldStep, ...] = ()
     msg_type = definition.type
     for number, part in enumerate(path.parts):
         field = _field(definition, msg_type, part, steps)
         _check_index(part, field, path)
         if field.is_primitive:
             return [_primitive(path, number, steps, field)]
-        steps = (*steps, Step(field.name, field.is_array, part.index))
+        steps = (*steps, FieldStep(field.name, field.is_array, part.index))
         msg_type = field.type
     return list(_leaves(definition, msg_type, steps))
 
@@ -163,7 +163,9 @@ def _meant(names: Sequence[str]) -> str:
     return f" (did you mean {' or '.join(names[:3])}?)" if names else ""
 
 
-def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[Step]) -> Field:
+def _field(
+    definition: Definition, msg_type: str, part: PathPart, steps: Sequence[FieldStep]
+) -> Field:
     fields = {field.name: field for field in definition.specs[msg_type].fields}
     if part.name in fields:
         return fields[part.name]
@@ -176,7 +178,7 @@ def _field(definition: Definition, msg_type: str, part: Part, steps: Sequence[St
     raise StatementError(part.position, reason)
 
 
-def _check_index(part: Part, field: Field, path: Path) -> None:
+def _check_index(part: PathPart, field: Field, path: Path) -> None:
     if part.index is not None and not field.is_array:
         raise StatementError(part.position, f"{part.name} in {path.text} is not an array")
     if part.index is not None and field.length is not None and part.index >= field.length:
@@ -184,10 +186,10 @@ def _check_index(part: Part, field: Field, path: Path) -> None:
         raise StatementError(part.position, f"{part.name} {reason}")
 
 
-def _primitive(path: Path, number: int, steps: tuple[Step, ...], field: Field) -> FieldRef:
+def _primitive(path: Path, number: int, steps: tuple[FieldStep, ...], field: Field) -> FieldRef:
     part, rest = path.parts[number], path.parts[number + 1 :]
     whole = field.is_array and part.index is None
-    ref = FieldRef((*steps, Step(field.name)), field.base, whole, part.index)
+    ref = FieldRef((*steps, FieldStep(field.name)), field.base, whole, part.index)
     if not rest:
         return ref
     if field.base in _TIME_PARTS and not whole and len(rest) == 1 and rest[0].index is None:
@@ -197,9 +199,11 @@ def _primitive(path: Path, number: int, steps: tuple[Step, ...], field: Field) -
     raise StatementError(rest[0].position, reason)
 
 
-def _leaves(definition: Definition, msg_type: str, steps: tuple[Step, ...]) -> Iterator[FieldRef]:
+def _leaves(
+    definition: Definition, msg_type: str, steps: tuple[FieldStep, ...]
+) -> Iterator[FieldRef]:
     for field in definition.specs[msg_type].fields:
-        here = (*steps, Step(field.name, field.is_array and not field.is_primitive))
+        here = (*steps, FieldStep(field.name, field.is_array and not field.is_primitive))
         if field.is_primitive:
             yield FieldRef(here, field.base, field.is_array)
         else:

@@ -78,7 +78,7 @@ class Offers(NamedTuple):
     offers: Sequence[Offer]
 
 
-class Known(NamedTuple):
+class NameSource(NamedTuple):
     """Functions that return the known names."""
 
     topics: Callable[[], Sequence[str]]
@@ -88,7 +88,7 @@ class Known(NamedTuple):
     runs: Callable[[], Sequence[str]]
 
 
-def complete(text: str, cursor: int, known: Known) -> Offers:
+def complete(text: str, cursor: int, known: NameSource) -> Offers:
     """Return the possible completions at a position of a statement.
 
     Args:
@@ -156,7 +156,7 @@ def _tokens(before: str) -> Optional[tuple[Set[str], Sequence[Token]]]:
 
 
 def _offers(
-    accepted: Set[str], previous: Sequence[Token], text: str, known: Known
+    accepted: Set[str], previous: Sequence[Token], text: str, known: NameSource
 ) -> Sequence[Offer]:
     offers: list[Offer] = []
     if "TOPIC" in accepted:
@@ -187,7 +187,7 @@ def _is_condition(previous: Sequence[Token]) -> bool:
     return places[-1:] == ["_WHERE"]
 
 
-def _values(previous: Sequence[Token], accepted: Set[str], known: Known) -> Sequence[Offer]:
+def _values(previous: Sequence[Token], accepted: Set[str], known: NameSource) -> Sequence[Offer]:
     """Return the known nodes or runs if NODE or RUN is compared with a text."""
     if "TEXT" not in accepted or len(previous) < 2 or previous[-1].type != "OPERATOR":
         return ()
@@ -196,7 +196,7 @@ def _values(previous: Sequence[Token], accepted: Set[str], known: Known) -> Sequ
     return [Offer("'" + name.replace("'", "''") + "'", "value") for name in every]
 
 
-def _fields(text: str, known: Known) -> Sequence[Offer]:
+def _fields(text: str, known: NameSource) -> Sequence[Offer]:
     """Return the fields of the topic that the statement names; empty without a topic."""
     named = _TOPIC.search(text)
     if named is None:

@@ -74,7 +74,7 @@ class Literal:
 
 
 @dataclass(frozen=True)
-class Part:
+class PathPart:
     """One name of a dotted path, with the index after it."""
 
     name: str
@@ -86,7 +86,7 @@ class Part:
 class Path:
     """A dotted field, like ``transforms[0].transform.translation.x``."""
 
-    parts: tuple[Part, ...]
+    parts: tuple[PathPart, ...]
     position: int
 
     @property

@@ -40,8 +40,8 @@ from cassandra_ros.query.tree.syntax import (
     OneOf,
     Operand,
     Ordering,
-    Part,
     Path,
+    PathPart,
     Quantified,
     Relate,
     RunOperand,
@@ -221,15 +221,15 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def place(self, token: Token) -> Operand:
         return _OWN[str(token)](_at(token))
 
-    def path(self, *parts: tuple[Part, ...]) -> Path:
+    def path(self, *parts: tuple[PathPart, ...]) -> Path:
         names = tuple(name for part in parts for name in part)
         return Path(names, names[0].position)
 
-    def part(self, token: Token, index: Optional[Token]) -> tuple[Part, ...]:
+    def part(self, token: Token, index: Optional[Token]) -> tuple[PathPart, ...]:
         names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
-        made = [Part(name, None, _at(token)) for name in names]
+        made = [PathPart(name, None, _at(token)) for name in names]
         if index is not None:
-            made[-1] = Part(names[-1], _integer(index), _at(token))
+            made[-1] = PathPart(names[-1], _integer(index), _at(token))
         return tuple(made)
 
     def literal(self, token: Token) -> Literal:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Sequence, Union
 
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.query.tree.field_names import Step, field_of
+from cassandra_ros.query.tree.field_names import FieldStep, field_of
 from cassandra_ros.query.tree.syntax import Aggregate, Call, Path, StatementError, Term
 
 SECONDS = "s"
@@ -59,7 +59,7 @@ _UNITS = {
 }
 
 
-def unit_of_field(steps: Sequence[Step], definition: Definition) -> str:
+def unit_of_field(steps: Sequence[FieldStep], definition: Definition) -> str:
     """Return the unit of a field; '' = unknown."""
     unit, msg_type = "", definition.type
     for step in steps:

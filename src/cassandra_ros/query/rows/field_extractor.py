@@ -20,11 +20,11 @@ from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.tree.field_names import Array, FieldRef
 
 Get = Callable[[Any], Any]
-Read = List[Any]
+FieldValueList = List[Any]
 """Values of some fields."""
 
 
-class Direct(NamedTuple):
+class ColumnField(NamedTuple):
     """A field that is a column of format ``ros``, or part of one."""
 
     asked: int
@@ -79,14 +79,14 @@ class Extractor:
             self.columns = [self._plan.columns[n].name for n in asked]
         self._gets = [each[0] for each in gets]
 
-    def direct(self) -> Optional[list[Direct]]:
+    def direct(self) -> Optional[list[ColumnField]]:
         """Return how each field is read from its column; None if that is impossible."""
         if self.columns is None or self._depth or not all(self._given):
             return None
         found = zip(self._projected, self._stored, self._gets)
         return [self._direct(asked, stored, get) for asked, stored, get in found]
 
-    def whole(self) -> Optional[Callable[[bytes], Read]]:
+    def whole(self) -> Optional[Callable[[bytes], FieldValueList]]:
         """Return the function that reads all fields of a serialised message; None if unnested.
 
         The function raises CorruptMessage.
@@ -97,7 +97,7 @@ class Extractor:
         if not steps:
             return read
 
-        def values(wire: bytes) -> Read:
+        def values(wire: bytes) -> FieldValueList:
             found = read(wire)
             for n, get in steps:
                 found[n] = get(found[n])
@@ -105,15 +105,15 @@ class Extractor:
 
         return values
 
-    def _direct(self, asked: int, stored: int, get: Get) -> Direct:
+    def _direct(self, asked: int, stored: int, get: Get) -> ColumnField:
         column, decode = self._plan.columns[stored], self._plan.decoder(stored)
         if get is not _itself:
-            return Direct(asked, stored, lambda raw: get(decode(raw)), "")
+            return ColumnField(asked, stored, lambda raw: get(decode(raw)), "")
         number = column.kind not in ("text", "bool", "array", "wire") and not column.is_list
         code = CQL_CODES.get(column.element_type, "") if number else ""
-        return Direct(asked, stored, decode, code[1:])
+        return ColumnField(asked, stored, decode, code[1:])
 
-    def values(self, row: Row) -> Iterator[Read]:
+    def values(self, row: Row) -> Iterator[FieldValueList]:
         """Yield the values of a row, once or per unnested element.
 
         CorruptMessage: malformed row.
@@ -121,7 +121,7 @@ class Extractor:
         found = iter(self._columns(row))
         return self._unnest(0, [next(found) if given else [] for given in self._given])
 
-    def _columns(self, row: Row) -> Read:
+    def _columns(self, row: Row) -> FieldValueList:
         """Return the values of the columns, from the row's columns if they are set."""
         held = row.columns
         if self.columns is not None and held and row.table.by_field:
@@ -132,7 +132,7 @@ class Extractor:
                 return [self._plan.value(n, r) for n, r in zip(self._stored, raw) if r is not None]
         return self._read(row.wire)
 
-    def _unnest(self, level: int, values: Read) -> Iterator[Read]:
+    def _unnest(self, level: int, values: FieldValueList) -> Iterator[FieldValueList]:
         for n, get in self._steps[level]:
             values[n] = get(values[n])
         if level == self._depth:

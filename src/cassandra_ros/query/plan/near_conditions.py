@@ -41,7 +41,7 @@ _METRES = ("x", "y", "the radius")
 _NAMES = ("the frame", "the robot")
 
 
-def located(
+def with_stays(
     select: Select,
     tables: Sequence[Table],
     whose: Whose = EVERYBODY,
@@ -60,29 +60,29 @@ def located(
     if condition is None or not any(isinstance(leaf, Near) for leaf in leaves(condition)):
         return select
     try:
-        return replace(select, condition=_located(condition, _Asked(tables, whose)))
+        return replace(select, condition=_with_stays(condition, _ReadScope(tables, whose)))
     except StatementError as exc:
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
 
 
-class _Asked(NamedTuple):
+class _ReadScope(NamedTuple):
     """The messages that a statement reads."""
 
     tables: Sequence[Table]
     whose: Whose
 
 
-def _located(item: Expression, asked: _Asked) -> Expression:
+def _with_stays(item: Expression, asked: _ReadScope) -> Expression:
     if isinstance(item, Near):
-        return _answered(item, asked)
+        return _with_stays_of(item, asked)
     if isinstance(item, Negation):
-        return Negation(_located(item.item, asked))
+        return Negation(_with_stays(item.item, asked))
     if isinstance(item, (All, Either)):
-        return replace(item, items=tuple(_located(each, asked) for each in item.items))
+        return replace(item, items=tuple(_with_stays(each, asked) for each in item.items))
     return item
 
 
-def _answered(near: Near, asked: _Asked) -> Near:
+def _with_stays_of(near: Near, asked: _ReadScope) -> Near:
     disk = disk_of(near)
     if not asked.tables:
         return near
