@@ -225,7 +225,7 @@ def test_what_no_map_can_be_made_of_says_why(store, fresh):
     with fresh() as alone:
         Drive().store(alone, ("/scan",))
         with pytest.raises(
-            TransformException, match="neither /tf nor /tf_static is stored, and no"
+            TransformException, match="neither /tf nor /tf_static is stored, and there is no topic"
         ):
             makeMap(alone, "/scan")
 
