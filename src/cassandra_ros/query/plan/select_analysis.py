@@ -125,12 +125,8 @@ def _ordered(select: Select) -> Select:
                 reason = f"with {how} rows are ordered by a column that is shown; select it, too"
                 raise StatementError(part.position, f"{part.what.text} is not selected: {reason}")
             if isinstance(part.what, Aggregate):
-                reason = (
-                    "is one value made of all rows, so rows cannot be ordered by it; with GROUP "
-                )
-                reason += (
-                    "BY it is one value of each group, and groups are ordered by it if selected"
-                )
+                reason = "is one value made of all rows and cannot order them; with GROUP BY it is "
+                reason += "one value of each group, by which groups are ordered if it is selected"
                 raise StatementError(part.position, f"{part.what.text} {reason}")
             place = every + len(hidden)
             hidden.append(Selected(part.what))

@@ -159,7 +159,7 @@ def _constant(literal: Literal) -> Computed:
         kind, value = "float64", float(value)
     if not kind:
         reason = (
-            f"{literal.text} is not a number, time or duration, and cannot be used in an expression"
+            f"{literal.text} is no number, time or duration, so it cannot be used in an expression"
         )
         raise StatementError(literal.position, reason)
     return Computed(kind, _always(value))
