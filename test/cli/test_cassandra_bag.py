@@ -285,7 +285,7 @@ def test_an_empty_export_is_an_error_and_leaves_the_old_bag(call, bags, tmp_path
     out.write_bytes(b"precious")
     cases = [
         (("--start", "1368021980"), "reach from 1970-01-01T00:00:00.000000000Z to 1970-01-01"),
-        (("--end", "5", "--start", "5.000000001"), "--start 5.000000001 lies behind --end 5"),
+        (("--end", "5", "--start", "5.000000001"), "--start 5.000000001 is after --end 5"),
         (("--node-id", "r2"), "none is of node 'r2', but of 'r1'"),
         (("--start", "4294967296"), "--start '4294967296' is not a time of ROS: write seconds"),
         (("--end", "99999999999999999999"), "nanoseconds, which are taken for such from 13 digits"),
@@ -298,7 +298,7 @@ def test_an_empty_export_is_an_error_and_leaves_the_old_bag(call, bags, tmp_path
         assert out.read_bytes() == b"precious"
         assert [p.name for p in tmp_path.iterdir()] == ["out.bag"]
     status, _, err = call("verify", path, "--content", "--start", "6", "--end", "5")
-    assert (status, err) == (1, "cassandra_bag: --start 6 lies behind --end 5\n")
+    assert (status, err) == (1, "cassandra_bag: --start 6 is after --end 5\n")
     assert call("verify", path, "--content", "--start", "0", "--end", "19")[0] == 0
     assert call("verify", path, "--content", "--start", "0", "--end", "18.999")[0] == 1
 

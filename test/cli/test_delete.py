@@ -54,7 +54,10 @@ def test_delete(store, call, type_in, monkeypatch):
     status, out, err = type_in(*by_time)
     assert (status, out) == (1, "")
     assert err.startswith("cassandra_bag: ")
-    assert "Delete 8 messages of 2 topics? Nobody can be asked here; say so with --yes" in err
+    assert (
+        "Delete 8 messages of 2 topics? There is no terminal to ask on; confirm it with --yes"
+        in err
+    )
     monkeypatch.setattr(sys, "stdin", Terminal("no\n"))
     assert call(*by_time)[0] == 1
     assert counts(store) == {"/maps": 1, "/n": 10, "/p": 10}

@@ -88,7 +88,7 @@ def test_exit_statuses_are_documented(program):
     name = program.__name__.split(".")[-1]
     for parser in parsers(program):
         text = parser.format_help()
-        assert "exit status:\n  0    all was done\n  1    it failed" in text, parser.prog
+        assert "exit status:\n  0    success\n  1    failure" in text, parser.prog
         assert f"each line '{name}: …' on standard error" in text
 
 

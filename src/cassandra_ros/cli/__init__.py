@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The command lines: parsers, what they print, exit status.
+"""The command line programs: parsers, output, exit status.
 
-A verb of `cassandra_bag` is a file with two halves, `add_arguments(parser)` and `run(options)`; one
-of `local_cassandra` is a function there. Its docstring is the verb's help text. `script` runs what
-the files in scripts/ name.
+A verb of `cassandra_bag` is a module with two functions, `add_arguments(parser)` and
+`run(options)`; a verb of `local_cassandra` is a function. Its docstring is the help text of the
+verb. The module `script` runs the programs of scripts/.
 """

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the Tab key offers: verbs, options, and the topics, fields, runs and nodes of the store.
+"""Completion with the Tab key: verbs, options, and topics, fields, runs and robots of the store.
 
-The shell asks a program by an environment variable, and argcomplete answers it; 'cassandra_bag
-completion' prints what makes the shell ask.
+The shell runs a program with an environment variable set, and argcomplete prints the candidates.
+'cassandra_bag completion' prints the shell code that does so.
 """
 
 from __future__ import annotations
@@ -20,26 +20,27 @@ if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
 _ASKED = "_ARGCOMPLETE"
-"""The variable by which the shell asks."""
+"""Environment variable that the shell sets to ask for candidates."""
 
 
 def answer_shell(parser: argparse.ArgumentParser) -> None:
-    """Print what may come next where the shell asks for it, and end the program; else nothing.
+    """If the shell asks for candidates, print them and end the program; else do nothing.
 
-    Nothing is offered without argcomplete, and of what is stored nothing where the store is away.
+    Without argcomplete there are no candidates. If the store does not answer, there are no
+    candidates from the store.
     """
     if _ASKED not in os.environ:
         return
     try:
         import argcomplete
     except ImportError:
-        sys.exit(1)  # what was typed so far must not be run
+        sys.exit(1)  # the incomplete command line must not be executed
     offer_values(parser)
     argcomplete.autocomplete(parser)
 
 
 def offer_values(parser: argparse.ArgumentParser) -> None:
-    """Give the options and words of a parser, and of its verbs, what to offer as values."""
+    """Set the function that returns candidates for each argument of a parser and of its verbs."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             for verb in action.choices.values():
@@ -49,6 +50,7 @@ def offer_values(parser: argparse.ArgumentParser) -> None:
 
 
 _Offer = Callable[["RosCassandra", argparse.Namespace], Iterable[str]]
+"""Function of the store and the options typed so far that returns candidates."""
 
 
 def _completer(offer: _Offer) -> Callable[..., List[str]]:
@@ -58,10 +60,10 @@ def _completer(offer: _Offer) -> Callable[..., List[str]]:
             if of_files is not None:
                 return of_files
             with open_store(parsed_args, make=True) as ros_cas:
-                # A shell prints what it is offered, and cannot type what is not printable.
+                # The shell prints candidates as they are, and cannot enter unprintable characters.
                 return sorted(filter(str.isprintable, offer(ros_cas, parsed_args)))
         except CassandraRosError:
-            return []  # a Tab is no place for an error
+            return []  # the shell cannot show an error here
 
     return complete
 
@@ -71,7 +73,7 @@ def _topics(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str
 
 
 def _topics_of_files(options: argparse.Namespace) -> List[str] | None:
-    """Return the topics of the files of import or verify; None: the verb is another."""
+    """Return the topics of the files of import or verify; None for all other verbs."""
     if getattr(options, "verb", "") not in ("import", "verify"):
         return None
     from cassandra_ros.bag.file_formats import open_file
@@ -113,4 +115,4 @@ _OFFERED = {
     "node_id": _nodes,
     "keyspace": _keyspaces,
 }
-"""By the name under which a parser keeps a value."""
+"""Name of an argument (its ``dest``) -> function that returns its candidates."""

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored topics: list, describe, ask, index, convert; runs; bags: import, export, verify.
+"""List, describe, query, index and convert stored topics; list runs; import, export, verify bags.
 
-'cassandra_bag VERB --help' explains a verb. The Tab key completes verbs, options, topics and fields
-after this line, which may stand in ~/.bashrc (for zsh: completion zsh):
+'cassandra_bag VERB --help' explains a verb. After this line, for example in ~/.bashrc, the Tab key
+completes verbs, options, topics and fields (for zsh: completion zsh):
   eval "$(rosrun cassandra_ros cassandra_bag completion bash)"
 """
 
@@ -33,7 +33,7 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 class _ErrorLines(logging.Formatter):
-    """Writes a record as errors are written."""
+    """Formats log records like the error lines of the program."""
 
     def format(self, record: logging.LogRecord) -> str:
         return error_line(PROGRAM, super().format(record))
@@ -43,11 +43,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the verb that the arguments name.
 
     Args:
-        argv: Arguments without the program's name; None = those of the process.
+        argv: Arguments without the program's name; None = the arguments of the process.
 
     Returns:
-        Exit status: 0 when all went well, 1 when it failed or verify found a difference. Wrong
-        usage ends the program with 2.
+        Exit status: 0 = success, 1 = the verb failed, or verify found a difference. Wrong usage
+        ends the program with status 2.
     """
     parser = make_parser()
     answer_shell(parser)
@@ -56,12 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     handler.setFormatter(_ErrorLines())
     logger = logging.getLogger("cassandra_ros")
     logger.addHandler(handler)
-    # The driver's own warnings speak of things that its caller chose.
+    # The driver warns about settings that we chose on purpose.
     logging.getLogger("cassandra").setLevel(logging.ERROR)
     try:
         return int(VERBS[options.verb].run(options))
     except CassandraRosError as exc:
-        # One line; a question that is none with a caret under the spot.
+        # Errors are one line. Only InvalidQuery keeps its lines: a caret marks the position.
         text = str(exc) if isinstance(exc, InvalidQuery) else " ".join(str(exc).split())
         print(error_line(PROGRAM, text), file=sys.stderr)
         return 1

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A person agrees to what cannot be undone, on the terminal or beforehand with --yes."""
+"""Ask the user before data are deleted, on the terminal; --yes answers in advance."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from cassandra_ros.errors import NotConfirmed
 
 def add_yes_option(parser: argparse._ActionsContainer) -> None:
     """Add -y and --yes."""
-    text = "do it without asking; needed where nobody can be asked, as in a script (default: ask)"
+    text = "do not ask before deleting; needed without a terminal, as in a script (default: ask)"
     parser.add_argument("-y", "--yes", action="store_true", help=text)
 
 
 def add_dry_run_option(parser: argparse._ActionsContainer) -> None:
     """Add --dry-run."""
-    text = "only say what would be deleted; nothing is asked or changed"
+    text = "only print what would be deleted; ask and change nothing"
     parser.add_argument("--dry-run", action="store_true", help=text)
 
 
 def confirm(question: str, details: str = "") -> None:
-    """Ask a person; the answer is no unless it says yes.
+    """Ask the user a question that must be answered with yes.
 
     Args:
-        details: Lines that are shown above the question.
+        details: Lines that are printed before the question.
 
     Raises:
-        NotConfirmed: It is no, or standard input is no terminal.
+        NotConfirmed: The answer is not yes, or standard input is not a terminal.
     """
     if not sys.stdin.isatty():
-        raise NotConfirmed(f"{question} Nobody can be asked here; say so with --yes")
-    # Standard output may be an answer for another program.
+        raise NotConfirmed(f"{question} There is no terminal to ask on; confirm it with --yes")
+    # Standard output may be read by another program.
     if details:
         print(details, file=sys.stderr)
     if not says_yes(question):
@@ -42,19 +42,20 @@ def confirm(question: str, details: str = "") -> None:
 
 
 def person_reads() -> bool:
-    """Say whether this process has a terminal of its own, at which a person may answer.
+    """Say whether the user can answer a question of this process on the terminal.
 
-    roslaunch hands its terminal on to all of its nodes, and a shell to what runs in the background.
+    It is not enough that there is a terminal: nodes of roslaunch and background jobs of a shell
+    have one, but do not receive what is typed.
     """
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
     try:
         return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-    except OSError:  # it is not the terminal of our session
+    except OSError:  # the terminal belongs to another session
         return False
 
 
 def says_yes(question: str) -> bool:
-    """Ask a person on the terminal; the answer is no unless it says yes."""
+    """Ask the user on the terminal. Every answer but y and yes means no."""
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")

@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Answers of verbs for other programs: one JSON document on standard output.
+"""Output of verbs for other programs: one JSON document on standard output.
 
-Times are integer nanoseconds in fields that end in _ns; the clock's, as when a run began, ISO 8601
-in UTC. Sizes are bytes. What has no value is null. Warnings and errors go to standard error.
+Times of messages are integer nanoseconds, in fields that end in _ns. Wall clock times (the start of
+a run, say) are ISO 8601 in UTC. Sizes are bytes. A missing value is null. Warnings and errors go to
+standard error.
 """
 
 from __future__ import annotations
@@ -29,15 +30,18 @@ def add_json_option(parser: argparse._ActionsContainer) -> None:
 
 
 def print_json(answer: object) -> None:
-    """Print an answer as JSON: all that plain() takes. What is not printable is escaped."""
+    """Print a value that plain() accepts as JSON. Unprintable characters are escaped."""
     text = json.dumps(plain(answer), ensure_ascii=False, allow_nan=False, indent=1)
     print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 
 
 def plain(value: object) -> object:
-    """Return a value as JSON has it, or raise TypeError for what no answer should hold.
+    """Return a value in the types of JSON.
 
-    Taken are records, mappings, sequences, texts, numbers, datetimes and bytes (base64).
+    Accepted are dataclasses, mappings, sequences, texts, numbers, datetimes and bytes (base64).
+
+    Raises:
+        TypeError: The value, or a part of it, has another type.
     """
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
@@ -59,6 +63,6 @@ def plain(value: object) -> object:
 
 
 def _utc(when: datetime) -> str:
-    # Those of the driver bear no zone, and are UTC.
+    # Datetimes of the driver are UTC but have no time zone.
     aware = when if when.tzinfo else when.replace(tzinfo=timezone.utc)
     return aware.astimezone(timezone.utc).isoformat().replace("+00:00", "Z")

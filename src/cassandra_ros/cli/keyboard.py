@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keys that are pressed on a terminal, one by one."""
+"""Read single key presses from the terminal."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import Any, Optional
 
 
 class Keyboard:
-    """Reads keys as they are pressed, where standard input is a terminal and we own it.
+    """Reads single key presses, if standard input is a terminal and this is a foreground process.
 
-    A context manager: the terminal is afterwards as it was.
+    A context manager; on exit it restores the settings of the terminal.
     """
 
     def __init__(self) -> None:
@@ -29,15 +29,15 @@ class Keyboard:
     def __enter__(self) -> Keyboard:
         try:
             self._fd = sys.stdin.fileno()
-            # In the background a change of the terminal would stop us.
+            # A background process is stopped when it changes the terminal.
             if os.isatty(self._fd) and os.tcgetpgrp(self._fd) == os.getpgrp():
                 self._before = termios.tcgetattr(self._fd)
-                wanted = termios.tcgetattr(self._fd)
-                wanted[3] &= ~(termios.ICANON | termios.ECHO)
-                wanted[6][termios.VMIN], wanted[6][termios.VTIME] = 0, 0
-                termios.tcsetattr(self._fd, termios.TCSANOW, wanted)
+                settings = termios.tcgetattr(self._fd)
+                settings[3] &= ~(termios.ICANON | termios.ECHO)
+                settings[6][termios.VMIN], settings[6][termios.VTIME] = 0, 0
+                termios.tcsetattr(self._fd, termios.TCSANOW, settings)
         except (OSError, ValueError, AttributeError, termios.error):
-            self._before = None  # no standard input, or none that can be changed
+            self._before = None  # standard input is closed or cannot be changed
         return self
 
     def __exit__(self, *exc_info: object) -> None:
@@ -49,7 +49,7 @@ class Keyboard:
                 pass  # the terminal is gone
 
     def pressed(self) -> str:
-        """Return the keys that were pressed since it was last asked."""
+        """Return the keys that were pressed since the last call."""
         if self._before is None or not select.select([self._fd], [], [], 0)[0]:
             return ""
         try:

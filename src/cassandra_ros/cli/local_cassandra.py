@@ -24,18 +24,19 @@ from cassandra_ros.local_server.jars import cassandra_version, jars_directory
 from cassandra_ros.local_server.ports import count_clients
 
 EXIT_NOT_RUNNING = 3
-# roslaunch sends SIGINT to all its programs at once, a SIGTERM 15 s later: what the recorder still
-# holds must be stored before, and the drain takes 3 s.
+# roslaunch sends SIGINT to all its programs at once, and SIGTERM 15 s later. Before that the
+# recorder must store its buffered messages, and the drain takes 3 s.
 CLIENTS_SEC = 9.0
+"""Maximum time that `run` waits for clients to disconnect before it stops Cassandra, s."""
 _STATUS_POLL_SEC = 0.3
 _CLIENTS_POLL_SEC = 0.1
 
 
 def install(options: argparse.Namespace) -> int:
-    """Fetch Apache Cassandra's jars with Maven, once for all local clusters.
+    """Download Apache Cassandra's jars with Maven, once for all local clusters.
 
-    They go to $ROS_HOME/cassandra_ros/jars ($CASSANDRA_ROS_JARS names another place). `start` does
-    this by itself when they are missing.
+    They are stored in $ROS_HOME/cassandra_ros/jars, or in the folder that $CASSANDRA_ROS_JARS
+    names. `start` downloads them if they are missing.
     """
     how = "is now" if install_jars(say) else "was already"
     say(f"Apache Cassandra {cassandra_version()} {how} in {jars_directory()}")
@@ -45,8 +46,8 @@ def install(options: argparse.Namespace) -> int:
 def start(options: argparse.Namespace) -> int:
     """Start the local Cassandra and return when it answers.
 
-    It goes on running when this command and the terminal are gone. Options are remembered: the next
-    start needs none. Starting what runs already does nothing.
+    It keeps running after this command has ended and the terminal is closed. Options are stored, so
+    the next start needs none. If Cassandra is running already, nothing happens.
     """
     cluster = open_cluster(options)
     begun = time.monotonic()
@@ -66,7 +67,7 @@ def _say_login(cluster: LocalCluster) -> None:
 
 
 def stop(options: argparse.Namespace) -> int:
-    """Stop the local Cassandra: it finishes what it was given, writes it to disk and ends."""
+    """Stop the local Cassandra, after it has finished its requests and written all data to disk."""
     cluster = open_cluster(options)
     begun = time.monotonic()
     if cluster.stop():
@@ -79,13 +80,13 @@ def stop(options: argparse.Namespace) -> int:
 
 
 def status(options: argparse.Namespace) -> int:
-    """Tell whether the local Cassandra runs, where, and what it takes.
+    """Show whether the local Cassandra is running, its addresses, disk space and memory.
 
-    The exit status is 0 when every node answers, 3 otherwise.
+    The exit status is 0 if every node answers, else 3.
     """
     deadline = time.monotonic() + options.wait
     while True:
-        cluster = open_cluster(options)  # anew: the first start only now makes its settings
+        cluster = open_cluster(options)  # again: the first start may just have written settings
         found = cluster.status() if cluster.exists else []
         answers = bool(found) and all(node.answers for node in found)
         if answers or time.monotonic() >= deadline:
@@ -120,7 +121,7 @@ def _describe(status: NodeStatus) -> str:
 
 
 def _disk_bytes(directory: Path) -> int:
-    """Return the bytes of all files below a directory; files may vanish meanwhile."""
+    """Return the size of all files below a directory, bytes. Files may be deleted meanwhile."""
     total = 0
     for path in directory.rglob("*"):
         try:
@@ -131,11 +132,11 @@ def _disk_bytes(directory: Path) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the local Cassandra in the foreground until Ctrl-C or SIGTERM, then drain it.
+    """Run the local Cassandra in the foreground until Ctrl-C or SIGTERM, then stop it.
 
-    For a launch file or a service manager that owns it. Clients that are connected at the end get
-    9 s to go first; a second Ctrl-C cuts that short. Where Cassandra runs already, this waits
-    beside it and leaves it running.
+    For launch files and service managers. Before the stop, connected clients get 9 s to disconnect;
+    a second Ctrl-C ends this wait. If Cassandra is running already, this command only waits, and
+    leaves it running.
     """
     cluster = open_cluster(options)
     _on_signals(signal.default_int_handler)
@@ -149,14 +150,14 @@ def run(options: argparse.Namespace) -> int:
         if not running_before:
             _let_clients_go(cluster.settings.port)
     finally:
-        _on_signals(signal.SIG_IGN)  # one more Ctrl-C must not cut the drain short
+        _on_signals(signal.SIG_IGN)  # another Ctrl-C must not interrupt the drain
         if not running_before and cluster.stop():
             say(f"Cassandra at {where(cluster)} stopped")
     return 0
 
 
 def _let_clients_go(port: int) -> None:
-    """Give those who are connected time to store what they have; a signal ends it."""
+    """Wait until all clients have disconnected, at most CLIENTS_SEC or until a signal."""
     deadline = time.monotonic() + CLIENTS_SEC
     try:
         while count_clients(port) and time.monotonic() < deadline:
@@ -174,7 +175,7 @@ def _on_signals(handler: signal._HANDLER) -> None:
 def clear(options: argparse.Namespace) -> int:
     """Delete all data of the local Cassandra: every keyspace, every recorded topic.
 
-    It must be stopped. The jars stay.
+    Stop it first. The jars are kept.
     """
     cluster = open_cluster(options)
     if not cluster.exists:
@@ -189,10 +190,10 @@ def clear(options: argparse.Namespace) -> int:
 
 
 def replace(options: argparse.Namespace) -> int:
-    """Bring a node back whose data are lost; the others must run.
+    """Restore a node that has lost its data from the other nodes, which must be running.
 
-    They give it their copies, and all copies are compared. A keyspace that keeps one copy of each
-    row has lost what lay on that node.
+    They send it their copies, then all copies are compared. A keyspace with one copy of each row
+    has lost the rows of that node.
     """
     cluster = open_cluster(options)
     begun = time.monotonic()
@@ -207,20 +208,20 @@ VERBS = {verb.__name__: verb for verb in (install, start, stop, status, run, rep
 def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     parser.set_defaults(nodes=None, host=None, port=None, heap=None, secure=None)
-    if name == "install":  # what is fetched stands in server/pom.xml
+    if name == "install":  # server/pom.xml defines what is downloaded
         return
     add(
         "--dir",
         metavar="DIR",
-        help="where its data lie (default: $CASSANDRA_ROS_DIR, else $ROS_HOME/cassandra_ros, else "
+        help="folder of its data (default: $CASSANDRA_ROS_DIR, else $ROS_HOME/cassandra_ros, else "
         "~/.ros/cassandra_ros)",
     )
     if name == "replace":
-        add("number", metavar="N", type=int, help="number of the node, from 1 on")
+        add("number", metavar="N", type=int, help="number of the node; the first one is 1")
     if name in ("start", "run"):
         _add_server_options(parser)
     elif name == "status":
-        text = "wait until it answers, at most this many seconds (default: 0)"
+        text = "maximum time to wait until it answers, seconds (default: 0)"
         add("--wait", metavar="SEC", type=float, default=0.0, help=text)
     elif name == "clear":
         add_yes_option(parser)
@@ -232,8 +233,8 @@ def _add_server_options(parser: argparse.ArgumentParser) -> None:
         "--nodes",
         type=_number_or_nothing,
         metavar="N",
-        help="number of nodes, 1 to 3, on following addresses; fixed once there are data "
-        "(default: 1)",
+        help="number of nodes, 1 to 3, on consecutive addresses; it cannot change once there are "
+        "data (default: 1)",
     )
     add(
         "--heap",
@@ -246,14 +247,14 @@ def _add_server_options(parser: argparse.ArgumentParser) -> None:
     text = "loopback address of the first node; kept for later starts (default: 127.0.0.1)"
     add("--host", metavar="ADDRESS", type=lambda text: text or None, help=text)
     text = (
-        "ask for a password and speak TLS, with a certificate of its own; what programs log in "
-        "with is written to DIR/login; kept for later starts, until clear (default: neither)"
+        "require a login and use TLS, with a certificate of its own; the login files for programs "
+        "are written to DIR/login; kept for later starts, until clear (default: no login, no TLS)"
     )
     add("--secure", action="store_const", const=True, help=text)
 
 
 def _number_or_nothing(text: str) -> int | None:
-    # A launch file cannot leave an option out, but it can give an empty one.
+    # A launch file cannot omit an option, but it can pass an empty value.
     return int(text) if text else None
 
 
@@ -275,7 +276,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def open_cluster(options: argparse.Namespace) -> LocalCluster:
-    """Return the cluster that the options describe; it tells its steps on the terminal."""
+    """Return the cluster that the options describe; it prints its steps on the terminal."""
     return LocalCluster(
         options.dir,
         nodes=options.nodes,
@@ -289,13 +290,13 @@ def open_cluster(options: argparse.Namespace) -> LocalCluster:
 
 
 def say(text: str) -> None:
-    """Print one line at once, in place of the progress line where there is one."""
+    """Print a line immediately; it replaces the progress line, if there is one."""
     _clear_progress()
     print(text, flush=True)
 
 
 def show_progress(text: str, seconds: float) -> None:
-    """Redraw the line that says what is being waited for; only on a terminal."""
+    """Update the progress line on standard error, if that is a terminal."""
     if sys.stderr.isatty():
         print(f"\r{text} … {seconds:.0f} s\033[K", end="", file=sys.stderr, flush=True)
 
@@ -306,5 +307,5 @@ def _clear_progress() -> None:
 
 
 def where(cluster: LocalCluster) -> str:
-    """Return the addresses of a cluster as a person writes them: 127.0.0.1:9042."""
+    """Return the addresses of a cluster as text, for example 127.0.0.1:9042."""
     return ", ".join(f"{node.address}:{cluster.settings.port}" for node in cluster.nodes)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The options that programs and verbs share, and the store that they name."""
+"""Options that several programs and verbs have, and the connection to the store that they name."""
 
 from __future__ import annotations
 
@@ -37,53 +37,54 @@ if TYPE_CHECKING:
     from cassandra_ros.messages.stamps import Stamp
 
 RETRY_SEC = 1.0
-"""How often a store is asked that is waited for."""
+"""Interval between two attempts to connect during --wait, s."""
 _MOST_TABLES = 5
-"""Maximum number of tables of another program that are named."""
+"""Maximum number of tables of another program named in a warning."""
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
 def add_format_option(parser: argparse._ActionsContainer) -> None:
-    """Add --format; None where it is not given, or empty as a launch file may give it."""
+    """Add --format. Its value is None if it is missing or empty (launch files pass empty ones)."""
     parser.add_argument(
         "--format",
         metavar="F",
         type=lambda text: text or None,
-        help=f"how topics are kept: {', '.join(FORMATS)} (default: as they are stored, new ones "
-        f"as {DEFAULT_FORMAT}); another one than a topic is stored in gives it a second table "
-        "('cassandra_bag convert' changes the one that it has)",
+        help=f"storage format: {', '.join(FORMATS)} (default: the format that a topic has, for new "
+        f"topics {DEFAULT_FORMAT}). A topic that is stored in another format gets a second table; "
+        "'cassandra_bag convert' changes the format of what is stored",
     )
 
 
 def add_large_chunks_option(parser: argparse._ActionsContainer) -> None:
-    """Add --allow-large-chunks, of the verbs that read bags."""
+    """Add --allow-large-chunks, for verbs that read bags."""
     parser.add_argument(
         "--allow-large-chunks",
         action="store_true",
-        help="read also chunks of more than 256 MiB of content, and files that unpack to more than "
+        help="also read chunks of more than 256 MiB of content, and files that unpack to more than "
         "1000 times their size (default: refuse them). Only for files that you trust: a small file "
-        "that was made for it fills the memory and the disk",
+        "that was made to do harm can fill the memory and the disk",
     )
 
 
 def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None:
-    """Add where the store is and how one logs in there; store_place reads it.
+    """Add the options for address, login and keyspace of the store; open_store reads them.
 
     Args:
-        prefix: Of --host and --port, where a program has such of its own, as 'store-'.
+        prefix: Prefix of --host and --port, for a program that has other options of these names:
+            'store-'.
     """
     group = parser.add_argument_group(
         "store",
         "defaults also from CASSANDRA_ROS_HOST, CASSANDRA_ROS_PORT, CASSANDRA_ROS_KEYSPACE, "
-        "CASSANDRA_ROS_CQLSHRC, SSL_CERTFILE, SSL_VALIDATE. Passwords stand in files only",
+        "CASSANDRA_ROS_CQLSHRC, SSL_CERTFILE, SSL_VALIDATE. Passwords are read from files only",
     )
     group.add_argument(
         f"--{prefix}host",
         dest="host",
         metavar="HOST[,HOST]",
-        type=lambda text: text or None,  # as a launch file may give it
+        type=lambda text: text or None,  # a launch file may pass an empty value
         default=from_environment("HOST") or None,
-        help="one or more nodes of the cluster (default: as the cqlshrc says, else "
+        help="address of one or more nodes of the cluster (default: that of the cqlshrc, else "
         f"{DEFAULT_HOST})",
     )
     group.add_argument(
@@ -91,9 +92,9 @@ def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None
         dest="port",
         metavar="PORT",
         type=read_port,
-        # A text, so that a wrong one in the environment is reported like a wrong option.
+        # A text, so that argparse reports a wrong value from the environment like a wrong option.
         default=from_environment("PORT") or None,
-        help=f"port for CQL (default: as the cqlshrc says, else {DEFAULT_PORT})",
+        help=f"port for CQL (default: that of the cqlshrc, else {DEFAULT_PORT})",
     )
     _add_login_options(group.add_argument)
     group.add_argument(
@@ -108,7 +109,7 @@ def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None
         metavar="SECONDS",
         type=read_seconds,
         default=0.0,
-        help="wait so many seconds for a store that does not answer yet (default: 0)",
+        help="maximum time to wait for a store that does not answer yet (default: 0)",
     )
 
 
@@ -117,27 +118,27 @@ def _add_login_options(add: Callable[..., object]) -> None:
         "--cqlshrc",
         metavar="FILE",
         type=lambda text: text or None,
-        help="where the cluster is, and whether it speaks TLS, as cqlsh reads it (default: "
+        help="file with the address of the cluster and its TLS settings, as for cqlsh (default: "
         f"{CQLSHRC})",
     )
     add(
         "--credentials",
         metavar="FILE",
         type=lambda text: text or None,
-        help="user name and password, as cqlsh reads them; yours alone, mode 600 (default: as the "
-        f"cqlshrc says, else {CREDENTIALS})",
+        help="file with user name and password, as for cqlsh; only you may read it, mode 600 "
+        f"(default: that of the cqlshrc, else {CREDENTIALS})",
     )
 
 
 def read_seconds(text: str) -> float:
-    """Read a number of seconds of 0 or more, for argparse."""
+    """Parse a number of seconds, at least 0, for argparse."""
     if not re.fullmatch(r"[0-9]{1,9}(\.[0-9]*)?", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds, like 30 or 2.5")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds, like 30 or 2.5")
     return float(text)
 
 
 def read_port(text: str) -> int:
-    """Read a TCP port, for argparse."""
+    """Parse a TCP port, for argparse."""
     try:
         return port_number(text or "nothing")
     except InvalidOption as exc:
@@ -145,18 +146,19 @@ def read_port(text: str) -> int:
 
 
 def store_place(options: argparse.Namespace) -> tuple[list[str], int]:
-    """Return the hosts and the port that the options, the environment and the files name."""
+    """Return the hosts and the port from options, environment and the files of cqlsh."""
     login = read_login(options.host, options.port, options.cqlshrc, options.credentials)
     return login.hosts, login.port
 
 
 def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
-    """Connect to the store that the options name; close it, it is a context manager.
+    """Connect to the store that the options name. The caller closes it (a context manager).
 
-    With ``make`` the keyspace may be missing: what first writes makes it.
+    Args:
+        make: The keyspace may be missing; the first write creates it.
     """
     ros_cas = _connect(options)
-    # Found while it runs: one that has ended cannot be.
+    # Find the directories now: those of a server that has ended cannot be found.
     ros_cas.cassandra.outage.tell_reason(partial(_trouble, _local_directories(options)))
     _hurry_on_interrupt(ros_cas.cassandra.outage)
     if not make:
@@ -169,7 +171,11 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
 
 
 def foreign_keyspace(ros_cas: RosCassandra, before: str = "") -> str:
-    """Say, after ``before``, that a keyspace holds tables of others alone; '' = it does not."""
+    """Return a warning that the keyspace only holds tables of another program; '' = it does not.
+
+    Args:
+        before: Text to put before the warning.
+    """
     from cassandra_ros.topics.keyspace_list import tables_of_others
 
     tables = tables_of_others(ros_cas.cassandra, str(ros_cas.keyspace))
@@ -182,7 +188,7 @@ def foreign_keyspace(ros_cas: RosCassandra, before: str = "") -> str:
 
 
 def _hurry_on_interrupt(outage: Outage) -> None:
-    """Let Ctrl-C end the waits for the store, too, by which a program would tidy up."""
+    """Let Ctrl-C also end the waits for the store while a program closes what it has open."""
 
     def interrupted(number: int, frame: FrameType | None) -> None:
         outage.hurry()
@@ -195,9 +201,9 @@ def _hurry_on_interrupt(outage: Outage) -> None:
 
 @contextmanager
 def awaited_store(options: argparse.Namespace) -> Iterator[Future[RosCassandra]]:
-    """Open the store as ``open_store`` does for a program that goes on while ``--wait`` lasts.
+    """Open the store as ``open_store`` does, but do not block during ``--wait``.
 
-    The keyspace may be missing. Without ``--wait`` the future is done. At the end the store is
+    The keyspace may be missing. Without ``--wait`` the future is done at once. On exit the store is
     closed.
     """
     from concurrent.futures import Future
@@ -219,12 +225,12 @@ def awaited_store(options: argparse.Namespace) -> Iterator[Future[RosCassandra]]
 def _open_into(store: Future[RosCassandra], options: argparse.Namespace) -> None:
     try:
         store.set_result(open_store(options, make=True))
-    except Exception as exc:  # noqa: BLE001 - raised where the store is used
+    except Exception as exc:  # noqa: BLE001 - the caller of result() gets it
         store.set_exception(exc)
 
 
 def _connect(options: argparse.Namespace) -> RosCassandra:
-    """Connect, for so long again as --wait says."""
+    """Connect; repeat it for the time that --wait gives."""
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
     ends, told = time.monotonic() + options.wait, False
@@ -254,7 +260,7 @@ def _connect(options: argparse.Namespace) -> RosCassandra:
 
 
 def _local_directories(options: argparse.Namespace) -> list[Path]:
-    """List where the data of the store lie, as far as it is the local one."""
+    """Return the data directories of the store's nodes that are local Cassandras."""
     from cassandra_ros.local_server.disk import local_directory
 
     hosts, port = store_place(options)
@@ -269,7 +275,7 @@ def _trouble(directories: Sequence[Path]) -> str:
 
 
 def _own_login(directories: Sequence[Path]) -> str:
-    """Say where the login of a local Cassandra lies that asks for one; '' where we have none."""
+    """Return a hint with the login file of the local Cassandra; '' if there is no such file."""
     from cassandra_ros.local_server import LocalCluster
 
     files = (LocalCluster(directory).security.cqlshrc for directory in directories)
@@ -279,43 +285,41 @@ def _own_login(directories: Sequence[Path]) -> str:
 
 def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
     """Add --start and --end, with ``what`` before their help texts; read_times reads them."""
-    parser.add_argument("--start", metavar="T", help=f"{what}first time (default: that of all)")
-    parser.add_argument(
-        "--end", metavar="T", help=f"{what}last time, included (default: that of all)"
-    )
+    parser.add_argument("--start", metavar="T", help=f"{what}first time (default: no limit)")
+    parser.add_argument("--end", metavar="T", help=f"{what}last time, included (default: no limit)")
 
 
 def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]:
     """Return --start and --end; None = open."""
     start, end = (read_time(name, getattr(options, name)) for name in ("start", "end"))
     if start is not None and end is not None and start > end:
-        raise InvalidOption(f"--start {options.start} lies behind --end {options.end}")
+        raise InvalidOption(f"--start {options.start} is after --end {options.end}")
     return start, end
 
 
 def read_time(option: str, text: str | None) -> Stamp | None:
-    """Return the time that an option gives; None = it is not given."""
+    """Return the time in the text of an option; None = the option is missing."""
     from cassandra_ros.messages.stamps import Stamp, written_time_ns
 
     if text is None:
         return None
     try:
-        # Not an integer of nanoseconds: one that looks like seconds is refused.
+        # A Stamp: as a key, an integer of nanoseconds that looks like seconds is refused.
         return Stamp.from_ns(written_time_ns(text))
     except InvalidKey as exc:
         raise InvalidOption(f"--{option} {exc}") from exc
 
 
 def add_origin_options(parser: argparse.ArgumentParser) -> None:
-    """Add --node-id and --run: whose messages are meant."""
+    """Add --node-id and --run, which select messages by robot and by run."""
     add = parser.add_argument
-    add("--node-id", metavar="N", help="only messages of this node (default: of all)")
+    add("--node-id", metavar="N", help="only messages of this robot (default: all robots)")
     add(
         "--run",
         metavar="NAME",
-        type=lambda text: text or None,  # as a launch file may give it
-        help="only messages of the recordings or imports of this name, or of a writer id "
-        "(default: of all)",
+        type=lambda text: text or None,  # a launch file may pass an empty value
+        help="only messages of the recordings or imports with this name or writer id "
+        "(default: all)",
     )
 
 
@@ -327,13 +331,13 @@ def add_where_option(parser: argparse.ArgumentParser | argparse._ArgumentGroup) 
         action="append",
         type=lambda text: read_pair(text, ":", "'TOPIC: CONDITION'"),
         default=[],
-        help="of this topic only messages that satisfy a condition as in CQL, for example "
-        "'/cmd_vel: linear.x > 0.5'; the other topics stay whole; may be repeated",
+        help="only messages of this topic that satisfy a condition as in CQL, for example "
+        "'/cmd_vel: linear.x > 0.5'; other topics are not filtered; may be repeated",
     )
 
 
 def read_pair(text: str, sign: str, form: str) -> tuple[str, str]:
-    """Read two texts with a sign between them, for argparse."""
+    """Parse two texts with a separator between them, for argparse."""
     left, _, right = (part.strip() for part in text.partition(sign))
     if not (left and right):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form {form}")
@@ -341,35 +345,34 @@ def read_pair(text: str, sign: str, form: str) -> tuple[str, str]:
 
 
 def read_where(options: argparse.Namespace) -> dict[str, str]:
-    """Return the conditions that --where gives, by topic."""
+    """Return the conditions of --where by topic."""
     return read_conditions(options, "where")
 
 
 def read_conditions(options: argparse.Namespace, name: str) -> dict[str, str]:
-    """Return the conditions that an option gives several times, as pairs, by topic."""
-    found: dict[str, str] = {}
+    """Return the conditions of an option that may be repeated, by topic."""
+    conditions: dict[str, str] = {}
     for topic, condition in getattr(options, name):
-        if topic in found:
+        if topic in conditions:
             text = f"--{name}: two conditions for {topic}; join them with AND or OR"
             options.parser.error(text)
-        found[topic] = condition
-    return found
+        conditions[topic] = condition
+    return conditions
 
 
 def without_empty(words: Sequence[str]) -> list[str]:
-    """Drop options that are given empty, ``--run=``, as a launch file gives them."""
+    """Remove options with an empty value, like ``--run=``, which launch files pass."""
     return [word for word in words if not re.fullmatch(r"--[a-z][a-z-]*=", word)]
 
 
 def strip_remappings(argv: Sequence[str] | None) -> list[str]:
-    """Drop what rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
+    """Remove arguments that rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
-    Like rospy.myargv without rospy, but a word that is more than names, as a statement with a text
-    in it, stays. So does what follows --map, topics of a bag, and --where, --around and --keep,
-    conditions.
+    Like rospy.myargv, but without rospy. Two kinds of arguments with ``:=`` are kept: those whose
+    left side is not a name (a statement, say), and the values of --map, --where, --around, --keep.
 
     Args:
-        argv: Arguments without the program's name; None = those of the process.
+        argv: Arguments without the program's name; None = the arguments of the process.
     """
     words = sys.argv[1:] if argv is None else argv
     return [

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How every program explains itself, which exit statuses it has and how it words an error."""
+"""Parsers with the same form of help texts, exit statuses and error lines for all programs."""
 
 from __future__ import annotations
 
@@ -15,35 +15,40 @@ from cassandra_ros.printable import shown_lines
 
 _STATUSES = """\
 exit status:
-  0    all was done
-  1    it failed, or some of it did: each line '%(prog)s: …' on standard error says what
+  0    success
+  1    failure, also of a part: each line '%(prog)s: …' on standard error gives a reason
   2    wrong usage; nothing was done"""
 _ENDED = "  130  ended by Ctrl-C, 143 by SIGTERM, 141 by the reader of its output (| head)"
 _RAW = argparse.RawDescriptionHelpFormatter
 
 
 def error_line(program: str, text: object) -> str:
-    """Return what a program prints on standard error where something failed: PROGRAM: why."""
+    """Return the line that a program prints on standard error about a failure: PROGRAM: reason."""
     return f"{program}: {shown_lines(str(text))}"
 
 
 def _closing(program: str, more: str) -> str:
-    # Verbs bear the program's name before theirs, and errors only that.
+    # The parser of a verb is named 'PROGRAM VERB', but error lines begin with PROGRAM only.
     return "\n".join(filter(None, (_STATUSES.replace("%(prog)s", program), more, _ENDED)))
 
 
 class Parser(argparse.ArgumentParser):
-    """Reads a command line; wrong usage is reported as all errors are."""
+    """A parser that reports wrong usage in the form of all other errors."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage and what is wrong with the words, and end with status 2."""
+        """Print the usage and the error, and end the program with status 2."""
         self.print_usage(sys.stderr)
         program = self.prog.split()[0]
         self.exit(2, error_line(program, f"{message} (see {self.prog} --help)") + "\n")
 
 
 def program_parser(program: str, text: str | None, more: str = "") -> Parser:
-    """Return a parser that shows a docstring as it is written; more: further exit statuses."""
+    """Return a parser whose description is a docstring.
+
+    Args:
+        text: The docstring; its lines are kept.
+        more: Lines about further exit statuses.
+    """
     description, closing = inspect.cleandoc(text or ""), _closing(program, more)
     return Parser(prog=program, description=description, epilog=closing, formatter_class=_RAW)
 
@@ -55,7 +60,7 @@ def verbs_parser(
     add_arguments: Callable[[str, argparse.ArgumentParser], None],
     more: str = "",
 ) -> Parser:
-    """Return the parser of a program with verbs, whose docstrings are their help texts."""
+    """Return the parser of a program with verbs; their docstrings are their help texts."""
     parser = program_parser(program, text, more)
     parser.add_argument("--version", action="version", version=f"{program} {version()}")
     verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)

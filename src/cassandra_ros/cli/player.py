@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Play what is stored on the topics from which it came, in the order of its reception.
+"""Publish stored messages on their topics, in the order of their receive times.
 
-Messages go out as the stored bytes, advertised with the stored definition, also of types that are
-not installed. Names are remapped as everywhere in ROS: /scan:=/old/scan.
+The player publishes the stored bytes under the stored message definition, so types need not be
+installed. Remap names as everywhere in ROS: /scan:=/old/scan.
 
 Times are seconds from the first message (12.5), seconds since 1970 (1368021980.25), nanoseconds
 (from 13 digits on) or ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC).
 
 On a terminal: space pauses and resumes, s steps while paused, t turns --pause-topics off and on.
-The services ~pause, ~resume, ~step, ~seek, ~setRate, ~stop and ~status (and ~pause_playback, as
-rosbag play has it) do so from elsewhere.
+Other nodes control the player by the services ~pause, ~resume, ~step, ~seek, ~setRate, ~stop and
+~status (and ~pause_playback, as of rosbag play).
 """
 
 from __future__ import annotations
@@ -51,11 +51,12 @@ if TYPE_CHECKING:
 
 PROGRAM = "player"
 SHOW_SEC = 0.1
+"""Minimum interval between two updates of the status line, s."""
 _STATES = {"paused": "PAUSED ", "delayed": "DELAYED", "waiting": "WAITING", "ended": "ENDED  "}
 
 
 class _Once(argparse.Action):
-    """Refuses an option that is given twice: argparse would forget the first without a word."""
+    """Refuses an option that is given twice; argparse would ignore the first one silently."""
 
     def __call__(
         self,
@@ -65,7 +66,7 @@ class _Once(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         if getattr(namespace, self.dest, None):
-            parser.error(f"{option_string} is given twice: only one is taken")
+            parser.error(f"{option_string} is given twice: give it once")
         setattr(namespace, self.dest, values)
 
 
@@ -85,39 +86,40 @@ def make_parser() -> argparse.ArgumentParser:
 def _add_selection(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("topics", metavar="TOPIC", nargs="*", help="play these topics (default: all)")
-    text = "the same, for those who know rosbag play (default: none more)"
+    text = "further topics, as with rosbag play (default: no further topics)"
     add("--topics", metavar="TOPIC", dest="more", nargs="+", default=[], help=text)
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
-    text = "leave out topics whose whole name matches this regular expression (default: none)"
+    text = "leave out topics whose whole name matches this regular expression (default: play all)"
     add("-x", "--exclude", metavar="EXCLUDE_REGEX", type=regular_expression, default="", help=text)
-    add("-s", "--start", metavar="T", help="begin there (default: with the first message)")
+    add("-s", "--start", metavar="T", help="first time (default: the first message)")
     add(
         "-u",
         "--duration",
         metavar="SEC",
         type=duration,
-        help="play only SEC seconds (default: to the end)",
+        help="play only SEC seconds (default: play to the end)",
     )
     add("--end", metavar="T", help="last time, included (default: the last message)")
-    text = "only messages of this recording or import: name or number (default: of all)"
+    text = "only messages of this recording or import: name or writer id (default: all)"
     add("--run", metavar="RUN", action=_Once, help=text)
-    add("--node-id", metavar="N", action=_Once, help="only messages of this node (default: of all)")
+    text = "only messages of this robot (default: all robots)"
+    add("--node-id", metavar="N", action=_Once, help=text)
     add_where_option(group)
     add(
         "--around",
         metavar="'TOPIC: CONDITION'",
         action=_Once,
-        help="play only what lies around the messages of a topic that satisfy a condition, of all "
-        "topics (default: play all)",
+        help="play all topics, but only around the times at which a message of TOPIC satisfies "
+        "CONDITION (default: play everything)",
     )
-    text = "how far before them, with --around (default: %(default)s)"
+    text = "with --around: seconds to play before each of these messages (default: %(default)s)"
     add("--before", metavar="SEC", type=seconds, default=5.0, help=text)
-    text = "and how far behind (default: %(default)s)"
+    text = "with --around: seconds to play after each of these messages (default: %(default)s)"
     add("--after", metavar="SEC", type=seconds, default=10.0, help=text)
     align = group.add_mutually_exclusive_group()
-    text = "play all runs as if their first messages had come at once"
+    text = "play all runs at once, as if their first messages had the same time"
     align.add_argument("--align-start", action="store_true", help=text)
-    text = "the same of all nodes: the runs of a node stay one behind the other"
+    text = "play all robots at once; the runs of one robot are played one after the other"
     align.add_argument(
         "--align-nodes", action="store_const", const="node", dest="align_start", help=text
     )
@@ -127,25 +129,25 @@ def _add_pace(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     text = "multiply the publish rate by FACTOR (default: %(default)s)"
     add("-r", "--rate", metavar="FACTOR", type=factor, default=1.0, help=text)
-    text = "play back all messages without waiting, but for slow subscribers"
+    text = "play back all messages without waiting, except for slow subscribers"
     add("-i", "--immediate", action="store_true", help=text)
     add("--pause", action="store_true", help="start in paused mode")
-    text = "pause before each message of these topics (default: of none)"
+    text = "pause before each message of these topics (default: do not pause)"
     add("--pause-topics", metavar="TOPIC", nargs="+", default=[], help=text)
-    text = "jump over stretches without a message of more than SEC seconds (default: over none)"
+    text = "skip pauses without messages that are longer than SEC seconds (default: skip nothing)"
     add("--skip-empty", metavar="SEC", type=seconds, help=text)
     add("-l", "--loop", action="store_true", help="loop playback")
-    text = "stay at the end: for late subscribers of latched topics, and for ~seek"
+    text = "keep running at the end, for late subscribers of latched topics and for ~seek"
     add("-k", "--keep-alive", action="store_true", help=text)
     text = "wait SEC seconds after advertising, to allow subscribers to connect (default: 0.2)"
     add("-d", "--delay", metavar="SEC", type=seconds, default=0.2, help=text)
     text = "wait for at least one subscriber on each topic before publishing"
     add("--wait-for-subscribers", action="store_true", help=text)
-    text = "watch this topic, and wait while its last stamp is further behind (default: none)"
+    text = "wait while the last stamp on this topic is too old (default: do not wait)"
     add("--rate-control-topic", metavar="TOPIC", default="", help=text)
-    text = "by how much it may lag behind (default: %(default)s)"
+    text = "maximum age of that stamp, seconds (default: %(default)s)"
     add("--rate-control-max-delay", metavar="SEC", type=seconds, default=1.0, help=text)
-    text = "read so much ahead of the time (default: 64)"
+    text = "maximum size of the messages read in advance, MB (default: 64)"
     add("--read-ahead", metavar="MB", type=megabytes, default="64", help=text)
 
 
@@ -158,7 +160,7 @@ def _add_names(group: argparse._ArgumentGroup) -> None:
         default="",
         help="prefix all output topics (default: none)",
     )
-    text = "put the node, or the run, before the names: /<node>/topic"
+    text = "prefix each topic with its robot, or with its run: /<robot>/topic"
     add("--node-prefix", action="store_true", help=text)
     text = "use an outgoing queue of size SIZE for each subscriber (default: 100, 0 = infinite)"
     add("--queue", metavar="SIZE", type=whole_number, default=100, help=text)
@@ -168,7 +170,7 @@ def _add_names(group: argparse._ArgumentGroup) -> None:
 
 
 def read_selection(options: argparse.Namespace) -> PlaySelection:
-    """Return what is to be played."""
+    """Return the selection of messages that the options describe."""
     from cassandra_ros.playing.selection import PlaySelection
 
     around = options.around
@@ -192,7 +194,7 @@ def read_selection(options: argparse.Namespace) -> PlaySelection:
 
 
 def read_options(options: argparse.Namespace) -> PlayerOptions:
-    """Return how it is to be played."""
+    """Return the options of the player that the command line gives."""
     from cassandra_ros.playing.play_options import PlayerOptions
 
     return PlayerOptions(
@@ -214,12 +216,12 @@ def read_options(options: argparse.Namespace) -> PlayerOptions:
 
 
 def main() -> int:
-    """Play; return the exit status."""
+    """Run the player; return the exit status."""
     parser = make_parser()
     answer_shell(parser)
     options = parser.parse_args(without_empty(strip_remappings(None)))
     try:
-        selection, chosen = read_selection(options), read_options(options)
+        selection, player_options = read_selection(options), read_options(options)
     except (InvalidName, InvalidOption, argparse.ArgumentTypeError) as exc:
         options.parser.error(str(exc))
     from cassandra_ros.nodes.player_node import play
@@ -231,14 +233,19 @@ def main() -> int:
     with open_store(options) as ros_cas, Keyboard() as keyboard:
         shows = not options.quiet and sys.stdout.isatty()
         line = StatusLine(shows, hint=not options.quiet and keyboard.is_there)
-        state = play(ros_cas, selection, chosen, sys.argv, say, line.show, keyboard.pressed)
+        state = play(ros_cas, selection, player_options, sys.argv, say, line.show, keyboard.pressed)
         line.end()
     say(closing_line(state))
     return 0
 
 
 class StatusLine:
-    """The line of rosbag play, on a terminal: what it does, at which time."""
+    """The status line of rosbag play: state and current time. It is shown on a terminal only.
+
+    Args:
+        shows: Whether to print the line.
+        hint: Whether to print first which keys can be pressed.
+    """
 
     def __init__(self, shows: bool, hint: bool = False) -> None:
         self._shows = shows
@@ -246,7 +253,7 @@ class StatusLine:
         self._next = 0.0
 
     def show(self, state: PlayerState) -> None:
-        """Write the line anew, some times a second; before the first one which keys there are."""
+        """Update the line, unless the last update was less than SHOW_SEC ago."""
         if self._hint:
             self._hint = False
             print("Hit space to toggle paused, or 's' to step.", flush=True)
@@ -256,13 +263,13 @@ class StatusLine:
         print("\r" + status_line(state) + "               \r", end="", flush=True)
 
     def end(self) -> None:
-        """Leave the line."""
+        """Move the cursor to the next line."""
         if self._shows:
             print(flush=True)
 
 
 def status_line(state: PlayerState) -> str:
-    """Write what a player does, as rosbag play writes it."""
+    """Return the state of a player as rosbag play prints it."""
     done, length = (state.time - state.start) / 1e9, (state.end - state.start) / 1e9
     return (
         f" [{_STATES.get(state.state, 'RUNNING')}]  Bag Time: {state.time / 1e9:13.6f}   "
@@ -271,7 +278,7 @@ def status_line(state: PlayerState) -> str:
 
 
 def closing_line(state: PlayerState) -> str:
-    """Say what was played."""
+    """Return how many messages were played, missed and left out, in words."""
     published = sum(topic.published for topic in state.topics)
     missed = sum(topic.missed for topic in state.topics)
     left_out = sum(topic.left_out for topic in state.topics)

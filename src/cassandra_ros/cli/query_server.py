@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Answer questions about recorded topics over services.
+"""Provide services that read recorded topics.
 
-They are ~getData, ~range, ~executeCQL, ~explainCQL, ~info and ~lookupTransform, and where writes
-are allowed ~addData and ~removeData. The node is called cassandra_ros; its parameters ~host, ~port,
-~keyspace, ~cqlshrc, ~credentials and ~allow_writes count where the options of the same names are
-not given.
+The services are ~getData, ~range, ~executeCQL, ~explainCQL, ~info and ~lookupTransform, and with
+--allow-writes also ~addData and ~removeData. The node is called cassandra_ros. Its parameters
+~host, ~port, ~keyspace, ~cqlshrc, ~credentials and ~allow_writes set the options of the same names
+that are missing on the command line.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--allow-writes",
         action="store_true",
-        help="let executeCQL run DELETE, TRUNCATE, CREATE INDEX and DROP INDEX, addData store and "
-        "removeData delete (default: nothing is changed)",
+        help="allow DELETE, TRUNCATE, CREATE INDEX and DROP INDEX in executeCQL, and the services "
+        "addData and removeData (default: refuse what changes stored data)",
     )
     return parser
 
 
 def truth(text: str) -> bool:
-    """Read true or false, for argparse, as ROS parameters have them."""
+    """Parse true or false as written in ROS parameters, for argparse."""
     known = {"true": True, "1": True, "false": False, "0": False}
     if text.lower() not in known:
         raise argparse.ArgumentTypeError(f"{text!r} is neither true nor false")
@@ -49,14 +49,14 @@ def truth(text: str) -> bool:
 
 
 _READERS: dict[str, Callable[[str], object]] = {"port": read_port, "allow_writes": truth}
-"""How the text of a parameter is read that is not meant as text."""
+"""Name of a parameter that is not a text -> function that parses it."""
 
 
 def read_options(
     parser: argparse.ArgumentParser, words: Sequence[str], given: dict[str, str]
 ) -> argparse.Namespace:
-    """Read the command line; ROS parameters take the place of options that were not given."""
-    # Empty ones, as a launch file may give them, are not given.
+    """Parse the command line; ROS parameters set the options that it does not give."""
+    # A launch file may set a parameter to the empty text: that counts as missing.
     given = {name: text for name, text in given.items() if text}
     options = parser.parse_args(words, argparse.Namespace(**dict.fromkeys(given)))
     for name, text in given.items():
@@ -69,7 +69,7 @@ def read_options(
 
 
 def main() -> int:
-    """Serve until the node is shut down; return the exit status."""
+    """Run the query server until the node is shut down; return the exit status."""
     parser = make_parser()
     answer_shell(parser)
     words = strip_remappings(None)

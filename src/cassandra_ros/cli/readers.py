@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What recorder and player read from their command lines: durations, numbers, expressions."""
+"""Functions that parse option values for argparse: durations, sizes, numbers, expressions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _Read = TypeVar("_Read")
 
 
 def checked(reader: Callable[[str], _Read]) -> Callable[[str], _Read]:
-    """Make a reader of the library, which raises errors of ours, one for argparse."""
+    """Turn a parser that raises CassandraRosError into one that raises argparse's error."""
 
     def read(text: str) -> _Read:
         try:
@@ -29,7 +29,7 @@ def checked(reader: Callable[[str], _Read]) -> Callable[[str], _Read]:
 
 
 def regular_expression(text: str) -> str:
-    """Check a regular expression, for argparse."""
+    """Return the text if it is a regular expression."""
     try:
         re.compile(text)
     except re.error as exc:
@@ -38,7 +38,7 @@ def regular_expression(text: str) -> str:
 
 
 def duration(text: str) -> float:
-    """Read a duration as rosbag does, in seconds: 30, 90s, 1.5m, 2h."""
+    """Parse a duration as rosbag writes it (30, 90s, 1.5m, 2h). Return seconds."""
     match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)([smh]?)", text)
     if match is None or not float(match[1]):
         raise argparse.ArgumentTypeError(f"{text!r} is not a duration, like 30, 5m or 2h")
@@ -46,29 +46,29 @@ def duration(text: str) -> float:
 
 
 def age(text: str) -> float:
-    """Read how old something may be, in seconds: as duration does, or in days and weeks."""
+    """Parse an age: a duration, or days and weeks (30d, 8w). Return seconds."""
     number, unit = text[:-1], text[-1:]
     try:
         return duration(number) * _LONG_UNITS[unit] if unit in _LONG_UNITS else duration(text)
     except argparse.ArgumentTypeError:
-        known = f"{text!r} is no age, like 90m, 12h, 30d or 8w"
-        raise argparse.ArgumentTypeError(known) from None
+        reason = f"{text!r} is not an age, like 90m, 12h, 30d or 8w"
+        raise argparse.ArgumentTypeError(reason) from None
 
 
 def whole_number(text: str) -> int:
-    """Read a number of 0 or more, for argparse."""
+    """Parse a whole number, at least 0."""
     if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
     return int(text)
 
 
 def megabytes(text: str) -> int:
-    """Read a number of MB as bytes, for argparse."""
+    """Parse a number of MB. Return bytes."""
     return whole_number(text) << 20
 
 
 def byte_size(text: str) -> int:
-    """Read a size as rosbag does for --min-space: 1G, 512M, 100k or bytes."""
+    """Parse a size as in rosbag's --min-space: 1G, 512M, 100k or bytes. Return bytes."""
     digits, unit = (text, "") if text.isdigit() else (text[:-1], text[-1:].lower())
     if unit not in _SIZES:
         raise argparse.ArgumentTypeError(f"{text!r} is no size: give one like 1G, 512M or 100k")
@@ -76,16 +76,16 @@ def byte_size(text: str) -> int:
 
 
 def seconds(text: str) -> float:
-    """Read seconds of 0 or more, for argparse; as rosbag does, or with m or h."""
+    """Parse a duration as rosbag writes it, at least 0. Return seconds."""
     try:
         return 0.0 if text.strip("0") in ("", ".") and text != "." else duration(text)
     except argparse.ArgumentTypeError:
-        known = f"{text!r} is no number of seconds: give 0 or more, like 0.2 or 5m"
-        raise argparse.ArgumentTypeError(known) from None
+        reason = f"{text!r} is not a number of seconds: give 0 or more, like 0.2 or 5m"
+        raise argparse.ArgumentTypeError(reason) from None
 
 
 def factor(text: str) -> float:
-    """Read a number above 0, for argparse."""
+    """Parse a number greater than 0."""
     try:
         value = float(text)
     except ValueError:

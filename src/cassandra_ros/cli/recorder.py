@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Record topics into Cassandra. Every message is kept as it was sent, found by its time.
+"""Record topics into Cassandra. Every message is stored exactly as it was sent.
 
-Ctrl-C, SIGTERM and the shutdown of the node end the recording; what has arrived is stored first.
-The exit status is 1 when messages were lost, or nobody published a topic that was named.
+Ctrl-C, SIGTERM and the shutdown of the node end the recording, after all received messages are
+stored. The exit status is 1 if messages were lost, or if a topic that you named had no publisher.
 
-Each recording is a run, which --run of the other programs names. The services ~start, ~stop,
-~pause, ~resume, ~status and ~snapshot steer the recorder while it runs. Every option may also be a
-private parameter of the node, by its long name with _ for -, as ~node_id; ~topics is a list.
+Each recording is a run; the option --run of other programs selects it. The services ~start, ~stop,
+~pause, ~resume, ~status and ~snapshot control the recorder. Every option can also be set as a
+private parameter of the node: its long name with _ for -, as in ~node_id; ~topics is a list.
 """
 
 from __future__ import annotations
@@ -58,9 +58,9 @@ _NO_PARAMETERS = ("help", "quiet", "dry_run", "udp")
 
 
 def make_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line; its names are those of RecorderOptions."""
+    """Return the parser of the command line; it uses the names of RecorderOptions."""
     parser = program_parser(PROGRAM, __doc__)
-    parser.usage = "%(prog)s [OPTION ...] [TOPIC ...]"  # with each error: not all of forty options
+    parser.usage = "%(prog)s [OPTION ...] [TOPIC ...]"  # short, because each usage error prints it
     _add_choice(parser.add_argument)
     _add_runs(parser.add_argument_group("runs").add_argument)
     _add_settings(parser)
@@ -75,7 +75,7 @@ Add = Callable[..., object]
 
 def _add_choice(add: Add) -> None:
     add("topics", metavar="TOPIC", nargs="*", help="record these topics")
-    text = "record all topics, but for what the recorder itself says on /rosout and /diagnostics"
+    text = "record all topics, except the recorder's own messages on /rosout and /diagnostics"
     add("-a", "--all", action="store_true", help=text)
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
     text = "exclude topics matching the follow regular expression (default: none)"
@@ -93,7 +93,7 @@ def _add_choice(add: Add) -> None:
         default="",
         help="record all topics subscribed to by a node (default: none)",
     )
-    text = "say what would be recorded and how, and end"
+    text = "print what would be recorded and how, and end"
     add("--dry-run", action="store_true", help=text)
     add("-q", "--quiet", action="store_true", help="suppress console output")
 
@@ -102,10 +102,11 @@ def _add_runs(add: Add) -> None:
     text = "prepend PREFIX to the name of the run, which is the date (default: only the date)"
     add("-o", "--output-prefix", metavar="PREFIX", default="", help=text)
     text = (
-        "name of the run; another one may have it, too: both are then meant by it (default: none)"
+        "name of the run; several runs may have one name, which then means all of them (default: "
+        "the date)"
     )
     add("-O", "--output-name", "--name", metavar="NAME", default="", help=text)
-    text = "keep a label with the run; may be repeated"
+    text = "store a label with the run; may be repeated"
     add(
         "--label",
         dest="labels",
@@ -114,9 +115,9 @@ def _add_runs(add: Add) -> None:
         action="append",
         help=text,
     )
-    text = "go on in a new run when size or duration is reached: NAME_0, NAME_1, ..."
+    text = "begin a new run when the size or duration is reached: NAME_0, NAME_1, ..."
     add("--split", action="store_true", help=text)
-    text = "record this many MB of messages; with --split: into each run (default: any number)"
+    text = "record this many MB of messages; with --split: into each run (default: no limit)"
     add("--size", metavar="SIZE", type=megabytes, default=0, help=text)
     text = (
         "record for this long, in seconds, unless 'm', or 'h' is appended; with "
@@ -133,40 +134,40 @@ def _add_runs(add: Add) -> None:
     text = "publish a latched message with the name of each run on begin_write"
     add("-p", "--publish", action="store_true", help=text)
     text = (
-        "keep only the newest messages, so long or so many, in memory; the service ~snapshot "
-        "writes them as a run (default: write all at once)"
+        "keep only the newest messages in memory, up to this duration or size; the service "
+        "~snapshot stores them as a run (default: store all messages when they arrive)"
     )
     add("-s", "--snapshot", metavar="30s|200MB", type=checked(read_bound), help=text)
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
-        "how topics are kept", "TOPIC is a name or a regular expression; the first that fits holds"
+        "storage of topics", "TOPIC is a name or a regular expression; the first match counts"
     )
     add = group.add_argument
     add_format_option(group)
-    text = "let messages of new topics expire after so long, as 3600, 90m or 7d (default: never)"
+    text = "delete messages of new topics after this time, as 3600, 90m or 7d (default: never)"
     add("--ttl", metavar="SEC", type=checked(read_ttl), default=0, help=text)
     text = (
         "record only messages of a topic that satisfy a condition as in CQL, for example "
-        "'/cmd_vel: linear.x > 0.5'; the others are counted as left out; may be repeated"
+        "'/cmd_vel: linear.x > 0.5'; other messages count as left out; may be repeated"
     )
     condition = "'TOPIC: CONDITION'"
     add("--where", metavar=condition, type=checked(read_where), action="append", help=text)
     text = "record at most HZ messages a second of a topic, or of each topic; may be repeated"
     add("--rate-limit", metavar="[TOPIC:]HZ", type=checked(read_limit), action="append", help=text)
     text = (
-        "YAML file with format, ttl, rate_limit, where, key_part and index by pattern; see "
-        "config/recorder.yaml. --where and --rate-limit go before it, it goes before "
-        "--format (default: none)"
+        "YAML file with format, ttl, rate_limit, where, key_part and index for patterns of topics; "
+        "see config/recorder.yaml. --where and --rate-limit override it, it overrides --format "
+        "(default: no file)"
     )
     add("--config", metavar="FILE", type=checked(read_config), default=(), help=text)
     text = (
-        "store the messages of format packed, many of which are a row, when the first of them is "
-        "so old (default: 0.5 s)"
+        "format packed: maximum time that a message waits until its block is stored (default: "
+        "0.5 s)"
     )
     add("--block-age", metavar="SEC", type=duration, default=BLOCK_SEC, help=text)
-    text = "name of the robot or entity that is recorded (default: none)"
+    text = "name of the robot that is recorded (default: no name)"
     add("--node-id", metavar="N", default="", help=text)
 
 
@@ -176,15 +177,15 @@ def _add_limits(add: Add) -> None:
     text = "use an internal buffer of SIZE MB (default: 256, 0 = infinite)"
     add("-b", "--buffsize", metavar="SIZE", type=megabytes, default="256", help=text)
     text = (
-        "store nothing while less is free where the local Cassandra keeps its data (default: 1G; "
-        "0 = off). Of a Cassandra elsewhere the free space is not known: watch it there"
+        "stop storing while the disk of the local Cassandra has less free space (default: 1G; 0 = "
+        "off). The free space of a Cassandra on another machine is unknown: watch it there"
     )
     add("-L", "--min-space", metavar="1G", type=byte_size, default="1G", help=text)
-    text = "tell nothing on /diagnostics"
+    text = "do not publish on /diagnostics"
     add("--no-diagnostics", dest="diagnostics", action="store_false", help=text)
     text = (
-        "do not note where the robot is while tf or its poses are recorded: NEAR then looks at all "
-        "poses, until 'cassandra_bag index --places' notes it"
+        "do not index the places where the robot is while its poses are recorded: NEAR then reads "
+        "all poses, until 'cassandra_bag index --places' makes the index"
     )
     add("--no-places", dest="places", action="store_false", help=text)
 
@@ -192,11 +193,11 @@ def _add_limits(add: Add) -> None:
 def _add_rosbag(add: Add) -> None:
     text = "Use the TCP_NODELAY transport hint when subscribing to topics."
     add("--tcpnodelay", action="store_true", help=text)
-    text = "taken and without effect: Cassandra compresses its tables anyway, with LZ4"
+    text = "accepted without effect: Cassandra compresses its tables with LZ4"
     add("-j", "--bz2", action="store_true", help=text)
     add("--lz4", action="store_true", help=text)
     text = (
-        "taken and without effect: messages over 512 KiB are stored in chunks of that "
+        "accepted without effect: messages over 512 KiB are always stored in chunks of that "
         "size (default)"
     )
     add("--chunksize", metavar="SIZE", type=whole_number, help=text)
@@ -204,7 +205,7 @@ def _add_rosbag(add: Add) -> None:
 
 
 def read_where(text: str) -> tuple[str, str]:
-    """Read a pattern of topics and a condition."""
+    """Parse 'TOPIC: CONDITION'. Return a pattern of topics and the condition."""
     topic, colon, condition = (part.strip() for part in text.partition(":"))
     if not (topic and colon and condition):
         raise InvalidOption(f"{text!r} is not of the form 'TOPIC: CONDITION'")
@@ -212,13 +213,13 @@ def read_where(text: str) -> tuple[str, str]:
 
 
 def read_limit(text: str) -> tuple[str, float]:
-    """Read a rate with or without a pattern of topics before it."""
+    """Parse '[TOPIC:]HZ'. Return a pattern of topics and the rate, Hz."""
     topic, _, rate = text.rpartition(":")
     return check_pattern(topic.strip() or ".*"), read_rate(rate.strip())
 
 
 def read_config(name: str) -> Sequence[Rule]:
-    """Read a file of settings; an empty name is none, as a launch file may give it."""
+    """Read a settings file. An empty name, which a launch file may pass, means no file."""
     if not name:
         return ()
     try:
@@ -230,9 +231,10 @@ def read_config(name: str) -> Sequence[Rule]:
 def words_of(
     parser: argparse.ArgumentParser, parameters: Mapping[str, object], given: argparse.Namespace
 ) -> list[str]:
-    """Write the parameters of the node as words of a command line, which go before its own.
+    """Return the parameters of the node as command line arguments.
 
-    Topics on the command line, or -a, take the place of those of the parameters.
+    The caller puts them before the real arguments. Parameters that select topics are left out if
+    the command line selects topics.
     """
     known = {action.dest: action for action in parser._actions}
     chosen = bool(given.topics or given.all or given.node)
@@ -249,7 +251,7 @@ def words_of(
             texts = str(value).split() if isinstance(value, str) else map(str, values)
             words += ["--all" if text == "-a" else text for text in texts]
         elif action.nargs == 0:
-            # --no-diagnostics and --no-places are set where the parameter says false.
+            # --no-diagnostics and --no-places are given if the parameter is false.
             if _truth(parser, name, value) != (action.const is False):
                 words.append(action.option_strings[-1])
         else:
@@ -265,7 +267,7 @@ def _truth(parser: argparse.ArgumentParser, name: str, value: object) -> bool:
 
 
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
-    """Return what is to be recorded; ends the program where that makes no sense."""
+    """Return the options of the recorder; end the program if they contradict each other."""
     if options.udp:
         parser.error("--udp: rospy has no UDP transport; leave it out: TCP loses nothing")
     if bool(options.topics) == options.all and not (options.node and not options.topics):
@@ -293,20 +295,22 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
 
 
 def local_space(hosts: Sequence[str]) -> Optional[Callable[[], Optional[int]]]:
-    """Return what tells the free space of the local Cassandra, None while it has no data.
+    """Return a function that returns the free disk space of the local Cassandra, bytes.
+
+    The function returns None while the local Cassandra has no data directory.
 
     Returns:
-        None where the store is not on this machine.
+        The function; None if the store is not on this machine.
     """
     data = default_directory()
     if not all(each.startswith(_LOOPBACK) for each in hosts):
         return None
-    # Looked for each time: a local Cassandra may be made while the recorder waits for it.
+    # Checked at each call: the local Cassandra may be created while the recorder waits for it.
     return lambda: shutil.disk_usage(data).free if data.is_dir() else None
 
 
 def main() -> int:
-    """Record; return the exit status."""
+    """Run the recorder; return the exit status."""
     parser = make_parser()
     answer_shell(parser)
     words = strip_remappings(None)
@@ -340,7 +344,7 @@ def main() -> int:
 
 
 def _tell_problems(problems: Sequence[str]) -> int:
-    """Print what went wrong; return the exit status."""
+    """Print the problems as error lines; return the exit status."""
     for text in problems:
         print(error_line(PROGRAM, text), file=sys.stderr)
     return 1 if problems else 0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the recorder shows: a line while it runs, a table at the end, a plan before."""
+"""Output of the recorder: a status line, the table at the end, the plan of --dry-run."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _CLEAR = "\r\033[K"
 
 
 class StatusLine:
-    """One line at the bottom of a terminal that tells how it goes.
+    """A line at the bottom of the terminal with the state of the recording.
 
     Args:
-        terminal: Where it is shown; None = it is not.
+        terminal: The terminal; None = show no line.
     """
 
     def __init__(self, terminal: Optional[TextIO]) -> None:
@@ -44,7 +44,7 @@ class StatusLine:
         self._stands = False
 
     def show(self, status: Status, rates: Rates) -> None:
-        """Show how it goes now."""
+        """Update the line."""
         if self._terminal is not None:
             width = shutil.get_terminal_size().columns - 1
             self._terminal.write(_CLEAR + status_text(status, rates)[:width])
@@ -53,7 +53,7 @@ class StatusLine:
 
 
 def status_text(status: Status, rates: Rates) -> str:
-    """Write how it goes in one line."""
+    """Return the state of the recording as one line."""
     hertz, nbytes = rates.total
     topics = status.topics
     parts = [
@@ -73,7 +73,7 @@ def status_text(status: Status, rates: Rates) -> str:
 
 
 def failures(reports: Sequence[TopicReport]) -> list[str]:
-    """Say what was not recorded that should have been."""
+    """Return a sentence for each reason why something was not recorded."""
     lost = sum(report.lost for report in reports)
     found = [f"{counted(lost, 'message')} {'was' if lost == 1 else 'were'} lost"] if lost else []
     for report in reports:
@@ -83,17 +83,20 @@ def failures(reports: Sequence[TopicReport]) -> list[str]:
                 "heard, for the ROS master was started anew"
             )
         if not report.published:
-            found.append(f"nothing came on {shown(report.topic)}: nobody published it")
+            found.append(f"no message came on {shown(report.topic)}: it had no publisher")
     if not reports:
-        found.append("nothing was recorded: of what was asked for, nobody published anything")
+        found.append("nothing was recorded: no topic that was asked for had a publisher")
     return found
 
 
 def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
-    """Write what became of the messages of each topic.
+    """Return a table with the numbers of received, stored and lost messages by topic.
 
-    What is missing in the publishers' own numbers is no loss of ours: "seq gaps". Without rates
-    where messages were written at once, as those of a snapshot.
+    Gaps in the sequence numbers of the publishers are not losses of the recorder; they have a
+    column of their own, "seq gaps".
+
+    Args:
+        rates: Whether to show rates; a snapshot, which is written at once, has none.
     """
     names = ["topic", "type", "received", "stored", "lost", "seq gaps", "bytes", "rate"]
     optional = [
@@ -127,7 +130,7 @@ def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
 
 
 def _loss_text(kind: LossKind, total: LossTotal) -> str:
-    """Write how many messages were lost for one reason, and when they came."""
+    """Return how many messages were lost for one reason, and their time range, in words."""
     why = ": ".join(filter(None, (kind.value, total.detail)))
     if total.varied:
         why += ", and other causes"
@@ -137,7 +140,7 @@ def _loss_text(kind: LossKind, total: LossTotal) -> str:
 
 
 def plan_table(plan: Sequence[PlannedTopic], options: RecorderOptions) -> str:
-    """Write what would be recorded, and how."""
+    """Return a table of the topics that would be recorded, with their settings."""
     names = ("topic", "type", "format", "ttl", "table", "settings")
     rows = [
         (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The rows of a statement, written while they are read: table, csv, json, ndjson, Parquet."""
+"""Write the rows of a statement while they are read: as table, csv, json, ndjson or Parquet."""
 
 from __future__ import annotations
 
@@ -25,32 +25,36 @@ from cassandra_ros.query.tree.json_values import json_value, to_json
 if TYPE_CHECKING:
     import pyarrow
 
-Columns = Sequence[str]
-Types = Sequence[Tuple[str, ArrayType]]
-Lines = Iterable[Tuple[object, ...]]
+ColumnNames = Sequence[str]
+ColumnTypes = Sequence[Tuple[str, ArrayType]]
+"""Name and type of each column."""
+Rows = Iterable[Tuple[object, ...]]
 
 PAGE_ROWS = 200
-"""Rows of a table from which its widths are taken."""
+"""Number of first rows of a table from which the column widths are computed."""
 MAX_CELL = 120
+"""Maximum number of characters in a cell of a table."""
 GROUP_ROWS = 20_000
+"""Maximum number of rows in a row group of Parquet."""
 GROUP_BYTES = 32 * 1024 * 1024
-"""A row group holds as many rows, or about as many bytes."""
+"""Approximate maximum size of a row group of Parquet, bytes."""
 
 _NAMES = {"bool": "bool_", "string": "string", "mixed": "string"}
-"""Those of pyarrow's functions that are not called like the ROS type."""
+"""ROS type -> function of pyarrow that makes the type, if it has another name."""
 _MAX_INT64 = 2**63 - 1
 _QUOTED = set('",\r\n')
 
 
-def write_table(columns: Columns, rows: Lines, stream: IO[str]) -> None:
+def write_table(columns: ColumnNames, rows: Rows, stream: IO[str]) -> None:
     """Write aligned columns for people; long values are cut.
 
-    The widths are those of the first rows: what is longer later moves the rest of its line.
+    The column widths are those of the first PAGE_ROWS rows. A longer value in a later row shifts
+    the rest of its line.
     """
     lines = iter(rows)
     texts: list[list[str]] = []
     kinds: list[list[bool | None]] = []
-    for row in islice(lines, PAGE_ROWS):  # of long values nothing is kept
+    for row in islice(lines, PAGE_ROWS):  # only the cut texts are kept in memory
         texts.append([_cell(value) for value in row])
         kinds.append([None if value is None else _is_number(value) for value in row])
     right = [_are_numbers(column) for column in zip(*kinds)] or [False] * len(columns)
@@ -92,17 +96,17 @@ def _text(value: object) -> str:
     return "-" if value is None else repr(value)
 
 
-def write_csv(columns: Columns, rows: Lines, stream: IO[str]) -> None:
-    """Write CSV as RFC 4180 has it.
+def write_csv(columns: ColumnNames, rows: Rows, stream: IO[str]) -> None:
+    """Write CSV as defined in RFC 4180.
 
-    Times are integer nanoseconds, bytes base64, arrays JSON. What is missing is an empty field,
-    and an empty text one in quotes.
+    Times are integer nanoseconds, bytes base64, arrays JSON. A missing value is an empty field, an
+    empty text is an empty field in quotes.
     """
     for row in chain([columns], rows):
         if not row or (len(row) == 1 and row[0] is None):
-            # An empty line would be no row to many programs.
+            # Many programs ignore empty lines.
             stream.write('""')
-        for number, value in enumerate(row):  # one by one: together they may be of any size
+        for number, value in enumerate(row):  # one by one: the whole row may be very large
             stream.write(("," if number else "") + _field(value))
         stream.write("\r\n")
 
@@ -122,8 +126,8 @@ def _exact(value: object) -> str:
     return to_json(value).strip('"') if isinstance(value, (bytes, bytearray)) else to_json(value)
 
 
-def write_json(columns: Columns, rows: Lines, stream: IO[str]) -> None:
-    """Write one list of objects."""
+def write_json(columns: ColumnNames, rows: Rows, stream: IO[str]) -> None:
+    """Write the rows as one JSON list of objects."""
     opening = "[\n"
     for row in rows:
         stream.write(opening)
@@ -132,15 +136,15 @@ def write_json(columns: Columns, rows: Lines, stream: IO[str]) -> None:
     stream.write("[]\n" if opening == "[\n" else "\n]\n")
 
 
-def write_ndjson(columns: Columns, rows: Lines, stream: IO[str]) -> None:
-    """Write an object a line."""
+def write_ndjson(columns: ColumnNames, rows: Rows, stream: IO[str]) -> None:
+    """Write each row as a JSON object on a line of its own."""
     for row in rows:
         _write_object(columns, row, stream)
         stream.write("\n")
 
 
-def _write_object(columns: Columns, row: Tuple[object, ...], stream: IO[str]) -> None:
-    """Write a row value by value: together they may be of any size."""
+def _write_object(columns: ColumnNames, row: Tuple[object, ...], stream: IO[str]) -> None:
+    """Write a row as a JSON object, value by value: the whole row may be very large."""
     opening = "{"
     for name, value in dict(zip(columns, row)).items():
         stream.write(f"{opening}{_json(name)}: ")
@@ -154,17 +158,21 @@ def _json(value: object) -> str:
 
 
 def load_parquet() -> tuple[ModuleType, ModuleType]:
-    """Import pyarrow and pyarrow.parquet; raises MissingDependency where they are not."""
+    """Return the modules pyarrow and pyarrow.parquet.
+
+    Raises:
+        MissingDependency: They are not installed.
+    """
     purpose = "--output parquet"
     return optional_module("pyarrow", purpose), optional_module("pyarrow.parquet", purpose)
 
 
-def write_parquet(columns: Types, rows: Lines, stream: IO[bytes]) -> None:
-    """Write rows in row groups.
+def write_parquet(columns: ColumnTypes, rows: Rows, stream: IO[bytes]) -> None:
+    """Write rows to Parquet in row groups.
 
-    Numbers keep their types, times are timestamps in UTC and durations durations, both in ns;
-    uint8[] is binary, other arrays are lists. Columns whose type differs among the definitions of
-    a topic hold JSON.
+    Numbers keep their types. Times become timestamps in UTC and durations become durations, both
+    in ns. uint8[] becomes binary, other arrays become lists. If the definitions of a topic give a
+    column different types, its values are JSON texts.
     """
     arrow, parquet = load_parquet()
     groups = _groups(rows)
@@ -180,7 +188,7 @@ def write_parquet(columns: Types, rows: Lines, stream: IO[bytes]) -> None:
             writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
 
 
-def _groups(rows: Lines) -> Iterator[list[Tuple[object, ...]]]:
+def _groups(rows: Rows) -> Iterator[list[Tuple[object, ...]]]:
     group: list[Tuple[object, ...]] = []
     size = 0
     for row in rows:
@@ -196,7 +204,7 @@ def _groups(rows: Lines) -> Iterator[list[Tuple[object, ...]]]:
 
 
 def _narrowed(kind: ArrayType, values: Sequence[object]) -> ArrayType:
-    """Let a sum of integers, of which there is one, be an int64 where it fits."""
+    """Return the type int64 for a column of integer sums if all values fit, else the same type."""
     sums = [value for value in values if isinstance(value, int)]
     fits = all(abs(value) <= _MAX_INT64 for value in sums)
     return ArrayType("int64") if kind.kind == "sum" and fits else kind
@@ -238,18 +246,18 @@ def _plain(value: object) -> object:
     return int(value.to_nsec()) if hasattr(value, "to_nsec") else value
 
 
-def write(columns: Types, rows: Lines, output: str, path: str | None, force: bool) -> None:
-    """Write rows in one of the forms.
+def write(columns: ColumnTypes, rows: Rows, output: str, path: str | None, force: bool) -> None:
+    """Write the rows of a statement.
 
     Args:
-        columns: Name and type of each; only Parquet looks at the types.
-        rows: Of a statement.
-        output: 'table', 'csv', 'json', 'ndjson' or 'parquet'.
-        path: A file; None = standard output.
-        force: Replace a file that exists.
+        columns: Name and type of each column; only Parquet uses the types.
+        rows: The rows.
+        output: Format: 'table', 'csv', 'json', 'ndjson' or 'parquet'.
+        path: File to write; None = standard output.
+        force: Replace an existing file.
 
     Raises:
-        MissingDependency: parquet, and pyarrow is not installed.
+        MissingDependency: The format is Parquet, and pyarrow is not installed.
         InvalidOption: The file exists or cannot be made, or a value does not fit into Parquet.
     """
     binary = output == "parquet"
@@ -264,10 +272,10 @@ def write(columns: Types, rows: Lines, output: str, path: str | None, force: boo
 
 @contextmanager
 def open_output(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]]:
-    """Open what is written to: standard output, or a file that is there only when it is complete.
+    """Open standard output, or a file that gets its name only when it is complete.
 
-    A file is called PATH.active until all is written. What is no regular file (/dev/stdout, a
-    pipe) is written to at once.
+    The file is named PATH.active until then. If the path is not a regular file (/dev/stdout, a
+    pipe), it is written directly.
     """
     if path is None:
         if isinstance(sys.stdout, io.TextIOWrapper):

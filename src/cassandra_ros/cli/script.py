@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Run a program of the package: what every file in scripts/ does.
+"""Run a program of the package; every file in scripts/ uses this module.
 
-What a program does not report itself becomes a line of text and an exit status here: an error, a
-missing Python package, Ctrl-C, a reader of the output that is gone.
+It turns into a line of text and an exit status what a program does not report itself: an error, a
+missing Python package, Ctrl-C, and a closed pipe at its output.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _SIGNALLED = (EXIT_INTERRUPTED, 128 + signal.SIGTERM)
 
 
 def run_script(module: str) -> None:
-    """Import a module, call its `main() -> int` and end the process with what that returns."""
+    """Import a module, call its `main() -> int` and end the process with this exit status."""
     try:
         status = importlib.import_module(module).main()
         sys.stdout.flush()
@@ -42,16 +42,16 @@ def run_script(module: str) -> None:
             end_now(exc.code)
         raise
     except BrokenPipeError:
-        # Whoever read our output has had enough (| head); let nothing more be flushed to it.
+        # The reader of our output has ended (| head). Do not flush anything more to it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         status = 128 + signal.SIGPIPE
     sys.exit(status)
 
 
 def end_now(status: int) -> NoReturn:
-    """End the process at once: threads that connect to a silent store are not waited for."""
+    """End the process at once, without waiting for threads that connect to a silent store."""
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # its reader is gone, or it is closed
+        with contextlib.suppress(OSError, ValueError):  # the pipe or the stream is closed
             stream.flush()
     os._exit(status)

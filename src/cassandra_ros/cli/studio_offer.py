@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The Studio for the viewer's page Look: fetched when asked for, offered at the first start."""
+"""Download Foxglove Studio for the viewer's page Look, and offer to do so at the first start."""
 
 from __future__ import annotations
 
@@ -15,22 +15,23 @@ from cassandra_ros.viewing.studio import STUDIO_VERSION, install_studio, studio_
 
 COMMAND = "rosrun cassandra_ros viewer --install-studio"
 _DECLINED = "declined"
+"""Name of the empty file that marks that the user does not want the Studio."""
 
 
 def install(folder: Path) -> None:
-    """Fetch the Studio where it is missing, and say where it is.
+    """Download the Studio if it is missing, and print its folder.
 
     Raises:
-        DownloadFailed: It cannot be fetched or kept.
+        DownloadFailed: It cannot be downloaded or stored.
     """
     fetched = install_studio(folder, _say)
     print(f"Studio {STUDIO_VERSION} {'is now' if fetched else 'was already'} in {folder}")
 
 
 def offer(program: str, folder: Path) -> None:
-    """Ask a person once whether to fetch the Studio, where it is missing; else say how to.
+    """If the Studio is missing, ask the user once whether to download it, or print how to do so.
 
-    The viewer starts whatever the answer is, and whatever becomes of the download.
+    The caller starts the viewer in any case; a failed download is only reported.
     """
     if studio_installed(folder):
         return
@@ -45,7 +46,7 @@ def offer(program: str, folder: Path) -> None:
             except DownloadFailed as exc:
                 print(error_line(program, str(exc)), file=sys.stderr)
             return
-        with suppress(OSError):  # who cannot keep the answer asks again
+        with suppress(OSError):  # if the answer cannot be stored, the next start asks again
             declined.parent.mkdir(parents=True, exist_ok=True)
             declined.touch()
     print(f"Look needs the Studio, all else works without it: {COMMAND}", file=sys.stderr)

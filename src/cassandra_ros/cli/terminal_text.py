@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What people see: aligned columns, sizes, times, and a bar while they wait."""
+"""Text for people: aligned columns, sizes, times, and a progress bar."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 def format_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], right: Collection[str] = ()
 ) -> str:
-    """Align rows under a header, the columns named ``right`` on the right.
+    """Return a header and rows as aligned columns; the columns in ``right`` are right-aligned.
 
-    Each cell may be text from outside; see printable.py.
+    Cells may be text from outside; they are made safe for a terminal, see printable.py.
     """
     lines = [[shown(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines)]
@@ -32,14 +32,14 @@ def format_table(
 
 
 def align(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
-    """Write one line of a table."""
-    found = zip(cells, widths, right)
-    texts = [text.rjust(width) if last else text.ljust(width) for text, width, last in found]
+    """Return one line of a table."""
+    columns = zip(cells, widths, right)
+    texts = [text.rjust(width) if last else text.ljust(width) for text, width, last in columns]
     return "  ".join(texts).rstrip()
 
 
 def format_bytes(count: int) -> str:
-    """Write a size as rosbag does: 3.2 MB."""
+    """Return a size as rosbag prints it: 3.2 MB."""
     size, unit = float(count), 0
     while size >= 1024 and unit < len(_UNITS) - 1:
         size, unit = size / 1024, unit + 1
@@ -47,12 +47,12 @@ def format_bytes(count: int) -> str:
 
 
 def format_time(ns: int | None) -> str:
-    """Write a time in UTC, cut to seconds; '-' where there is none."""
+    """Return a time in UTC, cut to seconds; '-' for None."""
     return "-" if ns is None else iso_time(ns)[:19] + "Z"
 
 
 def format_length(ns: int) -> str:
-    """Write the length of a bucket: 10 min."""
+    """Return the length of a bucket in a suitable unit: 10 min."""
     for seconds, unit in _LENGTHS:
         if ns and ns % (seconds * SECOND_NS) == 0:
             return f"{ns // (seconds * SECOND_NS)} {unit}"
@@ -60,12 +60,12 @@ def format_length(ns: int) -> str:
 
 
 def counted(count: int, noun: str) -> str:
-    """Write a number of things: 1 message, 2 messages."""
+    """Return a number with its noun: 1 message, 2 messages."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def format_duration(ns: int) -> str:
-    """Write a duration as rosbag info does: 37.9s, 1:38s (98s), 2hr 1:38s (7298s)."""
+    """Return a duration as rosbag info prints it: 37.9s, 1:38s (98s), 2hr 1:38s (7298s)."""
     total = ns // SECOND_NS
     minutes, seconds = divmod(total, 60)
     if not minutes:
@@ -75,11 +75,12 @@ def format_duration(ns: int) -> str:
 
 
 def sparkline(values: Sequence[float], encoding: str | None) -> str:
-    """Draw numbers of 0 or more as a line of bars, the tallest for the greatest; 0 is a blank.
+    """Return numbers as a line of bars, scaled to the maximum; 0 is a blank.
 
     Args:
-        encoding: Of where it is shown: where it has no bars, signs of growing weight stand for
-            them.
+        values: The numbers, at least 0.
+        encoding: Encoding of the terminal. If it has no bars, characters of increasing darkness
+            are used instead.
     """
     bars = _BARS
     try:
@@ -92,7 +93,7 @@ def sparkline(values: Sequence[float], encoding: str | None) -> str:
 
 
 class MessageBar(tqdm):
-    """Shows on a terminal how many messages are done, from the second second on."""
+    """A progress bar for messages. It appears after one second, on a terminal only."""
 
     def __init__(self, text: str, total: int | None = None) -> None:
         # disable=None: only where standard error is a terminal.
@@ -107,10 +108,10 @@ class MessageBar(tqdm):
         )
 
     def add(self, messages: int, size: int = 0) -> None:
-        """Count messages as done."""
+        """Add a number of handled messages."""
         self.update(messages)
 
     def reach(self, messages: int, total: int) -> None:
-        """Say how many messages are done, of how many."""
+        """Set the number of handled messages and the total."""
         self.total = total
         self.update(messages - self.n)

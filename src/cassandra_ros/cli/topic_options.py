@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How topics are named on a command line: by name, or with -e by regular expressions."""
+"""Options that select topics: by name, or with -e by regular expressions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
 _EXPRESSION = set("*+?[](){}|^$\\")
-"""Signs that are in no topic of ROS."""
+"""Characters that never occur in a ROS topic name."""
 
 
 def add_topics(
@@ -22,11 +22,11 @@ def add_topics(
     text: str = "only these topics (default: all)",
     nargs: str = "*",
 ) -> None:
-    """Add TOPIC ... as the verb's own words, and -e; stored_topics reads them.
+    """Add TOPIC ... as positional arguments, and -e; stored_topics reads them.
 
     Args:
-        text: What the topics are for.
-        nargs: '*', or '+' where at least one must be named.
+        text: Help text of TOPIC.
+        nargs: '*', or '+' if at least one topic must be given.
     """
     parser.add_argument("topics", nargs=nargs, metavar="TOPIC", help=text)
     parser.add_argument(
@@ -37,74 +37,75 @@ def add_topics(
     )
 
 
-def add_topics_option(parser: argparse._ActionsContainer, behind: str) -> None:
-    """Add --topics and -e REGEX to a verb whose own words are files; either may be given.
+def add_topics_option(parser: argparse._ActionsContainer, after: str) -> None:
+    """Add --topics and -e REGEX to a verb whose positional arguments are files.
 
     Args:
-        behind: The word that --topics must stand behind, as 'FILE.bag'.
+        after: The argument after which --topics must be given, as 'FILE.bag'.
     """
     parser.add_argument(
         "--topics",
         nargs="+",
         metavar="TOPIC",
-        help=f"only these topics (default: all; stands behind {behind})",
+        help=f"only these topics (default: all); give it after {after}",
     )
     parser.add_argument(
         "-e",
         "--regex",
         metavar="REGEX",
         action="append",
-        help="only topics whose whole name matches this regular expression, beside those of "
-        "--topics; may be repeated",
+        help="only topics whose whole name matches this regular expression, in addition to those "
+        "of --topics; may be repeated",
     )
 
 
 def stored_topics(ros_cas: RosCassandra, options: argparse.Namespace) -> list[str] | None:
-    """Return the names of the topics that are asked for, as they are stored; None = all.
+    """Return the stored names of the topics that the options select; None = all topics.
 
     Raises:
-        TopicNotFound: A topic is not stored, or an expression matches none.
-        InvalidOption: An expression is none.
+        TopicNotFound: A topic is not stored, or no topic matches an expression.
+        InvalidOption: A regular expression is invalid.
     """
-    names, expressions = _asked(options)
+    names, expressions = _names_and_expressions(options)
     if names is None and expressions is None:
         return None
-    found = {}
+    topics = {}
     for name in names or ():
         try:
-            found[ros_cas.getTopic(name).name] = True
+            topics[ros_cas.getTopic(name).name] = True
         except TopicNotFound as exc:
             raise TopicNotFound(f"{exc}{_hint(name)}") from exc
     if expressions:
-        every = {topic.name for topic in ros_cas.getAllTopics()}
+        stored = {topic.name for topic in ros_cas.getAllTopics()}
         where = f"keyspace {ros_cas.keyspace}"
-        found.update(dict.fromkeys(sorted(matching("-e", expressions, every, where)), True))
-    return list(found)
+        topics.update(dict.fromkeys(sorted(matching("-e", expressions, stored, where)), True))
+    return list(topics)
 
 
 def topics_among(
     options: argparse.Namespace, present: AbstractSet[str], where: str
 ) -> list[str] | None:
-    """Return the names that are asked for of those that a file holds; None = all.
+    """Return the names of the topics of a file that the options select; None = all topics.
 
-    Names stay as they were given: who reads the file finds them with or without slash.
+    Names that were given are not checked; the reader of the file finds them with or without slash.
 
     Raises:
-        TopicNotFound: An expression matches none.
-        InvalidOption: An expression is none.
+        TopicNotFound: No topic of the file matches an expression.
+        InvalidOption: A regular expression is invalid.
     """
-    names, expressions = _asked(options)
+    names, expressions = _names_and_expressions(options)
     if names is None and expressions is None:
         return None
-    found = set(names or ()) | matching("-e", expressions or (), present, where)
-    return sorted(found)
+    return sorted(set(names or ()) | matching("-e", expressions or (), present, where))
 
 
-def _asked(options: argparse.Namespace) -> tuple[list[str] | None, list[str] | None]:
-    """Return the names and the expressions of either way to give them."""
+def _names_and_expressions(
+    options: argparse.Namespace,
+) -> tuple[list[str] | None, list[str] | None]:
+    """Return the names and the regular expressions that add_topics or add_topics_option read."""
     if isinstance(options.regex, bool):
-        asked = options.topics or None
-        return (None, asked) if options.regex else (asked, None)
+        given = options.topics or None
+        return (None, given) if options.regex else (given, None)
     return options.topics, options.regex
 
 

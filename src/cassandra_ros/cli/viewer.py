@@ -1,16 +1,17 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Show what is stored in a browser: pages, an API, and windows of time as bags.
+"""Show stored topics in a browser; the server also has an API, and sends time ranges as bags.
 
   rosrun cassandra_ros viewer
   rosrun cassandra_ros viewer --keyspace field --port 9000 --open
   rosrun cassandra_ros viewer --host 0.0.0.0
 
-It prints the address to open, and runs until Ctrl-C. It changes nothing that is stored. It listens
-on this machine only; with --host also for others, who then need the token that ends the address:
-it is sent as it is, so over networks that you do not trust put TLS in front or use 'ssh -L'.
+It prints the address to open, and runs until Ctrl-C. It does not change stored data. By default
+only this machine can connect. With --host other machines can, too; they need the token at the end
+of the address. The token is sent unencrypted: in networks that you do not trust, put a TLS proxy in
+front of the viewer, or use 'ssh -L'.
 
-doc/viewer.md tells of the pages, the API, and how Foxglove, Lichtblick and curl read from it.
+doc/viewer.md describes the pages, the API, and how Foxglove, Lichtblick and curl use it.
 """
 
 from __future__ import annotations
@@ -56,40 +57,39 @@ def make_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = program_parser(PROGRAM, __doc__)
     add = parser.add_argument
-    text = f"port that a browser asks; 0: any that is free (default: {DEFAULT_PORT})"
+    text = f"port of the HTTP server; 0 = any free port (default: {DEFAULT_PORT})"
     add("--port", dest="listen_port", type=_listen_port, default=DEFAULT_PORT, help=text)
     add(
         "--host",
         dest="listen_host",
         metavar="ADDRESS",
         default=DEFAULT_HOST,
-        help="address of this machine to listen on; 0.0.0.0: all of them (default: "
-        f"{DEFAULT_HOST}, for this machine only)",
+        help="address of this machine to listen on; 0.0.0.0 = all addresses (default: "
+        f"{DEFAULT_HOST}, which only this machine can reach)",
     )
     add(
         "--token",
         metavar="TEXT",
-        help="what who asks must know (default: CASSANDRA_ROS_TOKEN; else, where --host lets "
-        "others in, a new one each time)",
+        help="secret that clients must send (default: CASSANDRA_ROS_TOKEN, else a new one at each "
+        "start if --host lets other machines connect)",
     )
     add(
         "--allow-origin",
         metavar="ORIGIN",
         action="append",
         default=[],
-        help="let the pages of another site read, as https://app.foxglove.dev; may be repeated",
+        help="allow pages of another site to read, for example https://app.foxglove.dev; may be "
+        "repeated",
     )
-    text = (
-        "fetch Foxglove Studio from npm's registry (37 MB), in which Look shows messages, and end"
-    )
+    text = "download Foxglove Studio for the page Look from npm's registry (37 MB), and end"
     add("--install-studio", action="store_true", help=text)
     add("--open", action="store_true", help="open it in the browser of this machine")
     add(
         "--spool",
         metavar="DIR",
-        help="folder for bags that are being sent (default: a new one where temporary files lie)",
+        help="folder for bags that are being sent (default: a new folder for temporary files)",
     )
-    text = f"bytes that they take there at most, as 500M or 20G (default: {DEFAULT_SPOOL_BYTES})"
+    text = f"maximum size of this folder, for example 500M or 20G (default: {DEFAULT_SPOOL_BYTES})"
     add("--spool-size", metavar="SIZE", type=byte_size, default=DEFAULT_SPOOL_BYTES, help=text)
     add_store_options(parser, prefix="store-")
     return parser
@@ -100,7 +100,7 @@ def _listen_port(text: str) -> int:
 
 
 def read_settings(options: argparse.Namespace) -> ViewerSettings:
-    """Return what the options say; a token is made where others are let in and none is given."""
+    """Return the settings. If other machines can connect and no token is given, make one."""
     from cassandra_ros.viewing.security import is_loopback
 
     token = options.token or from_environment("TOKEN") or ""
@@ -130,7 +130,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     settings = read_settings(options)
     _require_pages(settings.web)
     offer(PROGRAM, settings.studio)
-    # It may be started before the recorder that makes the keyspace.
+    # The viewer may be started before the recorder creates the keyspace.
     with open_store(options, make=True) as ros_cas:
         _warn_of_nothing(ros_cas)
 
@@ -144,7 +144,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _require_pages(folder: Path) -> None:
-    # A relative one is where it was looked for last, the folder in which somebody works.
+    # A relative path means that the folder was not found in the package.
     if not (folder.is_absolute() and (folder / "index.html").is_file()):
         raise MissingDependency(
             "the viewer's pages, folder web of cassandra_ros, are not where it is installed: "
@@ -153,7 +153,7 @@ def _require_pages(folder: Path) -> None:
 
 
 def _warn_of_nothing(ros_cas: RosCassandra) -> None:
-    """Tell of a keyspace that is not there: it may be misspelt."""
+    """Warn if the keyspace does not exist: its name may be misspelt."""
     try:
         ros_cas.catalog.keyspace.side_tables.require_keyspace()
     except KeyspaceNotFound as exc:
