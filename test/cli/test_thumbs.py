@@ -100,7 +100,7 @@ def test_what_cannot_be_drawn_is_told_and_leaves_its_place(thumbs, tmp_path):
         (["/camera/image", "-o", "there.png"], "exists; choose another name"),
         (["/camera/image", "--columns", "0"], "at least one row and one column"),
         (["/camera/image", "--columns", "50", "--rows", "50"], "more than the 1000"),
-        (["/camera/image", "--width", "9999"], "none of 1 to 2000 pixels"),
+        (["/camera/image", "--width", "9999"], "not within 1 to 2000 pixels"),
         (["/camera/image", "--width", "2000", "--rows", "6"], "36 pictures are more than the 33"),
         (["/camera/image", "--where", "/text: data = 'x'"], "is for /camera/image, which is drawn"),
         (["/camera/image", "--end", "5"], "has no such message"),

@@ -429,7 +429,7 @@ def test_a_name_that_nobody_publishes(roscore, recorder):
         one.await_subscribers().publish(text(1))
         assert child.end() == 1
     assert "recorder: no message came on /front/scna: it had no publisher" in child.output
-    assert "nothing came on /front/scan:" not in child.output
+    assert "no message came on /front/scan:" not in child.output
     child = recorder("-e", "/no/such/.*", "--duration", "0.1")
     assert child.wait() == 1
     assert "nothing was recorded" in child.output

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The verbs of `cassandra_bag`: a new one is a file beside this and a line in the table."""
+"""The verbs of `cassandra_bag`. To add one, add a module here and a line to the table."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Print stored messages as rostopic echo does, those of several topics in the order of time.
+"""Print stored messages as rostopic echo does; messages of several topics in the order of time.
 
   cassandra_bag cat /fix -n 1
   cassandra_bag cat /scan --start 2013-05-08T14:06:20Z --end 2013-05-08T14:06:21Z --noarr
   cassandra_bag cat /cmd_vel --where '/cmd_vel: linear.x > 0.5' --json
 
-Above each message stand its topic, time (UTC and in nanoseconds), type and robot, as a comment, so
-that all together is YAML. With --json it is one list, an object a line, in which times of messages
-are secs and nsecs, uint8[] base64 and NaN null, as in rosbridge. A message that cannot be read is
-told on standard error, and the exit status is 1 then.
+The output is YAML. A comment before each message gives its topic, time (UTC and nanoseconds), type
+and robot. With --json the output is one list with an object per line; as in rosbridge, times in
+messages are secs and nsecs, uint8[] is base64 and NaN is null. A message that cannot be read is
+reported on standard error, and the exit status is 1.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_origin_options(parser)
     add_where_option(parser)
     add = parser.add_argument
-    text = "print so many messages at the most (default: all)"
+    text = "maximum number of messages to print (default: all)"
     add("-n", "--limit", metavar="COUNT", type=whole_number, help=text)
-    add("--noarr", action="store_true", help="say of arrays only their type and length")
-    add("--nostr", action="store_true", help="say of strings only their length")
+    add("--noarr", action="store_true", help="print only type and length of arrays")
+    add("--nostr", action="store_true", help="print only the length of strings")
     add_json_option(parser)
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print message after message, while they are read."""
+    """Print the messages one by one while they are read."""
     where, (start, end) = read_where(options), read_times(options)
     with open_store(options) as ros_cas:
         rows = ros_cas.readMessages(
@@ -83,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 class _Printer:
-    """Writes messages with what is known of them."""
+    """Formats messages with their topic, times, robot, run and type."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         from cassandra_ros.topics.message_text import MessageText
@@ -93,14 +93,14 @@ class _Printer:
         self._message = MessageText(options.json, elements, characters)
 
     def text(self, row: StoredRow) -> str:
-        """Return the text of a message with what is known of it."""
+        """Return a message as text: YAML with a comment, or a JSON object."""
         message = self._message.of(row)
         if not self._json:
             head = " ".join(
                 filter(None, (shown(row.topic), _time(row.t), shown(row.type), shown(row.node)))
             )
             return f"# {head}\n{shown_lines(message)}\n---\n"
-        known = {
+        facts = {
             "topic": row.topic,
             "time_ns": row.t,
             "received_ns": row.received,
@@ -110,8 +110,8 @@ class _Printer:
             "md5sum": row.md5sum,
         }
         if row.name:
-            known["name"] = row.name
-        head = json.dumps(plain(known), ensure_ascii=False)
+            facts["name"] = row.name
+        head = json.dumps(plain(facts), ensure_ascii=False)
         return f'{head[:-1]}, "message": {message}}}'
 
 

@@ -1,26 +1,26 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Read everything back, and list what is damaged; exit status 0 only where nothing is (left).
+"""Read all stored messages, and list what is damaged; exit status 0 only if nothing is (left).
 
-Each message is read, with the checksums of blocks and of large messages, and the connection and
-definition that it names; counts, sizes and times are compared with the directory, from which info
-and every read take them, but where somebody is writing. Of the whole keyspace also what is left of
-removed topics is looked for. --start and --end choose whole time ranges
-(buckets), as info names them. What is listed:
+Each message is read and its checksums (of blocks and of large messages), connection and definition
+are checked. Numbers, sizes and times of messages are compared with the directory, from which info
+and all reads take them, except where a recorder or an import is writing. If the whole keyspace is
+checked, rests of removed topics are searched, too. --start and --end select whole buckets, whose
+length info prints. The kinds of damage:
 
-  message     cannot be read: repair the cluster, or import or record it again
-  connection, definition   gone or changed: the messages cannot be decoded or exported
-  count       the directory says another number, size or time than there is
-  bounds      what a block's row says of the values in it is wrong, so that conditions miss messages
-  not listed  messages that the directory does not know, so that nobody finds them
+  message     it cannot be read: repair the cluster, or import or record it again
+  connection, definition   missing or changed: the messages cannot be decoded or exported
+  count       number, size or time of messages differ from those in the directory
+  bounds      minimum or maximum of a field in a block is wrong, so that conditions miss messages
+  not listed  messages that are not in the directory, so that no read finds them
   orphan      pieces of a large message whose writer died
-  leftover    what is known of a topic that was removed
+  leftover    metadata of a topic that was removed
 
-Messages of up to 512 KiB in rows of their own (all formats but packed) carry no checksum: they are
-decoded, and a line tells how many there are.
+Messages of up to 512 KiB in rows of their own (all formats but packed) have no checksum. They are
+decoded, and a line gives their number.
 
---repair mends count, not listed, orphan and leftover, and closes what recorders that died left
-open. No message is deleted. To compare with a bag see verify.
+--repair repairs count, not listed, orphan and leftover, and closes the buckets of recorders that
+died. It deletes no message. To compare with a bag use verify.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, the time, what is to be done, and the store."""
     add_topics(parser)
     add_time_options(parser)
-    parser.add_argument("--repair", action="store_true", help="mend what can be (see above)")
+    parser.add_argument("--repair", action="store_true", help="repair what is possible (see above)")
     parser.add_argument("-q", "--quiet", action="store_true", help="print damages only")
     add_json_option(parser)
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read, and say what was found."""
+    """Check the store, and print the damages."""
     (start, end), begun = read_times(options), time.monotonic()
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas, options)
@@ -93,6 +93,6 @@ def _print(report: CheckReport, options: argparse.Namespace, seconds: float) -> 
         )
     if report.writing and not options.quiet:
         print(
-            f"of {report.writing} buckets no counts could be compared: somebody writes there, or "
-            "wrote or deleted within the last minute"
+            f"the counts of {report.writing} buckets could not be compared: they are being "
+            "written, or were written or deleted within the last minute"
         )

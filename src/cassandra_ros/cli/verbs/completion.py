@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Print what makes bash or zsh complete verbs, options, topics, fields, runs and nodes.
+"""Print shell code with which bash or zsh complete verbs, options, topics, fields, runs and robots.
 
   eval "$(rosrun cassandra_ros cassandra_bag completion bash)"     # a line for ~/.bashrc
-  eval "$(rosrun cassandra_ros cassandra_bag completion zsh)"      # ~/.zshrc, behind compinit
+  eval "$(rosrun cassandra_ros cassandra_bag completion zsh)"      # ~/.zshrc, after compinit
 
-The line stands behind the one that sources the workspace. From then on cassandra_bag can be typed
-without rosrun, and the Tab key offers what fits: of the store that the options typed so far, the
-environment and the cqlshrc name; of import and verify the topics of the files. In bash that holds
-for all programs of the package behind rosrun, too. It needs the Python package argcomplete, of
-requirements.txt.
+Put the line after the one that sources the workspace. You can then type cassandra_bag without
+rosrun, and the Tab key completes it. Topics, fields, runs and robots come from the store that the
+options typed so far, the environment and the cqlshrc name; for import and verify, topics come from
+the files. In bash this also works for all programs of the package after rosrun. It needs the Python
+package argcomplete, of requirements.txt.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import shlex
 import sys
 from pathlib import Path
 
-# argcomplete answers on file 8. Its answers are divided by vertical tabs, and end with a space
-# where a word is complete.
+# argcomplete writes the candidates to file descriptor 8, separated by vertical tabs. A candidate
+# ends with a space if the word is complete.
 _ASK = """\
 _cassandra_ros_ask() {
     local IFS=$'\\013'
@@ -54,11 +54,11 @@ _SHELLS = {"bash": _ASK + _ROSRUN, "zsh": "autoload -U +X bashcompinit && bashco
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the shell."""
-    parser.add_argument("shell", choices=sorted(_SHELLS), help="the shell that is to ask")
+    parser.add_argument("shell", choices=sorted(_SHELLS), help="your shell")
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print the lines; the program that they ask is the one that runs."""
+    """Print the shell code, which runs this very program for the candidates."""
     program = Path(sys.argv[0]).absolute()
     text = _SHELLS[options.shell].replace("PROGRAM", shlex.quote(str(program)))
     print(text.replace("FOLDER", shlex.quote(str(program.parent))), end="")

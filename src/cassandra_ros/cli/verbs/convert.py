@@ -1,16 +1,17 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Keep stored topics in another format, while others read them.
+"""Change the storage format of topics. Other programs can read them meanwhile.
 
   cassandra_bag convert /scan --format packed
   cassandra_bag convert /tf /odom --format ros
 
-Who reads a topic meanwhile sees all of its messages, each once; keys and cursors stay good. A copy
-is made and compared message by message before it takes the place of the old tables, so for that
-time the topic needs both on the disk. A topic that is being recorded is refused. When it is
-interrupted or killed, the topic is as it was, but what is recorded then goes into a table beside,
-and nothing can be deleted: the same command again removes what was left and begins anew; with the
-format that the topic has it only removes that. What expires keeps about the time that it has left.
+Readers always see all messages of the topic, each once; keys and cursors stay valid. The messages
+are copied, and the copy is compared message by message before it replaces the old tables, so the
+disk must have room for both. A topic that is being recorded is refused. If the command is
+interrupted or killed, the topic keeps its old tables, but new recordings go into a further table,
+and messages cannot be deleted. Then repeat the command: it deletes the incomplete copy and starts
+again; with the format that the topic has, it only deletes the copy. Messages that expire keep
+about their remaining time.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Convert one topic after the other; the first that fails ends it."""
+    """Convert the topics one after the other, up to the first failure."""
     with open_store(options) as ros_cas:
         reports = []
         for topic in stored_topics(ros_cas, options) or ():

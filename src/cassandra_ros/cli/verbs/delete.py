@@ -7,10 +7,11 @@
   cassandra_bag delete -e '/camera/.*' --end 2013-05-08T14:06:30Z
   cassandra_bag delete --where '/cmd_vel: linear.x = 0' --start 1368021980
 
-Without --start, --end, --node-id, --run and --where the topics themselves go, with what is known of
-them; with any of these only messages. With --where only topics that have a condition lose messages.
-A run of which all is deleted is not listed any more. It is said first how much that is, and asked;
---dry-run only says it. It cannot be undone; an import of the same bag brings its messages again.
+Without --start, --end, --node-id, --run and --where the topics themselves are deleted, including
+their metadata; with any of these options only messages. With --where only messages of topics that
+have a condition are deleted. A run without messages is not listed any more. The command prints how
+much it will delete, and asks first; --dry-run only prints it. You cannot undo it, but importing the
+same bag stores its messages again.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, which of their messages, whether it is asked, and the store."""
-    add_topics(parser, "these topics, or of these (default: messages of all topics)")
+    add_topics(parser, "the topics, or the topics of the messages (default: all topics)")
     add_time_options(parser)
     add_origin_options(parser)
     add_where_option(parser)
@@ -53,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say how much it is, ask, and delete."""
+    """Print what will be deleted, ask, and delete it."""
     start, end = read_times(options)
     selected = {
         "key": start,
@@ -88,9 +89,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _remove(ros_cas: RosCassandra, topics: list[str], dry_run: bool) -> dict[str, int]:
-    """Remove topics with all their messages; return how many each had.
+    """Remove topics with all their messages; return the number of messages by topic.
 
-    One that is being recorded would come back at once: it is emptied, and stays.
+    A topic that is being recorded would be created again at once, so only its messages are deleted.
     """
     counts = dict.fromkeys(topics, 0)
     for info in ros_cas.info(topics):

@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Write stored messages into a bag of format 2.0, or into an MCAP where OUT ends with .mcap.
+"""Write stored messages into a bag of format 2.0, or into an MCAP if OUT ends with .mcap.
 
-The messages stand in the order of their times; connections keep topic, header and number, so what
-was imported from a bag reads back in the same order. Times are seconds (1368021980 or
-1368021980.25), ISO 8601, where no zone means UTC, or nanoseconds (from 13 digits on). Where nothing
-is found no bag is written, and an old one stays.
+The messages are written in the order of their times. Connections keep topic, header and number, so
+the messages of an imported bag keep their order. Times are seconds (1368021980 or 1368021980.25),
+ISO 8601 (UTC unless a zone is given), or nanoseconds (13 digits or more). If there are no messages,
+no bag is written, and an existing one is kept.
 
-With --start the bag begins with what was latched before it (/tf_static, say): for each publisher of
-the recordings that the bag shows its last message. They stand at the time of the start, each with a
-connection of its own whose header says latched_from and the time of reception in nanoseconds;
-import stores them as they stand.
+With --start the bag begins with the messages that were latched before it (/tf_static, say): the
+last message of each latching publisher in the exported recordings. Their time in the bag is the
+start. Each has a connection of its own, whose header field latched_from holds its receive time in
+nanoseconds; --no-latched leaves them out.
 
-An MCAP has the profile ros1, so Foxglove and the mcap tools read it; a publisher of a topic is a
-channel, whose metadata hold the connection's header. cassandra_bag import gives all of it back.
+An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. Each publisher of a topic
+is a channel, whose metadata hold the connection header. cassandra_bag import restores all of it.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "bag",
         nargs="?",
         metavar="OUT.bag",
-        help="the bag to make; OUT.mcap makes an MCAP (default: that of -o)",
+        help="the bag to write; OUT.mcap writes an MCAP (default: the file of -o)",
     )
-    add("-o", "--output", metavar="OUT.bag", help="the same, wherever it stands (default: OUT.bag)")
+    text = "the bag to write, as an option, which may stand anywhere (default: OUT.bag)"
+    add("-o", "--output", metavar="OUT.bag", help=text)
     add_topics_option(parser, "OUT.bag, or with -o anywhere")
     add_time_options(parser)
     add_origin_options(parser)
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-latched",
         dest="latched",
         action="store_false",
-        help="leave out what was latched before --start",
+        help="leave out messages that were latched before --start",
     )
     packing = parser.add_mutually_exclusive_group()
     packing.add_argument(
@@ -71,8 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--compression",
         choices=("none", "bz2", "lz4", "zstd"),
         metavar="NAME",
-        help="none, lz4, of a bag also bz2, of an MCAP also zstd (default: none in a bag, zstd in "
-        "an MCAP)",
+        help="none or lz4, for a bag also bz2, for an MCAP also zstd (default: none for a bag, "
+        "zstd for an MCAP)",
     )
     add("-f", "--force", action="store_true", help="replace OUT.bag if it exists")
     add("-q", "--quiet", action="store_true", help="print errors only")
@@ -81,7 +82,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Export, and say what was written."""
+    """Export, and print what was written."""
     from cassandra_ros.bag.exporter import export_bag
 
     where, (start, end) = read_where(options), read_times(options)
@@ -109,12 +110,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _path(options: argparse.Namespace) -> str:
-    """Return the name of the bag; ends the program where there is none, or two."""
+    """Return the name of the bag; end the program if no name or two names are given."""
     given = [path for path in (options.bag, options.output) if path is not None]
     if len(given) == 2:
         options.parser.error(f"one bag is made: {given[0]} or -o {given[1]}")
     if not given:
-        swallowed = "; --topics takes all words behind it" if options.topics else ""
+        swallowed = "; --topics takes all words after it" if options.topics else ""
         options.parser.error(f"the bag to make is missing: give OUT.bag or -o OUT.bag{swallowed}")
     return str(given[0])
 
@@ -125,7 +126,7 @@ def _print_report(report: ExportReport, start: str | None, seconds: float) -> No
         print(format_table(("topic", "messages"), rows, right=("messages",)))
     early = sum(report.latched.values())
     if early:
-        print(f"of these {early} were latched before {start}, and stand at that time")
+        print(f"{early} of these were latched before {start}; their time in the file is {start}")
     print(
         f"{report.path}: {counted(sum(report.messages.values()), 'message')} of "
         f"{counted(len(rows), 'topic')}, "

@@ -1,24 +1,26 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Store the messages of bags, or of MCAP files with messages of ROS 1.
+"""Store the messages of bags, or of MCAP files with ROS 1 messages.
 
-Every message keeps its topic, type, time, bytes and connection. Importing the same bag again, or
-first a part of it and then all, or once more after an interruption, ends in the same messages. A
-topic whose definition is empty or broken is kept as binary, with a warning. One whose name cannot
-be kept (it holds a NUL) is left out: a warning says how many messages that are, and the exit status
-is 1. So are the messages of an MCAP that are none of ROS 1, as JSON or protobuf.
+Every message keeps its topic, type, time, bytes and connection. You may import a bag again, import
+a part of it first and then all, or repeat an interrupted import: the stored messages are the same.
+A topic whose definition is empty or broken is stored as binary, with a warning. A topic whose name
+cannot be stored (it contains NUL) is left out: a warning gives the number of its messages, and the
+exit status is 1. The same happens to messages of an MCAP that are not ROS 1 messages, for example
+JSON or protobuf.
 
   cassandra_bag import *.bag
   cassandra_bag import /data/monday /data/tuesday --recursive
   cassandra_bag import crashed.bag.active --salvage
 
-Of a folder all bags and MCAP files are imported, sorted by name: those called *.bag and *.mcap,
+If FILE is a folder, all its bags and MCAP files are imported, sorted by name: *.bag and *.mcap,
 with --salvage also *.bag.active and *.mcap.active.
 
-Of several FILEs those that cannot be read are passed over; a table at the end tells what became of
-each: stored, salvaged (nothing that the file holds is missing), incomplete, failed or, where the
-store fails, not tried. The exit status is 0 where all are stored or salvaged. What is salvaged
-counts as another bag than the whole one: to import that later, delete the salvaged run first.
+If there are several FILEs, those that cannot be read are skipped. A table at the end gives the
+state of each: stored, salvaged (every message of the damaged file is stored), incomplete, failed,
+or not tried (after the store failed). The exit status is 0 if all are stored or salvaged. A
+salvaged bag counts as another bag than the complete one: to import that later, delete the salvaged
+run first.
 """
 
 from __future__ import annotations
@@ -71,16 +73,16 @@ _OF_ONE_FILE = (
     TopicExists,
     TopicNotFound,
 )
-"""Errors that say nothing of the files that follow."""
+"""Errors that concern one file only, so that the next files are still imported."""
 
 
 @dataclass
 class _Outcome:
-    """What became of one file."""
+    """The result of the import of one file."""
 
     path: str
     state: str = "not tried"
-    """Or 'stored', 'salvaged', 'incomplete', 'failed'."""
+    """'not tried', 'stored', 'salvaged', 'incomplete' or 'failed'."""
     report: ImportReport | None = None
     error: str = ""
 
@@ -100,7 +102,7 @@ class _Outcome:
 
 _WHOLE = ("stored", "salvaged")
 LOOK_SEC = 0.2
-"""How often an import that is to end looks whether the store still answers, s."""
+"""Interval at which an interrupted import checks whether the store still answers, s."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -108,7 +110,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     text = "bags of format 2.0, MCAP files of ROS 1, or folders of such (*.bag, *.mcap)"
     add("bags", nargs="+", metavar="FILE", help=text)
-    text = "of a folder import also what lies in its subfolders (default: not these)"
+    text = "also import the files in subfolders of a folder (default: only those in the folder)"
     add("-r", "--recursive", action="store_true", help=text)
     add_format_option(parser)
     add_topics_option(parser, "the FILEs")
@@ -116,13 +118,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--node-id",
         default="",
         metavar="N",
-        help="the robot or entity that produced the messages (default: nobody says)",
+        help="robot that produced the messages (default: no name)",
     )
     add(
         "--salvage",
         action="store_true",
-        help="of a bag or an MCAP that is cut short, damaged or was never closed (.bag.active), "
-        "store what stands before the damage, and say what that is (default: refuse it)",
+        help="if a bag or an MCAP is cut short, damaged or was never closed (.bag.active), store "
+        "the messages before the damage, and describe the damage (default: refuse the file)",
     )
     add_large_chunks_option(parser)
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
@@ -131,7 +133,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Import one bag after the other; say at the end what became of each."""
+    """Import the bags one after the other; print the state of each at the end."""
     from cassandra_ros.bag.file_formats import files_of
 
     outcomes = [
@@ -157,7 +159,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) -> None:
-    """Import a bag; an error that says nothing of the others is told and noted."""
+    """Import a bag; print and note an error that concerns this file only."""
     outcome.fail()
     try:
         outcome.succeed(_import(ros_cas, outcome.path, options))
@@ -223,7 +225,7 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
 
 
 def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> None:
-    """Print what became of each bag: as JSON, or a table where there are several."""
+    """Print the outcome for each bag: as JSON, or as a table if there are several bags."""
     if options.json:
         print_json({"keyspace": options.keyspace, "files": [_answer(each) for each in outcomes]})
     elif len(outcomes) > 1 and not options.quiet:
@@ -261,13 +263,13 @@ def _answer(outcome: _Outcome) -> dict[str, object]:
 
 
 class SafeInterrupt:
-    """Ctrl-C and SIGTERM at a moment of our choice: between two messages, not amid a write.
+    """A context manager that delays Ctrl-C and SIGTERM, so that they do not interrupt a write.
 
-    While it is entered, the first signal waits for check(), or until the store has answered
-    nothing for a moment; a second one acts at once.
+    Inside the context the first signal takes effect at the next check(), or when the store has not
+    answered for a moment. A second signal takes effect at once.
 
     Args:
-        outage: Of the store; its waits end then.
+        outage: The outage of the store; the first signal ends its waits.
     """
 
     def __init__(self, outage: Outage) -> None:
@@ -277,9 +279,9 @@ class SafeInterrupt:
         self._alarm: signal._HANDLER = None
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt after a Ctrl-C, SystemExit with a shell's status on SIGTERM."""
+        """Raise KeyboardInterrupt after Ctrl-C, SystemExit with status 143 after SIGTERM."""
         if self._came is not None:
-            self._quiet()  # what tidies up now is not to be cut off
+            self._quiet()  # the alarm must not interrupt what follows
         if self._came == signal.SIGINT:
             raise KeyboardInterrupt
         if self._came is not None:
@@ -314,6 +316,6 @@ class SafeInterrupt:
     def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
         self._restore()
         self._quiet()
-        # An error of the store is no news where its waits were told to end.
+        # After a signal an error of the store only says that its waits were ended.
         if kind is None or issubclass(kind, CassandraRosError):
             self.check()

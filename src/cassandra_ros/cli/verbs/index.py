@@ -1,20 +1,21 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Make, remove or list indexes: conditions on an indexed field read only the rows they find.
+"""Make, remove or list indexes: a condition on an indexed field reads only the rows it matches.
 
   cassandra_bag index /cmd_vel linear.x
   cassandra_bag index /tf transforms.child_frame_id
   cassandra_bag index --list
   cassandra_bag index --places
 
-What is stored already is taken in, with a bar that shows how far it is; topics may be recorded
-meanwhile: what a recorder is just writing is found without the index, and taken in when the same
-command is given again. That also goes on where one was interrupted. FIELD may be of any format; of
-an array, it finds the messages that contain a value.
+Messages that are stored already are indexed, with a progress bar. Topics may be recorded meanwhile:
+messages that a recorder is just writing are found without the index, and are indexed when you
+repeat the command. Repeating it also completes an interrupted one. The index works with all storage
+formats. With an array field, a condition finds the messages that contain a value.
 
-With --places it is noted where the robots of runs were, by tf or by topics of their poses, so that
-NEAR reads only the poses around a place. Recorders do so by themselves; this is for imports, and
-for what was recorded with --no-places. Runs that go on are left out; --list says which are in it.
+With --places the places of the robots are indexed, from tf or from topics with their poses, so that
+NEAR reads only the poses around a place. Recorders do this themselves; use the option for imports,
+and for recordings with --no-places. Runs that are still being recorded are left out; --list shows
+which runs are indexed.
 """
 
 from __future__ import annotations
@@ -42,22 +43,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=lambda text: [text],
         help="a stored topic (default, with --list: all)",
     )
-    text = "TOPIC is a regular expression, which must match whole names: do it for each topic"
+    text = "TOPIC is a regular expression that must match whole names; index each of these topics"
     add("-e", "--regex", action="store_true", help=text)
     add(
         "field",
         metavar="FIELD",
         nargs="?",
-        help="dotted name of a field of its messages (default: none, with --list)",
+        help="dotted name of a field of its messages (not with --list)",
     )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--remove", action="store_true", help="remove the index on FIELD")
     what.add_argument(
         "--list",
         action="store_true",
-        help="list the indexes of TOPIC (default: of all topics), and which is not finished",
+        help="list the indexes of TOPIC (default: of all topics), and which are incomplete",
     )
-    text = "make the index of places, of all runs or those of --run and --node-id"
+    text = "make the index of places, for all runs or those of --run and --node-id"
     add("--places", action="store_true", help=text)
     add_origin_options(parser)
     add("-q", "--quiet", action="store_true", help="print errors only")
@@ -66,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Do it, and say what was done."""
+    """Make, remove or list the indexes, and print what was done."""
     if options.places:
         return _places(options)
     if options.run is not None or options.node_id is not None:

@@ -1,27 +1,27 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Describe what is stored, as rosbag info does: duration, times, sizes, types, and each topic.
+"""Describe a keyspace as rosbag info describes a bag: duration, times, sizes, types, and topics.
 
   cassandra_bag info
   cassandra_bag info /tf -e '/camera/.*'
   cassandra_bag info -y -k duration
 
-A topic has a line for each type, format and node. All of it comes from the directory: it takes as
-long for a hundred million messages as for a thousand. Times are those of reception, in UTC, and
-what is in brackets seconds since 1970; --start and --end of other verbs take both. The rate is the
-mean while messages came (rosbag: the median); pauses within a bucket lower it.
+A topic has a line for each type, format and robot. All numbers come from the directory, so the
+command takes as long for a hundred million messages as for a thousand. Times are receive times in
+UTC, and in brackets in seconds since 1970; --start and --end of other verbs accept both. The rate
+is the mean over the buckets with messages (in rosbag: the median); pauses inside a bucket lower it.
 
-Where messages are found by something else than their receive time the last column says by what.
-Below, a line for each topic and node draws how many messages came when; its tallest bar is where
-most of them came. Ten years and more in which nothing lies are folded to //, and the tallest bar
-is that of each part then. The directory counts by buckets, so those of a bucket are drawn as if
-spread evenly. What should have been recorded and was not is listed with the reason, also of topics
-that are not stored; then the latest recordings and imports.
+If the keys of a topic are not receive times, the last column says what they are. Below, a line of
+bars for each topic and robot shows the number of messages over time; the highest bar is the
+maximum. A pause of ten years or more is shown as //, and each part then has its own maximum. The
+directory counts by buckets, so the messages of a bucket are drawn as if evenly spread. Then follow
+the messages that were lost, with the reason, also of topics that are not stored, and the latest
+recordings and imports.
 
-YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics)
-and beside them keyspace, start_ns, end_ns, losses and runs; JSON also activity, the numbers that
-the lines draw: messages by steps of time. Of each topic they tell connections and frequency (Hz, by
-the median of the periods, as rosbag), which the first 10,000 messages tell, and the mean, rate_hz.
+YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messages, types, topics),
+and keyspace, start_ns, end_ns, losses and runs. JSON also has activity: the numbers of messages per
+time step that the bars show. Each topic has connections and frequency (Hz, 1 / median period, as in
+rosbag), which are computed from its first 10,000 messages, and the mean rate, rate_hz.
 """
 
 from __future__ import annotations
@@ -76,48 +76,49 @@ _HEADER = (
 _RIGHT = ("messages", "rate", "size", "bucket")
 _RUNS_SHOWN = 20
 _SAMPLED = 10_000
-"""First messages of each topic and node that tell its connections and its frequency."""
+"""Number of first messages of each topic and robot from which connections and frequency follow."""
 _CELLS = 60
-"""Steps of time of which it is drawn how many messages came in each."""
+"""Number of time steps for which the number of messages is drawn."""
 _FOLD = " // "
-"""Stands in a picture for ten years or more in which nothing lies."""
+"""Text that is drawn for a pause of ten years or more."""
 
 
 @dataclass
-class _Found:
-    """What is stored, of the topics that are asked for."""
+class _Description:
+    """The facts that the verb prints about the selected topics."""
 
     place: str
+    """Hosts and port of the store."""
     keyspace: str
     infos: list[TopicInfo]
     losses: list[Loss]
     runs: list[Run]
     activity: Picture
     eras: list[Picture]
-    """The same by eras; of a single one that of all time."""
+    """The activity between pauses of ten years or more; without such a pause only ``activity``."""
     samples: list[MessageSample]
-    """The sampled messages of each topic of ``infos``, filled for YAML and JSON only."""
+    """First messages of each entry of ``infos``, for YAML and JSON only."""
 
     @property
     def ends(self) -> tuple[int, int] | None:
-        """Times of the first and of the last message, ns; None: there is none."""
+        """Times of the first and of the last message, ns; None = there are no messages."""
         firsts = [info.first_ns for info in self.infos if info.first_ns is not None]
         lasts = [info.last_ns for info in self.infos if info.last_ns is not None]
         return (min(firsts), max(lasts)) if firsts and lasts else None
 
     @property
     def messages(self) -> int:
-        """How many there are."""
+        """Number of messages."""
         return sum(info.count for info in self.infos)
 
     @property
     def bytes(self) -> int:
-        """Serialised bytes of the messages."""
+        """Size of the serialised messages, bytes."""
         return sum(info.bytes for info in self.infos)
 
     @property
     def types(self) -> list[tuple[str, str]]:
-        """Types and their md5sums."""
+        """Message types with their md5sums."""
         return sorted({(info.type, info.md5sum) for info in self.infos})
 
 
@@ -128,9 +129,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group()
     form.add_argument("-y", "--yaml", action="store_true", help="print information in YAML format")
     add_json_option(form)
-    text = "print only the information on this key, with -y or --json (default: all)"
+    text = "with -y or --json: print only the information on this key (default: all)"
     parser.add_argument("-k", "--key", metavar="KEY", help=text)
-    text = "as rosbag info has it; the rate of each topic is printed without it, too"
+    text = "accepted as by rosbag info; the rate of each topic is always printed"
     parser.add_argument("--freq", action="store_true", help=text)
     add_store_options(parser)
 
@@ -167,7 +168,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _find(options: argparse.Namespace) -> _Found:
+def _find(options: argparse.Namespace) -> _Description:
     from cassandra_ros.arguments import check_nodes
     from cassandra_ros.overview.timeline.lanes import Timeline, View
     from cassandra_ros.read import Whose
@@ -195,25 +196,25 @@ def _find(options: argparse.Namespace) -> _Found:
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
     place = f"{','.join(hosts)}:{port}"
-    return _Found(place, options.keyspace, infos, losses, runs, activity, eras, samples)
+    return _Description(place, options.keyspace, infos, losses, runs, activity, eras, samples)
 
 
 def _samples(
     ros_cas: RosCassandra, infos: Sequence[TopicInfo], run: str | None
 ) -> list[MessageSample]:
-    """Read the first messages of each topic and node; return what each of infos has of them."""
+    """Read the first messages of each topic and robot; return a sample for each of ``infos``."""
     from cassandra_ros.bag.message_sample import MessageSample, read_samples
 
-    found: dict[tuple[str, str], dict[str, MessageSample]] = {}
+    samples: dict[tuple[str, str], dict[str, MessageSample]] = {}
     for info in infos:
-        if (info.topic, info.node) not in found:
+        if (info.topic, info.node) not in samples:
             topic = ros_cas.getTopic(info.topic)
-            found[info.topic, info.node] = read_samples(topic, _SAMPLED, info.node, run)
-    return [found[info.topic, info.node].get(info.table, MessageSample()) for info in infos]
+            samples[info.topic, info.node] = read_samples(topic, _SAMPLED, info.node, run)
+    return [samples[info.topic, info.node].get(info.table, MessageSample()) for info in infos]
 
 
 def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
-    """Return between which times is drawn what came when, ns: of what lies by its time."""
+    """Return the first and the last time for the picture, ns: of topics whose keys are times."""
     timed = [info for info in infos if info.key not in NAMED_FORMATS and info.count]
     chosen = timed or infos
     firsts = [info.first_ns for info in chosen if info.first_ns is not None]
@@ -221,7 +222,7 @@ def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
     return min(firsts, default=None), max(lasts, default=None)
 
 
-def _print_summary(found: _Found) -> None:
+def _print_summary(found: _Description) -> None:
     names, ends = {info.topic for info in found.infos}, found.ends
     print(f"keyspace:  {found.keyspace} at {found.place}")
     if ends is not None:
@@ -245,9 +246,9 @@ def _print_topics(infos: list[TopicInfo]) -> None:
 
 
 def _print_activity(eras: list[Picture]) -> None:
-    """Draw how many messages came when; where all came at once there is nothing to draw.
+    """Print bars with the number of messages over time, unless all have the same time.
 
-    The years between two eras are folded to a mark.
+    Pauses of ten years or more are replaced by a mark.
     """
     scales = [era.scale for era in eras if era.scale is not None]
     if not scales or scales[0].start == scales[-1].end:
@@ -310,7 +311,7 @@ def _run_row(run: Run) -> tuple[str, ...]:
 
 
 def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]:
-    """Yield a line for each topic, run and reason."""
+    """Yield a table row for each topic, run and reason."""
     names = {run.writer: run.name for run in runs}
     groups: dict[tuple[str, str, int, LossKind], list[Loss]] = {}
     for loss in losses:
@@ -329,7 +330,7 @@ def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]
         )
 
 
-def _answer(found: _Found) -> dict[str, object]:
+def _answer(found: _Description) -> dict[str, object]:
     start_ns, end_ns = found.ends or (None, None)
     times: dict[str, object] = {}
     if start_ns is not None and end_ns is not None:
@@ -380,6 +381,6 @@ def _print_yaml(answer: object) -> None:
     import yaml
 
     if isinstance(answer, (str, int, float)):
-        print(shown_lines(str(answer)))  # PyYAML would end a document of its own
+        print(shown_lines(str(answer)))  # PyYAML would add the line '...'
     else:
         print(yaml.safe_dump(answer, sort_keys=False, allow_unicode=True), end="")

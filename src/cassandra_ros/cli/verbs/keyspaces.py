@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""List the keyspaces of the cluster that hold topics, with how many topics and copies.
+"""List the keyspaces of the cluster that hold topics, with their numbers of topics and copies.
 
-Copies are how many nodes of a data centre keep each row: with one, a lost node loses data. The
-keyspace that the other verbs would work in (--keyspace) is marked with a star.
+Copies are the numbers of Cassandra nodes, by data centre, that keep each row: with one copy, data
+are lost when a node is lost. A star marks the keyspace that --keyspace selects.
 """
 
 from __future__ import annotations

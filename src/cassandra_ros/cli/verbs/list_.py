@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only topics whose whole name matches (default: all)",
     )
     parser.add_argument(
-        "-e", "--regex", metavar="REGEX", help="the same, as the other verbs take it (default: all)"
+        "-e", "--regex", metavar="REGEX", help="the same, as an option (default: all)"
     )
     add_json_option(parser)
     add_store_options(parser)

@@ -8,19 +8,20 @@
   cassandra_bag map /scan --publish /map
   cassandra_bag map /maps --as office -o again.pgm
 
-Where the sensor was is taken from recorded tf, interpolated at the stamps of the headers; the map
-is in frame map where that is above the sensor, else in odom, else in the topmost frame. Where no tf
-was recorded, or with --odom, it is taken from a topic of Odometry, PoseStamped or
-PoseWithCovarianceStamped, and the sensor's place on the robot from --sensor-offset, else from tf.
-Of several topics the one is taken whose poses cover most of the messages; the others are printed.
-Messages of which no place is known are left out and counted.
+The poses of the sensor come from recorded tf, interpolated at the header stamps. The frame of the
+map is map if tf connects it to the sensor, else odom, else the topmost frame. If no tf was
+recorded, or with --odom, the poses come from a topic of type Odometry, PoseStamped or
+PoseWithCovarianceStamped, and the pose of the sensor on the robot from --sensor-offset, else from
+tf. If there are several such topics, the one whose poses cover most of the messages is used; the
+others are printed. Messages without a known pose are left out and counted.
 
-Of a scan +Inf (or range_max itself) means that nothing was seen so far; NaN and what lies outside
-of its ranges say nothing. Of a cloud the points from --min-height to --max-height in the map's
-frame are obstacles, and those below are floor.
+In a scan +Inf (or range_max itself) means that there is no obstacle up to range_max; NaN and other
+values outside the range are ignored. In a cloud the points from --min-height to --max-height in the
+map's frame are obstacles, and lower points are floor.
 
-A .png is the darker the likelier something is there. A .pgm or .yaml is written for map_server,
-both files. Stored with --store a map lies under a name, and getData(name) gives its newest version.
+In a .png darker cells are more likely occupied. If OUT ends with .pgm or .yaml, both files are
+written, for map_server. --store stores the map under a name; getData(name) returns its newest
+version.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ _FILES = (_PICTURE, ".pgm", ".yaml")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the topic, what becomes of the map, what it is made of, and the store."""
+    """Add the topic, the outputs, the options for beams and poses, and the store."""
     parser.add_argument("topic", metavar="TOPIC", help="scans, clouds, or stored maps")
     _add_outputs(parser.add_argument_group("what becomes of the map"))
     _add_beams(parser.add_argument_group("what comes into it"))
@@ -71,14 +72,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_outputs(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
-    text = "write it there: .png, or .pgm or .yaml for map_server (default: map.png, where neither "
+    text = "file to write: .png, or .pgm or .yaml for map_server (default: map.png if neither "
     add("-o", "--output", metavar="OUT", help=text + "--store nor --publish is given)")
     add("-f", "--force", action="store_true", help="replace the files if they exist")
-    text = "store it on this topic, under the name of --as (default: it is not stored)"
+    text = "store the map on this topic, under the name of --as (default: do not store it)"
     add("--store", metavar="MAPS", help=text)
-    text = "name of the map that is stored, or of the stored one that is shown (default: TOPIC)"
+    text = "name under which the map is stored, or of the stored map to show (default: TOPIC)"
     add("--as", dest="map_name", metavar="NAME", help=text)
-    text = "publish it on this topic, latched, until Ctrl-C (default: it is not published)"
+    text = "publish the map on this topic, latched, until Ctrl-C (default: do not publish it)"
     add("--publish", metavar="MAP", help=text)
 
 
@@ -86,29 +87,29 @@ def _add_beams(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     text = "length of a cell, metres (default: 0.05)"
     add("--resolution", metavar="M", type=factor, help=text)
-    text = "leave out what is further away, metres (default: range_max of scans, 30 of clouds)"
+    text = "maximum distance of points, metres (default: range_max for scans, 30 for clouds)"
     add("--max-range", metavar="M", type=factor, help=text)
-    text = "what lies below is floor, metres (default: everything is an obstacle; of clouds 0.1)"
-    add("--min-height", metavar="M", type=float, help=text)
-    text = "leave out what lies above, metres (default: nothing; of clouds 2)"
+    text = "minimum height of obstacles; lower points are floor, metres (default: no minimum for "
+    add("--min-height", metavar="M", type=float, help=text + "scans, 0.1 for clouds)")
+    text = "maximum height of points, metres (default: no maximum for scans, 2 for clouds)"
     add("--max-height", metavar="M", type=float, help=text)
-    text = "take so many messages at most, evenly spread (default: all)"
+    text = "maximum number of messages to use, evenly spread (default: all)"
     add("--limit", metavar="COUNT", type=whole_number, help=text)
 
 
 def _add_poses(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("--frame", metavar="F", help="the map's frame (default: map, odom, or the topmost one)")
-    text = "take the robot's poses from this topic (default: from tf, else from the best topic)"
+    text = "topic with the robot's poses (default: tf, else the topic that covers most messages)"
     add("--odom", metavar="ODOM", help=text)
-    text = "where the sensor is on the robot, metres and radians (default: as tf says, else 0 0 0)"
+    text = "pose of the sensor on the robot, metres and radians (default: from tf, else 0 0 0)"
     add("--sensor-offset", nargs=3, type=float, metavar=("X", "Y", "YAW"), help=text)
-    text = "and how high above the robot's origin, metres (default: 0)"
+    text = "height of the sensor above the robot's origin, metres (default: 0)"
     add("--sensor-height", metavar="M", type=float, help=text)
-    # The library has the defaults; to ask it for them here would slow down every verb.
+    # The library has the defaults. Importing it here would slow down every verb.
     add("--tf", metavar="TF", help="moving transforms (default: /tf)")
     add("--tf-static", metavar="TF", help="fixed transforms (default: /tf_static)")
-    text = "where poses are further apart, seconds, nothing is known between (default: 10)"
+    text = "maximum time between two poses for interpolation, seconds (default: 10)"
     add("--longest-gap", metavar="SEC", type=factor, help=text)
 
 
@@ -153,12 +154,12 @@ def run(options: argparse.Namespace) -> int:
 
 def _say(options: argparse.Namespace, line: str) -> None:
     if not options.quiet:
-        # Standard output may be an answer for another program.
+        # Standard output may be read by another program.
         print(line, file=sys.stderr if options.json else sys.stdout, flush=True)
 
 
 def _output(options: argparse.Namespace) -> Path | None:
-    """Return the file that is to be written; refuse it before the work is done."""
+    """Return the file to write; refuse an invalid name before the map is made."""
     from cassandra_ros.mapping.map_files import map_paths
 
     if not (options.output or options.store or options.publish):
@@ -200,7 +201,7 @@ def _choice(options: argparse.Namespace) -> PoseChoice:
 
 
 def _given(**values: Any) -> dict[str, Any]:
-    """Return what is not None: the library has the defaults."""
+    """Return the values that are not None; the library has defaults for the others."""
     return {name: value for name, value in values.items() if value is not None}
 
 
@@ -285,5 +286,5 @@ def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
 
 
 def _percent(share: float) -> str:
-    """Write a share so that only nothing is 0 % and only all is 100 %."""
+    """Return a share as a percentage; only exactly 0 is '0 %' and only exactly 1 is '100 %'."""
     return f"{min(99, max(1, round(100 * share))) if 0 < share < 1 else round(100 * share)} %"

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Print what is known of a topic, or note keys of your own in it.
+"""Print the metadata of a topic, or set keys of your own.
 
   cassandra_bag meta /camera/image_raw
   cassandra_bag meta /camera/image_raw site=lab lens_mm=3.5 comment='left camera'
   cassandra_bag meta /camera/image_raw --remove site
 
-A value is JSON (3.5, true, [1, 2], "3.5"), else the text as it stands. comment sets the topic's
-comment; the other keys that are printed without being yours are facts and cannot be set.
+A value is JSON (3.5, true, [1, 2], "3.5"); what is not JSON is a text. The key comment sets the
+topic's comment. All other printed keys that are not your own are facts and cannot be set.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _FORM = "KEY=VALUE"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the topic, what is to be noted, the form of the answer, and the store."""
+    """Add the topic, the keys, the form of the answer, and the store."""
     add = parser.add_argument
     add("topic", metavar="TOPIC", help="a stored topic")
     add(
@@ -44,14 +44,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--definition",
         action="store_true",
-        help="print the message definition alone, as rosmsg show --raw does",
+        help="print only the message definition, as rosmsg show --raw does",
     )
     add_json_option(parser)
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Set what is to be set, and print what is known then."""
+    """Set and remove keys, then print the metadata."""
     keys: dict[str, Any] = {name: _value(text) for name, text in options.keys}
     keys.update({name: "" if name == "comment" else None for name in options.remove})
     with open_store(options) as ros_cas:

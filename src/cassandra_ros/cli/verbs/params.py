@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Print the ROS parameters under which a run was recorded as YAML, or set them again.
+"""Print the ROS parameters of a recording as YAML, or set them on the running master.
 
   cassandra_bag params corridor > params.yaml
   cassandra_bag params corridor --namespace /move_base --load
   cassandra_bag params corridor --graph
 
-They are those of the parameter server when the recording began; what rosparam load reads. --load
-sets them on the running parameter server, each by itself: others stay as they are. What belongs to
-the running master is left out: /rosdistro, /rosversion, /run_id and /roslaunch. Of several runs of
-one name the last counts.
+They are the parameters that the parameter server had when the recording began, in the form that
+rosparam load reads. --load sets each of them on the running parameter server; other parameters do
+not change. Parameters of the master itself are left out: /rosdistro, /rosversion, /run_id and
+/roslaunch. If several runs have the name, the last one is used.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ MASTERS_OWN = ("/rosdistro", "/rosversion", "/run_id", "/roslaunch")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the run, what is wanted of it, and the store."""
+    """Add the run, the parameters, and the store."""
     add = parser.add_argument
     add("name", metavar="RUN", help="name of a run, or its writer id")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--load", action="store_true", help="set them on the running master")
-    what.add_argument("--graph", action="store_true", help="print instead which nodes there were")
+    what.add_argument("--graph", action="store_true", help="print the graph of ROS nodes instead")
     add_json_option(parser)
     add("--namespace", metavar="NS", default="/", help="only parameters below NS (default: all)")
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print or load."""
+    """Print the parameters or the graph, or set the parameters."""
     with open_store(options) as ros_cas:
         context = ros_cas.runContext(options.name)
     if context is None:
@@ -95,7 +95,7 @@ def _is_masters(name: str) -> bool:
 
 
 def _leaves(value: object, name: str) -> Iterator[tuple[str, object]]:
-    """Yield single parameters, as rosparam load sets them: to set a mapping replaces others."""
+    """Yield single parameters. Setting a whole mapping would delete other parameters in it."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
             yield from _leaves(inner, f"{name}/{key}")
@@ -104,7 +104,7 @@ def _leaves(value: object, name: str) -> Iterator[tuple[str, object]]:
 
 
 def _readable(value: object) -> object:
-    """Return a value of XML-RPC as YAML has it."""
+    """Return a value of XML-RPC in the types of YAML."""
     if isinstance(value, Mapping):
         return {name: _readable(inner) for name, inner in value.items()}
     if isinstance(value, list):

@@ -1,21 +1,21 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Draw the numbers of statements over time, into a picture.
+"""Plot numbers from SELECT statements over time, into a picture.
 
   cassandra_bag plot "SELECT linear.x, angular.z FROM /cmd_vel" -o speeds.png
   cassandra_bag plot "SELECT altitude FROM /fix" "SELECT range FROM /sonar" -o both.svg
   cassandra_bag plot "SELECT latitude, longitude FROM /fix" --xy longitude latitude -o way.png
   cassandra_bag plot "SELECT time(1m), max(range) FROM /sonar GROUP BY time(1m)" -o x.pdf
 
-Each column that is a number becomes a line, over KEY or the first time in a row of groups. Columns
-of the same unit share a panel; units are known of ROS's own messages; latitude and longitude have
-a panel each. Of many messages the least and the greatest of each pixel are drawn, so nothing that
-sticks out is lost. A line is broken at NaN, and where no message came for more than five times the
-usual interval.
+Each column of numbers becomes a line over KEY; with GROUP BY over the first time of each row.
+Columns with the same unit share a panel (units are known for ROS's own messages); latitude and
+longitude have a panel each. If there are many messages, the minimum and the maximum of each pixel
+are drawn, so no peak is lost. A line is interrupted at NaN, and at pauses longer than five times
+the usual interval.
 
-With --xy one column is drawn over another one, in the order of time: a way, or one quantity over
-another. The picture is divided into 20,000 time ranges; where several messages lie in one of
-them the rectangle that holds them is drawn, and the line goes through its middle.
+With --xy one column is drawn over another one, in the order of time: a path, or one quantity over
+another. The time is divided into 20,000 time ranges. If several messages are in one of them, the
+rectangle around them is drawn, and the line goes through its middle.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=(1200, 600),
         help="width and height in pixels, in svg and pdf 1/100 inch (default: 1200x600)",
     )
-    add("--title", metavar="TEXT", default="", help="what stands above it (default: nothing)")
+    add("--title", metavar="TEXT", default="", help="title of the picture (default: no title)")
     add(
         "--xy",
         nargs=2,
         metavar=("X", "Y"),
-        help="draw column Y over column X, as the statements call them (default: over time)",
+        help="draw column Y over column X, by their names in the statements (default: over time)",
     )
     add_time_options(parser)
     add_origin_options(parser)
@@ -83,7 +83,7 @@ def _size(text: str) -> tuple[int, int]:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read what the statements give, and draw it."""
+    """Run the statements, and draw their numbers."""
     from cassandra_ros.cli.results import open_output
     from cassandra_ros.drawing.time_plot import ENDINGS, curves_of, draw_plot, draw_xy
 

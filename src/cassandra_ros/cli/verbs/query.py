@@ -1,24 +1,24 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Ask the stored topics: print what a statement of the query language finds.
+"""Query stored topics: print the rows that a statement of the query language returns.
 
   cassandra_bag query "SELECT KEY, linear.x FROM /cmd_vel WHERE linear.x > ?" 0.5
   cassandra_bag query "SELECT count(*) FROM /tf WHERE transforms.child_frame_id = 'base_link'"
   cassandra_bag query "SELECT * FROM /imu" --output parquet -O imu.parquet
 
-The values for ? stand right behind the statement: a number, true, false, a list ([1, 2]), and all
-else is text; text that looks like a number stands in double quotes ('"42"'). Quote the statement,
-or the shell takes * and ? for file names.
+Give the values for ? directly after the statement: a number, true, false, a list ([1, 2]), or a
+text. Put a text that looks like a number in double quotes ('"42"'). Quote the statement, or the
+shell replaces * and ? by file names.
 
-How rows are written, while they are read:
+Formats, all written while the rows are read:
   table    aligned, for people: times in UTC, long values cut
   csv      RFC 4180: times in integer ns, bytes in base64, arrays as JSON; a missing value is an
-           empty field, an empty text ""
-  json     a list of objects; ndjson: an object a line. Times and bytes as in csv; NaN and
+           empty field, an empty text is ""
+  json     a list of objects; ndjson: one object per line. Times and bytes as in csv; NaN and
            infinities, which JSON lacks, are null
   parquet  to a file (-O): types are kept, times are timestamps in ns (needs pyarrow)
 
-DELETE, TRUNCATE, CREATE INDEX and DROP INDEX are run with --allow-writes only.
+DELETE, TRUNCATE, CREATE INDEX and DROP INDEX need --allow-writes.
 """
 
 from __future__ import annotations
@@ -40,17 +40,15 @@ _OUTPUTS = ("table", "csv", "json", "ndjson", "parquet")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the statement, its values, the form of the output and the store."""
     add = parser.add_argument
-    add("statement", metavar="STATEMENT", help="what to ask, in quotes")
+    add("statement", metavar="STATEMENT", help="the statement, in quotes")
     add("params", metavar="VALUE", nargs="*", help="a value for each ? of the statement")
-    add(
-        "--output", choices=_OUTPUTS, default="table", help="how to write it (default: %(default)s)"
-    )
+    add("--output", choices=_OUTPUTS, default="table", help="output format (default: %(default)s)")
     add(
         "--json",
         dest="output",
         action="store_const",
         const="json",
-        help="the same as --output json, as the other verbs have it",
+        help="the same as --output json",
     )
     add("-O", "--output-file", metavar="FILE", help="write to FILE (default: standard output)")
     add("-f", "--force", action="store_true", help="replace FILE if it exists")
@@ -59,15 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--limit",
         metavar="NUM",
         type=_count,
-        help="print at most so many rows (default: all)",
+        help="maximum number of rows to print (default: all)",
     )
     add_origin_options(parser)
     add(
         "--explain",
         action="store_true",
-        help="say instead how the statement was answered: what the store checked, what was read",
+        help="print how the statement was executed instead: what the store checked, what was read",
     )
-    add("--allow-writes", action="store_true", help="run statements that change what is stored")
+    add("--allow-writes", action="store_true", help="allow statements that change stored data")
     add_store_options(parser)
 
 
@@ -78,7 +76,7 @@ def _count(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Ask, and write the answer."""
+    """Run the statement, and write its rows."""
     from cassandra_ros.cli.results import load_parquet
 
     if options.explain and (options.output_file or options.limit):
@@ -87,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("--output parquet needs a file: -O FILE")
     params = [_parameter(text) for text in options.params]
     if options.output == "parquet":
-        load_parquet()  # before anything is asked
+        load_parquet()  # fail before the statement is run
     with open_store(options) as ros_cas:
         if options.explain:
             asked = {"nodeID": options.node_id, "run": options.run}

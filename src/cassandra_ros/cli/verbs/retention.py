@@ -1,22 +1,22 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Drop what is older or more than is to be kept, thin the rest, and keep what lies around events.
+"""Delete messages by age, size and rate, but keep those around the messages of a condition.
 
   cassandra_bag retention --max-age 90d
   cassandra_bag retention -e '/camera/.*' --max-size 200G
   cassandra_bag retention --keep '/battery: voltage < 11' --thin 1 --thin-after 7d --max-age 90d
 
-The last keeps everything for a week, from then on a message a second of each publisher, nothing
-beyond 90 days, and all topics whole from 30 s before to 30 s behind each time when the battery was
-low. Each run looks at what is there then: for a lasting rule let cron run it, with --yes. Repeated
-it drops nothing more but what became older. Ages are those of the messages: what was recorded last
-year and imported today is a year old. /tf is not worth thinning: its messages hold other frames
-each.
+The last line keeps all messages of a week, then one message per second of each publisher, and
+deletes messages older than 90 days. It keeps all messages of all topics from 30 s before to 30 s
+after each time at which the battery was low. The command works once, on the messages that are
+stored then; for a permanent rule run it by cron, with --yes. A message's age follows from its time:
+a message that was recorded last year and imported today is a year old. Do not thin /tf: each of its
+messages holds other frames.
 
-Latched messages (/tf_static, /map) are not thinned, and those that were in force where something is
-kept stay with it. Messages that are kept under names have no age and stay. Cassandra frees the disk
-some time after a message was dropped: when it merges its files, ten days later by default
-(gc_grace_seconds). It cannot be undone; --dry-run says beforehand how much it would be.
+Latched messages (/tf_static, /map) are not thinned, and those that are needed for kept messages are
+kept, too. Messages that are stored under names have no age and are kept. Cassandra frees the disk
+space when it merges its files, by default ten days after the deletion (gc_grace_seconds). You
+cannot undo it; --dry-run prints how much would be deleted.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _NUMBERS = ("messages", "dropped", "thinned", "left")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add topics, what is to be kept of them, whether it is asked, and the store."""
+    """Add topics, rules, confirmation and the store."""
     add_topics(parser)
     _add_rules(parser.add_argument_group("what is kept"))
     add_dry_run_option(parser)
@@ -58,20 +58,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_rules(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
-    text = "drop what is older: 30d, 8w, 12h, 90m or seconds (default: drop nothing for its age)"
+    text = "delete older messages: 30d, 8w, 12h, 90m or seconds (default: no maximum age)"
     add("--max-age", metavar="AGE", type=age, help=text)
     text = (
-        "let the topics together take at most SIZE: 20G, 500M or bytes, as info counts them; the "
-        "oldest messages go first (default: no limit)"
+        "maximum size of all topics together: 20G, 500M or bytes, as info counts them; the oldest "
+        "messages are deleted first (default: no maximum)"
     )
     add("--max-size", metavar="SIZE", type=byte_size, help=text)
-    text = "of what is left keep at most HZ messages a second, of each publisher (default: all)"
+    text = "keep at most HZ messages per second of each publisher (default: keep all)"
     add("--thin", metavar="HZ", type=factor, help=text)
-    text = "thin only what is older than that, as 12h or 7d (default: 0, everything)"
+    text = "with --thin: thin only older messages, as 12h or 7d (default: 0, thin all)"
     add("--thin-after", metavar="AGE", type=age, default=0.0, help=text)
     text = (
-        "leave everything alone that lies around messages of a topic that satisfy a condition as "
-        "in CQL, in all of the topics; may be repeated, for other topics"
+        "keep all messages of all topics around the times at which a message of TOPIC satisfies "
+        "CONDITION, as in CQL; may be repeated, for other topics"
     )
     add(
         "--keep",
@@ -81,16 +81,16 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
         default=[],
         help=text,
     )
-    text = "how far before them, with --keep, seconds or 5m, 1h (default: 30)"
+    text = "with --keep: time before each of these messages, seconds or 5m, 1h (default: 30)"
     add("--before", metavar="SEC", type=seconds, default=30.0, help=text)
-    text = "and how far behind (default: 30)"
+    text = "with --keep: time after each of these messages (default: 30)"
     add("--after", metavar="SEC", type=seconds, default=30.0, help=text)
-    text = "count ages back from this time, as --start of the others (default: the server's time)"
+    text = "time from which ages are counted, as --start of other verbs (default: server's time)"
     add("--now", metavar="T", help=text)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say how much it would be, ask, and drop it."""
+    """Print how much will be deleted, ask, and delete it."""
     if options.max_age is None and options.max_size is None and options.thin is None:
         options.parser.error("say what is to be dropped: --max-age, --max-size or --thin")
     keep, now = read_conditions(options, "keep"), read_time("now", options.now)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Print the CQL of three roles for a keyspace: viewer, recorder, owner; or make them.
+"""Print the CQL that makes three roles for a keyspace: viewer, recorder, owner; or make them.
 
-A viewer reads (SELECT): player, query_server, export. A recorder also writes and deletes messages
-and makes tables and indexes of topics (MODIFY, CREATE, ALTER): recorder, import. An owner may do
-all with the keyspace, also drop what others made, and give rights. They are called
-KEYSPACE_viewer and so on, and nobody logs in as one: each user is granted one.
+A viewer may read (SELECT), for player, query_server and export. A recorder may also write and
+delete messages and make tables and indexes (MODIFY, CREATE, ALTER), for recorder and import. An
+owner may do everything with the keyspace: also drop tables of others, and grant rights. The roles
+are called KEYSPACE_viewer and so on. They cannot log in; grant one of them to each user.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--apply",
         action="store_true",
-        help="make them, and the keyspace where it is missing; who is logged in must be allowed to "
-        "make roles (default: only print the statements, which asks no store)",
+        help="make the roles, and the keyspace if it is missing; your login must be allowed to "
+        "make roles (default: only print the statements, without a store)",
     )
     add_json_option(parser)
     add_store_options(parser)

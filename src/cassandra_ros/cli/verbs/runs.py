@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""List the recordings and imports: name, robot, times, state, how much they stored and lost.
+"""List recordings and imports: name, robot, times, state, numbers of stored and lost messages.
 
-What --run takes is in the column run: a name, which several may bear, or where there is none the
-writer id; that stands in the column id. Start and end are when it was recorded or imported, UTC. A
-run that neither ended nor was heard of for a minute is interrupted; what it stored counts.
+The column run shows the value for --run: a name, which several runs may have, or the writer id of a
+run without name. The column id always shows the writer id. Start and end are the times of recording
+or import, in UTC. A run that has not ended, and has given no sign of life for a minute, is shown as
+interrupted; its stored messages are counted.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _answer(run: Run) -> dict[str, object]:
-    """Return a run as it is, but for what an import notes for itself."""
+    """Return the fields of a run, without the labels that an import adds for its own use."""
     return {**vars(run), "labels": run.public_labels}
 
 
@@ -64,11 +65,11 @@ def _row(run: Run) -> tuple[str, ...]:
 
 
 def _labels(labels: Mapping[str, str]) -> str:
-    # A label may be a word alone.
+    # A label may have no value.
     named = sorted(labels.items())
     return shown(", ".join(f"{k}={v}" if v else k for k, v in named))
 
 
 def time_of(when: datetime | None) -> str:
-    """Write a time of a run, UTC; '-' where there is none."""
+    """Return a time of a run as text, in UTC; '-' for None."""
     return "-" if when is None else f"{when:%Y-%m-%dT%H:%M:%SZ}"

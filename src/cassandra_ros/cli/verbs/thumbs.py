@@ -6,10 +6,10 @@
   cassandra_bag thumbs /camera/image_raw -o drive.png --columns 8 --rows 4 --width 160
   cassandra_bag thumbs /camera/image_raw --start 2013-05-08T14:06:20Z --every 10
 
-TOPIC holds sensor_msgs/Image or CompressedImage. Only the messages that are drawn are read, each
-found by its time; with --where all that satisfy the condition. Depths (16UC1, 32FC1) go from black,
-the least of a picture, to white. Times are UTC. A message that cannot be drawn leaves its place
-empty, is told on standard error, and the exit status is 1 then.
+TOPIC must be of type sensor_msgs/Image or CompressedImage. Only the messages that are drawn are
+read; with --where all messages that satisfy the condition. Depth images (16UC1, 32FC1) are drawn
+from black, the minimum of the picture, to white. Times are UTC. If a message cannot be drawn, its
+cell is empty, the reason is printed on standard error, and the exit status is 1.
 """
 
 from __future__ import annotations
@@ -46,36 +46,36 @@ if TYPE_CHECKING:
 
 MAX_PICTURES = 1000
 MAX_WIDTH = 2000
-"""Pixels."""
+"""Maximum width of one picture of the sheet, pixels."""
 _MAX_PIXELS = 1 << 27
-"""Of a sheet, were its pictures square: all of it is in memory."""
+"""Maximum size of a sheet with square pictures, pixels. The whole sheet is kept in memory."""
 
 
 @dataclass(frozen=True)
-class _Drawn:
-    """A message of the sheet; not its bytes."""
+class _Thumbnail:
+    """A message of the sheet with its picture."""
 
     t: int
     node: str
     cell: Cell
-    """Its caption is not written yet."""
+    """The cell of the sheet, still without caption."""
     problem: CassandraRosError | None = None
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the topic, which of its messages, the sheet, and the store."""
+    """Add the topic, the selection of messages, the options of the sheet, and the store."""
     add = parser.add_argument
     add("topic", metavar="TOPIC", help="the topic of a camera")
-    text = "the picture to make, .png, .jpg or .webp (default: the topic's name with .png)"
+    text = "the picture to write, .png, .jpg or .webp (default: the topic's name with .png)"
     add("-o", "--output", metavar="OUT.png", help=text)
     add("-f", "--force", action="store_true", help="replace the picture if it exists")
-    text = "pictures side by side (default: %(default)s)"
+    text = "number of pictures in a row (default: %(default)s)"
     add("--columns", metavar="COUNT", type=whole_number, default=6, help=text)
-    text = "rows at the most (default: 5; with --every as many as it takes)"
+    text = "maximum number of rows (default: 5; with --every no maximum)"
     add("--rows", metavar="COUNT", type=whole_number, help=text)
-    text = "of each picture, pixels (default: %(default)s)"
+    text = "width of each picture, pixels (default: %(default)s)"
     add("--width", metavar="PIXELS", type=whole_number, default=240, help=text)
-    text = "a picture each so many seconds, or with m or h (default: as many as there is room for)"
+    text = "time between two pictures: seconds, or with m or h (default: fill all rows evenly)"
     add("--every", metavar="SECONDS", type=duration, help=text)
     add_time_options(parser)
     add_origin_options(parser)
@@ -85,7 +85,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Choose messages, draw them, write the picture, and say what it shows."""
+    """Select messages, draw them, write the sheet, and print what it shows."""
     from cassandra_ros.drawing.contact_sheet import draw_sheet
     from cassandra_ros.drawing.picture_file import check_picture_path, save_picture
 
@@ -119,9 +119,9 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _count(options: argparse.Namespace) -> int:
-    """Return how many pictures there may be."""
+    """Return the maximum number of pictures."""
     if not 1 <= options.width <= MAX_WIDTH:
-        raise InvalidOption(f"--width {options.width} is none of 1 to {MAX_WIDTH} pixels")
+        raise InvalidOption(f"--width {options.width} is not within 1 to {MAX_WIDTH} pixels")
     most: int = min(MAX_PICTURES, _MAX_PIXELS // options.width**2)
     rows = options.rows
     if options.columns < 1 or rows == 0:
@@ -139,8 +139,8 @@ def _count(options: argparse.Namespace) -> int:
 
 def _draw(
     ros_cas: RosCassandra, topic: str, options: argparse.Namespace, count: int
-) -> Iterator[_Drawn]:
-    """Read messages and draw them, one after the other."""
+) -> Iterator[_Thumbnail]:
+    """Read and draw the messages, one after the other."""
     from cassandra_ros.drawing.contact_sheet import Cell
     from cassandra_ros.drawing.images import picture_of
     from cassandra_ros.messages.stamps import seconds_to_ns
@@ -151,10 +151,10 @@ def _draw(
     for row in rows:
         try:
             picture = picture_of(row, options.width)
-            picture.thumbnail((options.width, 2 * options.width))  # some are very high
-            yield _Drawn(row.t, row.node, Cell("", picture))
+            picture.thumbnail((options.width, 2 * options.width))  # limits very high pictures
+            yield _Thumbnail(row.t, row.node, Cell("", picture))
         except (CorruptMessage, UnknownEncoding, MessageNotFound) as exc:
-            yield _Drawn(row.t, row.node, Cell("", None), exc)
+            yield _Thumbnail(row.t, row.node, Cell("", None), exc)
 
 
 def _chosen(ros_cas: RosCassandra, topic: str, options: argparse.Namespace) -> Chosen:
@@ -168,8 +168,8 @@ def _chosen(ros_cas: RosCassandra, topic: str, options: argparse.Namespace) -> C
     return Chosen(start, end, options.node_id, writers, where.get(topic))
 
 
-def _tell_problems(drawn: list[_Drawn]) -> None:
-    """Print what could not be drawn; raise the error where nothing could."""
+def _tell_problems(drawn: list[_Thumbnail]) -> None:
+    """Print why messages could not be drawn; raise the error if no message could."""
     problems = [each.problem for each in drawn if each.problem is not None]
     if len(problems) == len(drawn):
         raise problems[0]
@@ -177,8 +177,8 @@ def _tell_problems(drawn: list[_Drawn]) -> None:
         print(f"cassandra_bag: {' '.join(str(problem).split())}", file=sys.stderr)
 
 
-def _caption(drawn: _Drawn, one_day: bool) -> str:
-    """Say what a picture is of; the title has the day where there is but one."""
+def _caption(drawn: _Thumbnail, one_day: bool) -> str:
+    """Return the caption of a picture. If all are of one day, only the title shows the day."""
     problem = "cannot be drawn" if drawn.problem is not None else ""
     clock = _clock(drawn.t)[11 if one_day else 0 :]
     return " ".join(filter(None, (clock, problem, drawn.node)))

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Remove all messages of topics; the topics stay, with format, metadata, indexes and ttl.
+"""Delete all messages of topics; the topics keep their format, metadata, indexes and ttl.
 
   cassandra_bag truncate /camera/image_raw
   cassandra_bag truncate -e '/camera/.*' --dry-run
 
-It works while nodes of the cluster are down, and the disk is free at once. To remove some messages,
-or the topic itself, see delete.
+It works while nodes of the cluster are down, and frees the disk space at once. To delete some
+messages, or the topic itself, use delete.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from cassandra_ros.printable import shown
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add topics, whether it is asked, the form of the answer, and the store."""
+    """Add topics, confirmation, the form of the answer, and the store."""
     add_topics(parser, "stored topics", nargs="+")
     add_dry_run_option(parser)
     add_yes_option(parser)
@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Say what is there, ask, and remove it."""
+    """Print what will be deleted, ask, and delete it."""
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas, options) or []
         counts = {name: [0, 0] for name in topics}

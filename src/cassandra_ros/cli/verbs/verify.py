@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compare a bag or an MCAP with what is stored, message by message; exit status 0 only when equal.
+"""Compare a bag or an MCAP with the store, message by message; exit status 0 only if equal.
 
-Compared are topic, time, type, md5sum, bytes, connection header and order, as rosbag reads them.
-Where the store holds an import of this very bag, exactly its messages are compared, so other bags
-and recordings of the same topics do not matter; else all stored messages of the bag's topics are.
+Topic, time, type, md5sum, bytes, connection header and order are compared, as rosbag reads them. If
+the store holds an import of this bag, only the messages of that import are compared, so other bags
+and recordings of the same topics do not matter. Otherwise all stored messages of the bag's topics
+are compared.
 
-With --content each topic's messages are compared in their order by type, md5sum and bytes alone:
-for a live recording of a bag that was played, where times and connections differ. --start and --end
-are times in the store: seconds (1368021980.25), ISO 8601 or nanoseconds (from 13 digits on).
+With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
+a recording of a bag that was played: its times and connections differ from the bag. --start and
+--end are times in the store: seconds (1368021980.25), ISO 8601 or nanoseconds (13 digits or more).
 """
 
 from __future__ import annotations
@@ -40,11 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", metavar="FILE.bag", help="a bag of format 2.0, or an MCAP of ROS 1")
     add_topics_option(parser, "FILE.bag")
     add_origin_options(parser)
-    add("--content", action="store_true", help="compare the content alone")
+    add("--content", action="store_true", help="compare only the content, see above")
     add(
         "--salvage",
         action="store_true",
-        help="compare what import --salvage stores of a damaged bag (default: refuse it)",
+        help="compare the part of a damaged bag that import --salvage stores (default: refuse it)",
     )
     add_large_chunks_option(parser)
     add(
