@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A local Apache Cassandra: fetched with Maven, configured for loopback, started and stopped.
+"""A local Apache Cassandra: download with Maven, configure for loopback, start and stop.
 
-Nothing here knows ROS or the database driver; `cluster` joins the parts.
+This room uses neither ROS nor the database driver. Its main module is `cluster`.
 """
 
 from __future__ import annotations

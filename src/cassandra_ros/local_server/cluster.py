@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Start, stop and look at the local Cassandra of a directory."""
+"""Start, stop, inspect and clear the local Cassandra of a directory."""
 
 from __future__ import annotations
 
@@ -37,27 +37,28 @@ from cassandra_ros.local_server.server_security import SUPERUSER, Security
 START_TIMEOUT_SEC = 180.0
 STOP_TIMEOUT_SEC = 90.0
 _NEIGHBOUR_TIMEOUT_SEC = 30.0
-_STAGGER_SEC = 2.0  # kinder to few cores than all nodes at once
+_STAGGER_SEC = 2.0  # time between the starts of two nodes: a few cores cannot start all at once
 _POLL_SEC = 0.1
 
 
 class LocalCluster:
-    """The one to three Cassandra nodes of a directory, on loopback addresses.
+    """A cluster of one to three Cassandra nodes on loopback addresses, with its directory.
+
+    If an argument is None, the stored setting of the cluster applies; for a new one the default.
 
     Args:
-        directory: Where settings, data and logs lie; default: $CASSANDRA_ROS_DIR, else
+        directory: Directory of settings, data and logs; default: $CASSANDRA_ROS_DIR, else
             $ROS_HOME/cassandra_ros.
-        nodes: How many nodes; default: as before, 1 for a new cluster.
-        host: Loopback address of the first node; default: as before, 127.0.0.1.
-        port: CQL port; default: as before, 9042.
-        heap: Java heap of each node, such as 512M; default: as before, for a new cluster by the
-            memory of the machine.
-        secure: Whether it asks for a password and speaks TLS; default: as before, not.
-        say: Gets one line of text for each step.
-        progress: Gets, often, what is being waited for and since how many seconds.
+        nodes: Number of nodes; default: 1.
+        host: Loopback address of the first node; default: 127.0.0.1.
+        port: CQL port; default: 9042.
+        heap: Java heap of each node, such as 512M; default: see own_heap_mb.
+        secure: Whether the cluster requires a login and uses TLS; default: False.
+        say: Callback that gets one line of text for each step.
+        progress: Callback that gets regularly what is being waited for, and since how many seconds.
 
     Raises:
-        ServerError: An option cannot be, or the directory holds something else.
+        ServerError: An option has an impossible value, or the directory holds something else.
     """
 
     def __init__(
@@ -85,13 +86,13 @@ class LocalCluster:
 
     @property
     def nodes(self) -> list[Node]:
-        """The nodes of the cluster, whether they run or not."""
+        """All nodes of the cluster, running or not."""
         numbers = range(1, self.settings.nodes + 1)
         return [Node(n, self.directory / f"node{n}", self.settings) for n in numbers]
 
     @property
     def security(self) -> Security:
-        """The files of its login, which are there where settings.secure."""
+        """The login files of the cluster; they exist if settings.secure is set."""
         return Security(self.directory, self.settings)
 
     @property
@@ -100,35 +101,35 @@ class LocalCluster:
         return self._stored is not None
 
     def status(self) -> list[NodeStatus]:
-        """Return what each node does now."""
-        found = []
+        """Return the current status of each node."""
+        statuses = []
         for node in self.nodes:
             pid = self._pid(node)
             answers = bool(pid) and node.lets_in()
-            found.append(NodeStatus(node, pid, answers))
-        return found
+            statuses.append(NodeStatus(node, pid, answers))
+        return statuses
 
     def start(self, *, die_with_us: bool = False) -> bool:
-        """Start the nodes that do not run and return when all of them answer CQL requests.
+        """Start the nodes that are not running, and return when all nodes answer CQL requests.
 
         Args:
-            die_with_us: The nodes are stopped when this process ends, however that ends.
+            die_with_us: Stop the nodes when this process ends for any reason.
 
         Returns:
-            False when all of them were running before.
+            False if all nodes were running already.
 
         Raises:
-            ServerError: They cannot be started; the text has the cause and what to do.
+            ServerError: A node cannot be started; the text gives the cause and the remedy.
         """
         if not self.directory.exists():
-            self._check(self.nodes)  # a start that is refused leaves nothing behind
+            self._check(self.nodes)  # before the directory is made, in case the start is refused
         warning = preflight.make_directory(
             self.directory, self.settings.nodes, holds_data=self.exists
         )
         if warning:
             self._say(f"warning: {warning}")
         with locked(self.directory / "lock"):
-            self._load()  # somebody else may just have made the cluster
+            self._load()  # another process may just have made the cluster
             offsets = {node.number: log_size(node) for node in self.nodes}
             asleep = [node for node in self.nodes if not self._pid(node)]
             if self._stored is not None:
@@ -139,20 +140,20 @@ class LocalCluster:
             for node in self.nodes:
                 self._await_answer(node, offsets[node.number])
             self._await_neighbours([node.number for node in asleep], offsets)
-            if self.settings.secure:  # a start before may have been cut short
+            if self.settings.secure:  # an earlier start may have been interrupted before this
                 self.security.ensure_users()
         return bool(asleep)
 
     def stop(self) -> bool:
-        """Drain and end all nodes; return False when none was running.
+        """Drain and stop all nodes; return False if no node was running.
 
         Raises:
-            ServerError: A node does not end.
+            ServerError: A node does not stop.
         """
         if not self.directory.is_dir():
             return False
         with locked(self.directory / "lock"):
-            self._load()  # somebody else may just have started more nodes
+            self._load()  # another process may just have started more nodes
             running = [(node, pid) for node in self.nodes if (pid := self._pid(node))]
             for _, pid in running:
                 processes.terminate(pid)
@@ -162,16 +163,17 @@ class LocalCluster:
         return bool(running)
 
     def replace(self, number: int, *, die_with_us: bool = False) -> None:
-        """Bring back a node whose data are lost: the others give it their copies, and are compared.
+        """Restore a node that has lost its data: copy it from the other nodes, then compare.
 
-        Keyspaces with one copy of each row have lost what lay there.
+        Keyspaces with one copy of each row have lost the rows of that node.
 
         Args:
-            number: Of the node, from 1 on.
-            die_with_us: As start.
+            number: Number of the node; the first one is 1.
+            die_with_us: As in start.
 
         Raises:
-            ServerError: It runs, has data, or one of the others does not answer; or it fails.
+            ServerError: The node is running or has data, another node does not answer, or the copy
+                or the comparison fails.
         """
         if not self.exists or not 1 <= number <= self.settings.nodes or self.settings.nodes < 2:
             raise ServerError(
@@ -190,7 +192,7 @@ class LocalCluster:
             self._await_neighbours([number], {n.number: 0 for n in self.nodes})
             self._say(f"comparing the data of node {number} with the other copies")
             self._repair(node, java)
-            # Once more, as it will be from now on: without the door for commands.
+            # Start it again with its normal configuration, without a JMX port.
             pid = self._pid(node)
             processes.terminate(pid)
             self._await_end(node, pid)
@@ -202,7 +204,7 @@ class LocalCluster:
     def _check_replaceable(self, node: Node) -> None:
         if pid := self._pid(node):
             raise ServerError(f"Cassandra node {node.number} runs (pid {pid}): it needs no other")
-        # A start without them has made some of the server's own keyspaces.
+        # A start without data has created some system keyspaces; those do not count.
         data = node.directory / "data"
         if any(not each.name.startswith("system") for each in data.glob("*/")):
             raise ServerError(
@@ -228,13 +230,13 @@ class LocalCluster:
             )
 
     def clear(self) -> bool:
-        """Delete data, logs and settings of the stopped cluster, not the jars.
+        """Delete data, logs and settings of the stopped cluster, but not the jars.
 
         Returns:
-            False when there was nothing.
+            False if the directory holds no cluster.
 
         Raises:
-            ServerError: A node still runs.
+            ServerError: A node is still running, or a file cannot be deleted.
         """
         if not self.directory.is_dir():
             return False
@@ -259,10 +261,10 @@ class LocalCluster:
         return True
 
     def wait(self) -> None:
-        """Watch over the nodes until one of them ends.
+        """Wait until a node ends by itself.
 
         Raises:
-            ServerError: Always, then: nobody asked it to end.
+            ServerError: A node has ended. This method never returns.
         """
         while True:
             for node in self.nodes:
@@ -271,10 +273,10 @@ class LocalCluster:
             time.sleep(1.0)
 
     def _pid(self, node: Node) -> int:
-        """Return the pid of the node's server, 0 if it does not run."""
+        """Return the pid of the node's server; 0 = it is not running."""
         child = self._children.get(node.number)
         if child is not None:
-            child.poll()  # or it stays a zombie
+            child.poll()  # otherwise it remains a zombie
         try:
             remembered = int(node.pid_file.read_text(encoding="ascii"))
         except (OSError, ValueError):
@@ -284,7 +286,7 @@ class LocalCluster:
         return processes.find_server(node.config)
 
     def _check(self, asleep: list[Node]) -> str:
-        """Check what a start needs, fetch the jars; return the path of Java."""
+        """Check Java and ports, and download missing jars; return the path of Java."""
         java = find_java()
         install_jars(self._say)
         for node in asleep:
@@ -292,7 +294,7 @@ class LocalCluster:
         return java
 
     def _start_nodes(self, asleep: list[Node], die_with_us: bool) -> None:
-        """Check what a start needs, choose the storage port, remember the settings; start."""
+        """Make all checks, choose the storage port, save the settings, and start the nodes."""
         for node in asleep:
             if note := preflight.remove_stale_pid_file(node):
                 self._say(note)
@@ -311,7 +313,7 @@ class LocalCluster:
             self._start_node(replace(node, settings=self.settings), java, die_with_us)
 
     def _start_node(self, node: Node, java: str, die_with_us: bool) -> None:
-        # C.UTF-8: Java opens files by names in the locale's encoding.
+        # C.UTF-8: Java encodes file names by the locale.
         environment = {**os.environ, "MALLOC_ARENA_MAX": "4", "LC_ALL": "C.UTF-8"}
         try:
             node.write_config()
@@ -340,17 +342,17 @@ class LocalCluster:
         raise ServerError(f"Cassandra node {node.number} {what}\n{reason}")
 
     def _await_neighbours(self, started: list[int], offsets: dict[int, int]) -> None:
-        """Wait until the nodes that were just started and the others know each other.
+        """Wait until the nodes that were just started and all others know each other.
 
-        Before that a quorum is out of reach. It takes a second or two; a node that never hears of
-        another is a matter for whoever needs both.
+        Before that no quorum can be reached. It takes a second or two. After the timeout the start
+        still counts as successful: only requests that need both nodes fail.
         """
         deadline = time.monotonic() + _NEIGHBOUR_TIMEOUT_SEC
         for node in self.nodes:
             others = [other for other in self.nodes if other != node]
             fresh = [o for o in others if o.number in started or node.number in started]
             while fresh and time.monotonic() < deadline:
-                # The log tells who lives, the tables which data lie where.
+                # The log shows which nodes are up, the system tables which tokens they have.
                 lines = log_since(node, offsets[node.number]).splitlines()
                 alive = [line for line in lines if "now UP" in line]
                 seen = all(any(f"/{o.address}:" in line for line in alive) for o in fresh)
@@ -363,7 +365,7 @@ class LocalCluster:
     def _schema_versions(self, node: Node) -> dict[str, str]:
         if not self.settings.secure:
             return schema_versions(node.address, self.settings.port)
-        # Before its own users are there no new cluster has others than the first superuser.
+        # A new cluster only has Cassandra's superuser until its own users are created.
         for login in (self.security.login(), (SUPERUSER, SUPERUSER)):
             context = self.security.context()
             versions = schema_versions(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a local cluster is: its name, nodes, addresses, ports and heap."""
+"""The settings of a local cluster: name, nodes, addresses, ports and heap."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from cassandra_ros.errors import ServerError
 MAX_NODES = 3
 MIN_HEAP_MB = 256
 OWN_HEAP_MB = 512, 4096
-"""The least that a node takes unasked, and the most that all take together, MiB."""
+"""Default heap sizes, MiB: minimum of one node, and maximum of all nodes together."""
 _MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")
 SETTINGS_FILE = "cluster.json"
 _DRAFT = "cluster.draft"
 LOGIN_DIRECTORY = "login"
-"""Where keys and passwords of a cluster that asks for them lie."""
+"""Name of the folder with keys and passwords of a cluster that requires a login."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """The facts that a cluster's directory remembers from start to start."""
+    """The settings that are stored in the directory of a cluster."""
 
     cluster_name: str
-    """Unique per directory, so that Cassandra itself refuses data of another cluster."""
+    """Name that is unique per directory, so that Cassandra refuses data of another cluster."""
     nodes: int = 1
     host: str = "127.0.0.1"
-    """Address of the first node; the others follow it."""
+    """Address of the first node; the other nodes have the next addresses."""
     port: int = 9042
-    """Where CQL is spoken, on every node's address."""
+    """CQL port of all nodes."""
     storage_port: int = 0
-    """Where the nodes speak to each other; 0 until the first start chooses one."""
+    """Port for the traffic between the nodes; 0 until the first start chooses one."""
     heap_mb: int = 0
-    """Java heap of each node as asked for, MiB; 0 = by the machine's memory."""
+    """Java heap of each node that the user chose, MiB; 0 = see own_heap_mb."""
     secure: bool = False
-    """Whether it asks for a password and speaks TLS."""
+    """Whether the cluster requires a login and uses TLS."""
 
     @property
     def java_heap_mb(self) -> int:
@@ -49,15 +49,19 @@ class Settings:
         return self.heap_mb or own_heap_mb(self.nodes)
 
     def address(self, number: int) -> str:
-        """Return the address of a node, counted from 1."""
+        """Return the address of a node; the first node has number 1."""
         return str(ipaddress.IPv4Address(self.host) + (number - 1))
 
 
 def own_heap_mb(nodes: int, memory_bytes: int | None = None) -> int:
-    """Return the heap of a node that nobody named, MiB.
+    """Return the default heap of a node, MiB.
 
-    The nodes share a quarter of the memory (None = of this machine, or of the container), but each
-    gets at least 512 MiB. Every table keeps a quarter of a MiB of it, with or without rows.
+    The nodes share a quarter of the memory, at most 4 GiB, but each node gets at least 512 MiB.
+    Every table needs a quarter of a MiB of it, even without rows.
+
+    Args:
+        nodes: Number of nodes.
+        memory_bytes: Memory of the machine; None = read it (the limit of a container counts).
     """
     least, most = OWN_HEAP_MB
     memory = _memory_bytes() if memory_bytes is None else memory_bytes
@@ -68,20 +72,24 @@ def _memory_bytes() -> int:
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         return min(memory, int(_MEMORY_LIMIT.read_text(encoding="ascii")))
-    except (OSError, ValueError):  # no container, or one without a limit
+    except (OSError, ValueError):  # there is no container, or it has no limit
         return memory
 
 
 def new_settings() -> Settings:
-    """Return the settings of a cluster that does not exist yet."""
+    """Return the default settings, for a new cluster."""
     return Settings(cluster_name=f"cassandra_ros_{uuid.uuid4().hex[:8]}")
 
 
 def load_settings(directory: Path) -> Settings | None:
-    """Read the settings of the cluster in a directory; None where there is none."""
+    """Return the settings of the cluster in a directory; None = there is no cluster.
+
+    Raises:
+        ServerError: The directory holds other files, or the settings cannot be read.
+    """
     path = directory / SETTINGS_FILE
     try:
-        # Before the settings are read: what another start makes meanwhile is nothing foreign.
+        # List foreign files first, so that files of a start that runs meanwhile do not count.
         foreign = _foreign(directory)
         values = json.loads(path.read_text(encoding="utf-8"))
         known = {field.name: field.type for field in fields(Settings)}
@@ -105,7 +113,7 @@ def load_settings(directory: Path) -> Settings | None:
 
 
 def save_settings(directory: Path, settings: Settings) -> None:
-    """Write the settings so that a crash leaves either the old or the new ones."""
+    """Write the settings atomically: a crash leaves either the old or the new ones."""
     draft = directory / _DRAFT
     draft.write_text(json.dumps(asdict(settings), indent=2) + "\n", encoding="utf-8")
     os.replace(draft, directory / SETTINGS_FILE)
@@ -119,7 +127,11 @@ def change_settings(
     heap: str | None = None,
     secure: bool | None = None,
 ) -> Settings:
-    """Return the settings with the options that were given, checked."""
+    """Return the settings with the options that are not None, checked.
+
+    Raises:
+        ServerError: No cluster can be started with them.
+    """
     changed = replace(
         settings,
         nodes=settings.nodes if nodes is None else nodes,
@@ -140,7 +152,11 @@ def parse_heap(text: str) -> int:
 
 
 def check_settings(settings: Settings) -> Settings:
-    """Return the settings if a cluster can be started with them; raise ServerError if not."""
+    """Return the settings if a cluster can be started with them.
+
+    Raises:
+        ServerError: It cannot; the text names the option.
+    """
     try:
         first = ipaddress.IPv4Address(settings.host)
         loopback = first.is_loopback and (first + (settings.nodes - 1)).is_loopback
@@ -161,14 +177,13 @@ def check_settings(settings: Settings) -> Settings:
 
 
 def _foreign(directory: Path) -> list[str]:
-    """Return the names of what did not come with a start that has not ended."""
+    """Return the names of files in a directory that do not belong to a local cluster."""
     try:
         names = {path.name for path in directory.iterdir()}
     except FileNotFoundError:
         return []
     except NotADirectoryError:
         raise ServerError(f"{directory} is a file; choose a directory with --dir") from None
-    # The jars of the default directory may have been installed before the first start, the Studio
-    # of the viewer, too; and a start that was killed early leaves its lock, and a draft of its
-    # settings.
+    # In the default directory, jars and the viewer's Studio may have been installed before the
+    # first start. A start that was killed early leaves its lock and a draft of its settings.
     return sorted(names - {"jars", "studio", "lock", SETTINGS_FILE, _DRAFT})

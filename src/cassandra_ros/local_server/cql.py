@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The few words of CQL's protocol, version 4, that a start needs: OPTIONS, a login, questions.
+"""A minimal client of the CQL protocol, version 4: OPTIONS, login, statements.
 
-The driver is not used: a server is started where only ROS and Java are.
+The driver is not used, because a server must also start where only ROS and Java are installed.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _STATEMENT_SEC = 30.0
 
 
 class CqlRefused(OSError):
-    """The server answers with an error, which is the text."""
+    """The server answered with an error; the text is the server's."""
 
 
 class CqlSession:
-    """A connection that is logged in; close it, it is a context manager.
+    """A connection that is logged in; also a context manager that closes it.
 
     Raises:
-        OSError: Nobody answers, or not in CQL.
+        OSError: No server answers, or the answer is not CQL.
         CqlRefused: The server refuses the login.
     """
 
@@ -57,13 +57,13 @@ class CqlSession:
             raise
 
     def run(self, statement: str) -> bytes:
-        """Run one statement; return the body of its answer."""
+        """Run a statement; return the body of the answer."""
         text = statement.encode()
         body = struct.pack(">i", len(text)) + text + struct.pack(">HB", _CONSISTENCY_ONE, 0)
         return _call(self._connection, _QUERY, body, _RESULT)
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._connection.close()
 
     def __enter__(self) -> CqlSession:
@@ -76,7 +76,7 @@ class CqlSession:
 def answers_cql(
     host: str, port: int, timeout_sec: float = 2.0, context: ssl.SSLContext | None = None
 ) -> bool:
-    """Tell whether a CQL server answers OPTIONS, the request that needs no login."""
+    """Return whether a CQL server answers OPTIONS, a request that needs no login."""
     try:
         with _connect(host, port, timeout_sec, context) as connection:
             _call(connection, _OPTIONS, b"", _SUPPORTED)
@@ -92,11 +92,12 @@ def schema_versions(
     context: ssl.SSLContext | None = None,
     login: tuple[str, str] | None = None,
 ) -> dict[str, str]:
-    """Ask a node which other nodes it knows, and with which version of the schema.
+    """Return the schema versions of the nodes that a node knows.
 
     Returns:
-        Version by address of the other node, its own under 'here'; nodes of which it does not
-        know tokens and schema yet are missing. Empty where it does not answer.
+        Schema version by address of the other node; the node's own version has the key 'here'.
+        Nodes whose tokens or schema are not known yet are missing. Empty if the node does not
+        answer.
     """
     try:
         with CqlSession(host, port, context, login, timeout_sec) as session:
@@ -125,20 +126,20 @@ def _connect(
 def _select(session: CqlSession, what: str) -> list[dict[str, str]]:
     """Return the rows of a SELECT of plain columns."""
     answer = session.run(f"SELECT JSON {what}")
-    # Each row is one text; what is packed around them holds no such brace.
+    # Each row is one JSON text; the bytes between them never look like one.
     return [json.loads(row) for row in re.findall(rb'\{"[^{}]*\}', answer)]
 
 
 def _call(connection: socket.socket, opcode: int, body: bytes, expected: int) -> bytes:
-    """Send a frame; return the body of the answer, which is to have the expected opcode."""
-    answer, found = _exchange(connection, opcode, body)
+    """Send a frame; return the body of the answer; OSError if its opcode is another one."""
+    answer, answer_body = _exchange(connection, opcode, body)
     if answer != expected:
         raise OSError("the server refused the question")
-    return found
+    return answer_body
 
 
 def _exchange(connection: socket.socket, opcode: int, body: bytes) -> tuple[int, bytes]:
-    """Send a frame; return opcode and body of the answer."""
+    """Send a frame; return the opcode and the body of the answer."""
     connection.sendall(_HEADER.pack(_VERSION, 0, 0, opcode, len(body)) + body)
     with connection.makefile("rb") as stream:
         version, _, _, answer, length = _HEADER.unpack(stream.read(_HEADER.size))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Why a local Cassandra takes nothing more: a full disk, which it cannot tell itself."""
+"""Find out why a local Cassandra refuses writes: a full disk, which it does not report itself."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cassandra_ros.local_server.preflight import log_since, log_size
 from cassandra_ros.local_server.processes import command_line, find_server
 
 LOW_BYTES = 64 << 20
-"""Less is as good as nothing: a segment of the commit log has 32 MiB."""
+"""Free space below which a disk counts as full, bytes. A commit log segment has 32 MiB."""
 _STORAGE = "-Dcassandra.storagedir="
 _STARTED = "Starting listening for CQL clients"
 _FULL = ("No space left on device", "Insufficient disk space", "NoDiskAvailable")
@@ -27,9 +27,10 @@ _TAIL_BYTES = 64 << 10
 
 
 def local_directory(host: str, port: int) -> Path | None:
-    """Find the directory of the local Cassandra at an address: the default one, or one that runs.
+    """Return the directory of the local Cassandra at an address.
 
-    None where it is not one of this package's, or on another machine.
+    The default directory and those of running servers are considered. Return None if the server
+    was not started by this package, or is on another machine.
     """
     try:
         address = socket.gethostbyname(host)
@@ -43,7 +44,7 @@ def local_directory(host: str, port: int) -> Path | None:
 
 
 def disk_trouble(directory: Path) -> str:
-    """Say why the local Cassandra of a directory may take nothing; '' = no reason is known."""
+    """Return why the local Cassandra of a directory may refuse writes; '' = no known reason."""
     full = full_disk(directory)
     settings = _settings(directory)
     if full or settings is None:
@@ -56,7 +57,7 @@ def disk_trouble(directory: Path) -> str:
 
 
 def full_disk(directory: Path) -> str:
-    """Say that the disk of a local Cassandra is full, or was while this ran; '' = neither."""
+    """Return a text if the disk is full, or was full since the server was started; else ''."""
     settings = _settings(directory)
     if settings is None:
         return ""

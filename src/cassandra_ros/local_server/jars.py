@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Java and Cassandra's jars: where they lie; fetched with Maven, whole or not at all."""
+"""Find Java and Cassandra's jars, and download the jars with Maven, completely or not at all."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ _JVM_ROOT = Path("/usr/lib/jvm")
 
 
 def default_directory() -> Path:
-    """Return the directory of the local Cassandra that is used when none is named.
+    """Return the default directory of the local Cassandra.
 
-    It is $CASSANDRA_ROS_DIR, else it lies in the ROS home.
+    It is $CASSANDRA_ROS_DIR, else a folder in the ROS home.
     """
     named = os.environ.get("CASSANDRA_ROS_DIR")
     return Path(named) if named else home_folder()
 
 
 def jars_directory() -> Path:
-    """Return where the server's jars lie; every local cluster of a user shares them.
+    """Return the folder of Cassandra's jars, which all local clusters of a user share.
 
-    $CASSANDRA_ROS_JARS names another place, for example one that several users share.
+    $CASSANDRA_ROS_JARS names another folder, for example one that several users share.
     """
     named = os.environ.get("CASSANDRA_ROS_JARS")
     return Path(named) if named else home_folder() / "jars" / cassandra_version()
 
 
 def server_file(name: str) -> Path:
-    """Return a file of server/, from the source tree, the devel space or the install space."""
+    """Return the path of a file of server/ in the source tree, devel space or install space."""
     here = Path(__file__).absolute()
     for parent in here.parents:
         for place in (parent / "server", parent / "share" / "cassandra_ros" / "server"):
@@ -68,7 +68,7 @@ def cassandra_version() -> str:
 
 
 def jars_installed() -> bool:
-    """Tell whether the jars are there, complete, and those that server/pom.xml names."""
+    """Return whether all jars that server/pom.xml names are installed."""
     try:
         return (jars_directory() / _MARKER).read_text(encoding="utf-8") == _pom_digest()
     except OSError:
@@ -76,10 +76,10 @@ def jars_installed() -> bool:
 
 
 def install_jars(say: Callable[[str], None]) -> bool:
-    """Fetch the jars of Cassandra where they are missing; return whether they were.
+    """Download Cassandra's jars if they are missing; return whether they were missing.
 
     Raises:
-        ServerError: Maven is missing, or the download failed again and again.
+        ServerError: Maven is missing, all attempts to download failed, or the disk is full.
     """
     directory = jars_directory()
     try:
@@ -132,7 +132,7 @@ def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
             reason = error[0].replace("[ERROR]", "").strip() if error else "no reason given"
             say(f"attempt {attempt} of {_ATTEMPTS} failed ({reason[:160]}); again soon")
             time.sleep(_PAUSE_SEC * attempt)
-        # Maven remembers a failed download for a day and would not even try again.
+        # Maven remembers a failed download for a day, and would not try it again before.
         command = [*command, "-U"] if attempt == 1 else command
     raise ServerError(
         f"Maven could not fetch Cassandra {_ATTEMPTS} times; its last lines:\n"
@@ -142,7 +142,7 @@ def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
 
 
 def _run(command: list[str], timeout_sec: float) -> tuple[int, str]:
-    """Run a program; return its exit status, 1 when it does not start or end, and all it prints."""
+    """Run a program; return its exit status (1 if it does not start or end) and its output."""
     try:
         done = subprocess.run(
             command,
@@ -168,7 +168,7 @@ def _pom_digest() -> str:
 def find_java() -> str:
     """Return the path of a `java` of version 17.
 
-    $JAVA_HOME is asked first, then PATH, then Debian's folder of all Java versions.
+    $JAVA_HOME is searched first, then PATH, then Debian's folder of all Java versions.
     """
     found = {}
     for path in _candidates():
@@ -185,7 +185,7 @@ def find_java() -> str:
 
 
 def java_version(path: str) -> int:
-    """Return the major version of a `java`, 0 where it does not run."""
+    """Return the major version of a `java`; 0 = it cannot be run."""
     found = re.search(r'version "(?:1\.)?(\d+)', _run([path, "-version"], 30)[1])
     return int(found.group(1)) if found else 0
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The files and the command line of one node of the local cluster."""
+"""The configuration, files and command line of one node of the local cluster."""
 
 from __future__ import annotations
 
@@ -30,27 +30,27 @@ _EXPORTS = (
     "java.management/com.sun.jmx.remote.security java.rmi/sun.rmi.registry "
     "java.rmi/sun.rmi.server java.sql/java.sql jdk.unsupported/sun.misc"
 )
-# What bin/cassandra sets for Java 17, less what only large heaps want. Neither JMX port is set,
-# so JMX is off: a SIGTERM drains without it.
+# The options of bin/cassandra for Java 17, without those for large heaps. No JMX port is set, so
+# JMX is off; a SIGTERM drains the node without it.
 _JVM_FLAGS = (
     "-Xss256k -XX:+UseThreadPriorities "
     "-XX:+PerfDisableSharedMem -XX:+ExitOnOutOfMemoryError -Djava.net.preferIPv4Stack=true "
     "-Dchronicle.analytics.disable=true -Djdk.attach.allowAttachSelf=true "
     "-Dio.netty.tryReflectionSetAccessible=true -Dio.netty.allocator.useCacheForAllThreads=true "
     "-Dio.netty.allocator.maxOrder=11 -Dcassandra-foreground=yes "
-    # What a table holds of the heap, with or without rows, are its metrics; for few cores one
-    # copy of their counters is enough: 0.26 MiB a table instead of 0.35.
+    # The metrics of a table take heap, even without rows. On few cores one copy of their counters
+    # is enough: 0.26 MiB per table instead of 0.35 MiB.
     "-Dcassandra.dehr_stripe_count=1 "
-    # In the first minutes the compiler takes as much of the processor as the rows. With less put
-    # into one method it takes a third less, and what it makes is as fast.
+    # In the first minutes the compiler uses as much processor time as the requests. With less
+    # inlining it uses a third less, and the compiled code is as fast.
     "-XX:FreqInlineSize=150 -XX:InlineSmallCode=1200"
 )
 _FIRST_HEAP_MB = 512
-# Up to here, which is all that a node takes unasked, the parallel collector is used: it costs the
-# least time, with G1 rows of many columns cost a fifth more. What waits to be written lies outside
-# of the heap, so its pauses stay short; the shorter ones of G1 only matter in larger heaps.
+# Up to this heap size, the maximum by default, the parallel collector is used. It takes the least
+# time: with G1, rows of many columns cost a fifth more. Its pauses are short, because memtables are
+# outside of the heap. The shorter pauses of G1 only matter in larger heaps.
 _SMALL_HEAP_MB = 4096
-# Nodes on one machine need no time to hear of each other: 8 s less a start.
+# Nodes on one machine need no delays to find each other. This makes a start 8 s shorter.
 _LOCAL_FLAGS = (
     "-Dcassandra.skip_wait_for_gossip_to_settle=0 -Dcassandra.ring_delay_ms=1000 "
     "-Dcassandra.superuser_setup_delay_ms=0 -Dcassandra.shutdown_announce_in_ms=0"
@@ -59,75 +59,76 @@ _LOCAL_FLAGS = (
 
 @dataclass(frozen=True)
 class Node:
-    """One node: its number from 1 on, and where it lives."""
+    """A Cassandra node of the local cluster."""
 
     number: int
+    """Number of the node; the first one is 1."""
     directory: Path
-    """Absolute and free of links, so that a process can be known by its command line."""
+    """Directory of the node: absolute and without symbolic links, so that its process can be
+    identified by the command line."""
     settings: Settings
     jmx_port: int = 0
-    """Port for commands (JMX) of a node that replaces one whose data are lost; 0 = closed."""
+    """JMX port of a node whose lost data are restored; 0 = JMX is off."""
 
     @property
     def address(self) -> str:
-        """Where it listens."""
+        """Address on which the node listens."""
         return self.settings.address(self.number)
 
     @property
     def config(self) -> Path:
-        """Its cassandra.yaml."""
+        """Path of the node's cassandra.yaml."""
         return self.directory / "cassandra.yaml"
 
     @property
     def security(self) -> Security:
-        """The files of the cluster's login."""
+        """The login files of the cluster."""
         return Security(self.directory.parent, self.settings)
 
     def answers(self) -> bool:
-        """Tell whether it answers CQL requests."""
+        """Return whether the node answers CQL requests."""
         context = self.security.context() if self.settings.secure else None
         return answers_cql(self.address, self.settings.port, context=context)
 
     def lets_in(self) -> bool:
-        """Tell whether programs can use it: it answers, and where it asks for a login takes theirs.
+        """Return whether programs can use the node: it answers and accepts their login, if any.
 
-        The user of a new cluster is made a moment after it answers.
+        The user of a new cluster is created a moment after the node answers.
         """
         return self.security.lets_in(self.address) if self.settings.secure else self.answers()
 
     @property
     def log(self) -> Path:
-        """What Cassandra logs; older parts are beside it."""
+        """Path of Cassandra's log; older logs are in the same folder."""
         return self.directory / "logs" / "system.log"
 
     @property
     def console(self) -> Path:
-        """What the Java machine itself prints."""
+        """Path of the output of the Java virtual machine itself."""
         return self.directory / "logs" / "console.log"
 
     @property
     def pid_file(self) -> Path:
-        """Names the process of the last start."""
+        """Path of the file with the pid of the last start."""
         return self.directory / "pid"
 
     def write_config(self) -> None:
-        """Make the node's directory, for its user alone, and write its configuration."""
+        """Make the node's directory, readable by its owner only, and write its configuration."""
         self.directory.parent.mkdir(parents=True, exist_ok=True)
-        # Other users of the machine must not read data or logs, whose messages tell of both; also
-        # where somebody made the folder before.
+        # Other users of the machine must not read data or logs, also if the folder existed before.
         for folder in (self.directory, self.directory / "logs"):
             folder.mkdir(mode=0o700, exist_ok=True)
             folder.chmod(0o700)
-        # Libraries unpack themselves there at every start and stay when the server is killed.
+        # Native libraries are unpacked there at each start, and remain if the server is killed.
         shutil.rmtree(self.directory / "tmp", ignore_errors=True)
         (self.directory / "tmp").mkdir()
         write_private(self.config, self.render_yaml())  # it may name a password
 
     def render_yaml(self) -> str:
-        """Return the text of the node's cassandra.yaml: the common part, and its own values."""
+        """Return the text of the node's cassandra.yaml: the common part and the node's values."""
         settings = self.settings
         numbers = set(range(1, settings.nodes + 1))
-        if self.jmx_port:  # a seed does not fetch data
+        if self.jmx_port:  # a seed would not copy data from other nodes
             numbers.remove(self.number)
         seeds = ",".join(f"{settings.address(n)}:{settings.storage_port}" for n in sorted(numbers))
         seed_provider = "org.apache.cassandra.locator.SimpleSeedProvider"
@@ -148,17 +149,17 @@ class Node:
             own.update(self.security.yaml())
         common = server_file("cassandra.yaml").read_text(encoding="utf-8")
         note = "# Written at every start of the local Cassandra; changes here are lost.\n"
-        # What is JSON is YAML.
+        # JSON is valid YAML.
         return note + common + "".join(f"{k}: {json.dumps(value)}\n" for k, value in own.items())
 
     def command(self, java: str, jars: Path) -> list[str]:
         """Return the command line of the node's server."""
         heap = self.settings.java_heap_mb
-        # One that nobody named grows with the work: a robot's computer has other things to do
-        # with a quarter of its memory. One that is named is taken at once, or refused at once.
+        # A default heap grows with the load, because a robot's computer has other uses for a
+        # quarter of its memory. A heap that the user chose is allocated, or refused, at once.
         first = heap if self.settings.heap_mb else min(heap, _FIRST_HEAP_MB)
         arguments = [java, f"-Xms{first}M", f"-Xmx{heap}M"]
-        # Half of the heap, as bin/cassandra: the tries of the memtables lie there, too.
+        # Half of the heap, as in bin/cassandra: the tries of the memtables use direct memory, too.
         arguments.append(f"-XX:MaxDirectMemorySize={max(512, heap // 2)}M")
         arguments.append("-XX:+UseParallelGC" if heap <= _SMALL_HEAP_MB else "-XX:+UseG1GC")
         arguments += _JVM_FLAGS.split() + _LOCAL_FLAGS.split()
@@ -188,7 +189,7 @@ class Node:
 
 
 def _doors() -> list[str]:
-    """Return the options that let Cassandra's classes use packages of Java itself."""
+    """Return the options that allow Cassandra's classes to use internal packages of Java."""
     found = []
     for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
         for package in packages.split():
@@ -198,21 +199,25 @@ def _doors() -> list[str]:
 
 @dataclass(frozen=True)
 class NodeStatus:
-    """What is known of one node at one moment."""
+    """The status of a node at one moment."""
 
     node: Node
     pid: int
-    """0 when it does not run."""
+    """Pid of the server; 0 = it is not running."""
     answers: bool
-    """It answers CQL requests, and takes the login of the programs where it asks for one."""
+    """Whether programs can use the node: it answers CQL and accepts their login, if any."""
 
 
-# $0 is a mount point that is covered, privately: nothing that is mounted here reaches others.
+# $0 is a mount point over which / is mounted. The mount is private: other processes do not see it.
 _COVER = 'mount --make-private "$0" && mount --rbind / "$0" && exec chroot "$0" "$@"'
 
 
 def with_visible_root(command: list[str], directory: Path) -> list[str]:
-    """Return the command, or one that first makes visible where the directory is mounted."""
+    """Return a command whose process can see the mount point of a directory.
+
+    In a chroot this mount point may be missing in /proc/mounts. Then the result is a command that
+    mounts / in a private namespace first.
+    """
     mounts = mount_points()
     if mount_point_of(directory) in mounts or os.geteuid() != 0:
         return command
@@ -224,10 +229,10 @@ def with_visible_root(command: list[str], directory: Path) -> list[str]:
 def mount_points() -> list[str]:
     """Return the mount points that this process can see."""
     lines = Path("/proc/mounts").read_text(encoding="utf-8", errors="surrogateescape")
-    # A blank in a name stands there as \040.
+    # A blank in a name is written as \040.
     return [line.split(" ")[1].replace("\\040", " ") for line in lines.splitlines()]
 
 
 def mount_point_of(directory: Path) -> str:
-    """Return where the file system of a folder begins, as Java finds it: by device numbers."""
+    """Return the mount point of a directory's file system, found by device numbers as in Java."""
     return next(str(path) for path in (directory, *directory.parents) if path.is_mount())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the machine knows of its ports: which are free, who holds one, who is connected."""
+"""TCP ports of this machine: which are free, which process uses one, how many clients it has."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _DYING_SEC = 10.0
 
 
 def is_free(host: str, port: int) -> bool:
-    """Tell whether a server could listen on the port now."""
+    """Return whether a server could listen on the port now."""
     with socket.socket() as probe:
-        # As Java does it: the closing connections of a server that just stopped do not count.
+        # As Java does: ignore closing connections of a server that was just stopped.
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((host, port))
@@ -32,9 +32,9 @@ def is_free(host: str, port: int) -> bool:
 
 
 def free_port(host: str = "127.0.0.1") -> int:
-    """Return a port of the host that is free now, and that no client gets for its end."""
-    # What the system gives away by itself begins above: such a port may be taken by a client
-    # while a server that listened on it is started again.
+    """Return a free port of the host that is never used for outgoing connections."""
+    # The ports for outgoing connections are above this range. A client could take one of those
+    # while a server that listened on it is restarted.
     for port in random.sample(_SERVER_PORTS, len(_SERVER_PORTS)):
         if is_free(host, port):
             return port
@@ -42,9 +42,9 @@ def free_port(host: str = "127.0.0.1") -> int:
 
 
 def await_the_dead(host: str, port: int) -> bool:
-    """Wait while the listener of a port is a process that is just ending; tell if it is free now.
+    """Wait until processes that are ending have released a port; return whether it is free now.
 
-    One that was killed gives its memory back first, and its port seconds later on a busy machine.
+    A killed process first frees its memory; on a busy machine its port is free seconds later.
     """
     deadline = time.monotonic() + _DYING_SEC
     while not is_free(host, port):
@@ -56,24 +56,24 @@ def await_the_dead(host: str, port: int) -> bool:
 
 
 def port_owner(port: int, host: str = "") -> str:
-    """Describe who listens on a TCP port of this machine, of any address for host ''."""
+    """Describe the process that listens on a TCP port of this machine; host '' = any address."""
     for found in _sockets(port, psutil.CONN_LISTEN, host):
         return describe_process(found.pid) if found.pid else "a process of another user"
     return "an unknown process"
 
 
 def count_clients(port: int) -> int:
-    """Return how many connections to a port of this machine are open."""
+    """Return the number of open connections to a port of this machine."""
     return len(_sockets(port, psutil.CONN_ESTABLISHED))
 
 
 def _sockets(port: int, state: str, host: str = "") -> list[Any]:
-    """Return the sockets of a local port that are in a state, of all addresses for host ''."""
-    wanted = (socket.gethostbyname(host), "0.0.0.0", "::")  # noqa: S104 - compared, not bound
+    """Return the sockets of a local port that are in a state; host '' = all addresses."""
+    addresses = (socket.gethostbyname(host), "0.0.0.0", "::")  # noqa: S104 - compared, not bound
     return [
         found
         for found in psutil.net_connections("tcp")
         if found.status == state
         and found.laddr.port == port
-        and (not host or found.laddr.ip.replace("::ffff:", "") in wanted)
+        and (not host or found.laddr.ip.replace("::ffff:", "") in addresses)
     ]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is checked before a start, so that its failures have names: all are ServerErrors."""
+"""Checks before a start, so that failures are ServerErrors with a cause and a remedy."""
 
 from __future__ import annotations
 
@@ -18,10 +18,16 @@ _NEEDED_BYTES = 768 << 20  # per node: the commit log alone may take 512 MiB
 
 
 def make_directory(directory: Path, nodes: int, *, holds_data: bool = False) -> str:
-    """Make the cluster's directory and see that its disk has room.
+    """Make the cluster's directory and check the free space of its disk.
+
+    Args:
+        holds_data: Only warn of too little space: existing data can still be read or deleted.
 
     Returns:
-        What to say of a disk with little room where there are data to be read, or deleted; or ''.
+        A warning of too little space; '' = there is enough.
+
+    Raises:
+        ServerError: There is too little space, or the directory cannot be made.
     """
     warning = ""
     try:
@@ -44,7 +50,11 @@ def make_directory(directory: Path, nodes: int, *, holds_data: bool = False) -> 
 
 
 def check_change(directory: Path, old: Settings, new: Settings, running: bool) -> None:
-    """Refuse options that contradict what runs, or what the data were written with."""
+    """Refuse options that contradict the running cluster or the stored data.
+
+    Raises:
+        ServerError: An option contradicts them; the text names it.
+    """
     if new.nodes != old.nodes:
         raise ServerError(
             f"{directory} holds a cluster of {old.nodes} node(s), not {new.nodes}; leave --nodes "
@@ -65,7 +75,7 @@ def check_change(directory: Path, old: Settings, new: Settings, running: bool) -
 
 
 def remove_stale_pid_file(node: Node) -> str:
-    """Remove the pid file of a node that does not run; return what to say of it, or ''."""
+    """Delete the pid file of a node that is not running; return a note about it, or ''."""
     try:
         text = node.pid_file.read_text(encoding="ascii", errors="replace").strip()
     except FileNotFoundError:
@@ -76,7 +86,11 @@ def remove_stale_pid_file(node: Node) -> str:
 
 
 def check_port(node: Node) -> None:
-    """See that the node's CQL port is free; else say who has it, as far as that can be known."""
+    """Check that the node's CQL port is free.
+
+    Raises:
+        ServerError: It is in use; the text names the process, if it is known.
+    """
     port = node.settings.port
     if ports.await_the_dead(node.address, port):
         return
@@ -93,18 +107,18 @@ def check_port(node: Node) -> None:
 
 
 def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
-    """Return a port, free on all addresses, for the traffic between the nodes."""
+    """Return a port for the traffic between the nodes that is free on all their addresses."""
     known = settings.storage_port
     if known and all(ports.await_the_dead(address, known) for address in addresses):
         return known
     if known and settings.nodes > 1:
-        # Several nodes know each other by this port.
+        # The nodes have stored each other's addresses with this port.
         taken = next((address for address in addresses if not ports.is_free(address, known)), "")
         raise ServerError(
             f"port {known}, by which the nodes speak to each other, is taken by "
             f"{ports.port_owner(known, taken)}; end that first"
         )
-    # Two that start at once do not begin with the same one.
+    # Random, so that two clusters that start at the same time choose different ports.
     first = os.getpid() % 100
     for port in [7000, *(17000 + (first + number) % 100 for number in range(100))]:
         if all(ports.is_free(address, port) for address in addresses):
@@ -115,7 +129,7 @@ def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
 _TAIL_LINES = 15
 _TAIL_BYTES = 64 << 10
 
-# (what stands in the log, what it means and what to do); the first that is found counts.
+# (text in the log, its meaning and the remedy); the first text that is found counts.
 _REASONS = (
     (
         "Saved cluster name",
@@ -136,7 +150,7 @@ _REASONS = (
     ("Could not reserve enough space", "there is too little memory for the heap; lower --heap"),
     ("os::commit_memory", "there is too little memory for the heap; lower --heap"),
     ("Cannot allocate memory", "there is too little memory for the heap; lower --heap"),
-    # With its package: Cassandra logs its options, -XX:+ExitOnOutOfMemoryError among them.
+    # With the package name, because Cassandra logs the option -XX:+ExitOnOutOfMemoryError.
     ("java.lang.OutOfMemoryError", "the heap is too small; give more with --heap"),
     ("CommitLogReplayException", "the commit log is damaged; the file is named in the log"),
     ("CorruptSSTableException", "a data file is damaged; it is named in the log"),
@@ -151,7 +165,7 @@ _REASONS = (
 
 
 def log_size(node: Node) -> int:
-    """Return how long the node's log is now, bytes; 0 where there is none."""
+    """Return the size of the node's log, bytes; 0 = there is no log."""
     try:
         return node.log.stat().st_size
     except OSError:
@@ -159,13 +173,13 @@ def log_size(node: Node) -> int:
 
 
 def log_since(node: Node, offset: int) -> str:
-    """Return what the node has logged since its log was `offset` bytes long."""
-    # It may have been rolled over.
+    """Return the text that the node has logged since its log had `offset` bytes."""
+    # The log may have been rotated meanwhile.
     return _read(node.log, offset if log_size(node) >= offset else 0)
 
 
 def explain_failure(node: Node, offset: int) -> str:
-    """Return reason, last lines of the log from `offset` on and where it is, for an error text."""
+    """Return the reason for a failure, the last lines of the log after `offset`, and its path."""
     logged, printed = log_since(node, offset), _read(node.console, 0)
     reason = next((why for sign, why in _REASONS if sign in logged + printed), "")
     source, text = (node.log, logged) if logged.strip() else (node.console, printed)

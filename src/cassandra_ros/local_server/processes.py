@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Processes of the local Cassandra: found by what they run, never by a number alone.
+"""Processes of the local Cassandra, identified by their command line, never by a pid alone.
 
-A pid that a file remembers may belong to somebody else by now. So a process counts as a node's
-server only while its command line names that node's configuration file.
+A pid in a file may belong to another process by now. So a process counts as a node's server only
+if its command line names that node's configuration file.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _CONFIG = "-Dcassandra.config="
 
 
 def config_argument(config: Path) -> str:
-    """Return the argument by which a server's command line names its configuration."""
+    """Return the argument that names the configuration in a server's command line."""
     return _CONFIG + config.as_uri()
 
 
 def command_line(pid: int) -> list[str]:
-    """Return the arguments of a process; empty when it has ended (also as a zombie)."""
+    """Return the command line of a process; [] = it has ended (or is a zombie)."""
     try:
         return [word for word in psutil.Process(pid).cmdline() if word]
     except psutil.Error:
@@ -38,17 +38,17 @@ def command_line(pid: int) -> list[str]:
 
 
 def is_server(pid: int, config: Path) -> bool:
-    """Tell whether the process is the server of this configuration file."""
+    """Return whether a process is the server with this configuration file."""
     return config_argument(config) in command_line(pid)
 
 
 def find_server(config: Path) -> int:
-    """Return the pid of the running server of this configuration file, 0 if there is none."""
+    """Return the pid of the server with this configuration file; 0 = it is not running."""
     return next((pid for pid in psutil.pids() if is_server(pid, config)), 0)
 
 
 def describe_process(pid: int) -> str:
-    """Return a name for a process that a person recognises."""
+    """Return a description of a process for people."""
     words = command_line(pid)
     if not words:
         return f"process {pid}, which has ended"
@@ -61,9 +61,9 @@ def describe_process(pid: int) -> str:
 def spawn(
     command: list[str], output: Path, environment: dict[str, str], *, die_with_us: bool
 ) -> subprocess.Popen[bytes]:
-    """Start a process in a session of its own, apart from our terminal and its Ctrl-C.
+    """Start a process in a session of its own, so that Ctrl-C in our terminal does not reach it.
 
-    With ``die_with_us`` it gets a SIGTERM when this process ends, however that ends.
+    With ``die_with_us`` it gets SIGTERM when this process ends for any reason.
     """
     with open(output, "wb") as log:
         process = subprocess.Popen(
@@ -75,24 +75,26 @@ def spawn(
             start_new_session=True,
             preexec_fn=_in_child(die_with_us),
         )
-    # In its very first moments it has no command line to be known by.
+    # Wait until the process has its command line, by which it is identified.
     while process.poll() is None and not command_line(process.pid):
         time.sleep(0.001)
     return process
 
 
 def terminate(pid: int) -> None:
-    """Ask a process to end; one that has ended already is fine."""
+    """Send SIGTERM to a process; do nothing if it has ended already."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGTERM)
 
 
 def _in_child(die_with_us: bool) -> Callable[[], None]:
-    prctl = ctypes.CDLL(None).prctl  # found here: little may be done between fork and exec
+    prctl = ctypes.CDLL(
+        None
+    ).prctl  # loaded before the fork: little is allowed between fork and exec
 
     def prepare() -> None:
-        # A shell's background jobs ignore SIGINT, and what is ignored stays so over exec: Java
-        # would never notice that it is asked to end.
+        # Background jobs of a shell ignore SIGINT, and exec keeps ignored signals ignored. Java
+        # would then ignore it, too.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         if die_with_us:
@@ -103,7 +105,7 @@ def _in_child(die_with_us: bool) -> Callable[[], None]:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a file, made when missing; wait while another process holds it."""
+    """Hold the lock of a file, which is created if needed; wait for other processes."""
     with open(path, "a", encoding="utf-8") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

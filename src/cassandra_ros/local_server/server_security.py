@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A local Cassandra that asks for a password and speaks TLS: its certificate, users and files.
+"""A local Cassandra that requires a login and uses TLS: its certificate, users and login files.
 
-All lies in the folder `login` of the cluster's directory, for its owner alone: the key of the
-server, the certificate that clients trust, and the two files by which programs log in.
+All files are in the folder `login` of the cluster's directory, readable by its owner only: the
+server's key, the certificate that clients trust, and the two files with which programs log in.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from cassandra_ros.local_server.cluster_settings import LOGIN_DIRECTORY, Setting
 from cassandra_ros.local_server.cql import CqlSession
 
 USER = "ros"
-"""Who programs log in as: may do all in all keyspaces, and make roles."""
+"""User of the programs. It has all rights in all keyspaces, and may make roles."""
 SUPERUSER = "cassandra"
-"""Cassandra's own; its password is known to the world until it is changed."""
+"""Cassandra's default superuser. Its default password is public, so it is changed."""
 _VALID_DAYS = 3650
 _KEYTOOL_SEC = 60.0
 _ROLES_SEC = 60.0
 _PAUSE_SEC = 0.2
 _SECRETS = "secrets.json"
 _ALIAS = "cassandra"
-# Short-lived programs: the second compiler would take longer than they do.
+# For short-lived programs: the optimizing compiler would take longer than the program itself.
 _QUICK = ["-J-XX:TieredStopAtLevel=1", "-J-Xshare:auto"]
 
 
 class Security:
-    """The files of a cluster that is started with --secure.
+    """The login files and users of a cluster that is started with --secure.
 
     Args:
-        directory: The cluster's own.
-        settings: Where it listens.
+        directory: Directory of the cluster.
+        settings: Settings of the cluster.
     """
 
     def __init__(self, directory: Path, settings: Settings) -> None:
@@ -50,26 +50,26 @@ class Security:
 
     @property
     def cqlshrc(self) -> Path:
-        """What programs, and cqlsh, read: where it is and what they trust."""
+        """Path of the cqlshrc for programs and cqlsh: address and trusted certificate."""
         return self.folder / "cqlshrc"
 
     @property
     def certificate(self) -> Path:
-        """The server's certificate, PEM."""
+        """Path of the server's certificate, PEM."""
         return self.folder / "server.pem"
 
     def make_files(self, java: str) -> None:
-        """Make what is missing, and write the address as it is now.
+        """Make the files that are missing, and write the current address.
 
         Raises:
-            ServerError: The folder cannot be written, keytool makes no certificate, or the
-                passwords that were chosen before are lost.
+            ServerError: The folder cannot be written, keytool fails to make a certificate, or the
+                file with the earlier passwords is lost.
         """
         try:
             self.folder.mkdir(mode=0o700, exist_ok=True)
             self.folder.chmod(0o700)
             if loss := self.loss():
-                raise ServerError(loss)  # others would open nothing
+                raise ServerError(loss)  # new passwords would not work
             if not (self.folder / _SECRETS).exists():
                 chosen = {name: secrets.token_urlsafe(24) for name in ("keystore", "user", "root")}
                 write_private(self.folder / _SECRETS, json.dumps(chosen))
@@ -82,7 +82,7 @@ class Security:
             raise ServerError(f"{self.folder} cannot be written: {exc}") from exc
 
     def loss(self) -> str:
-        """Say that the passwords that were chosen are lost, and what to do; '' = they are not."""
+        """Return a text with a remedy if the file with the passwords is lost; else ''."""
         kept = self.folder / _SECRETS
         if kept.exists() or not (self._keystore.exists() or self.certificate.exists()):
             return ""
@@ -93,10 +93,10 @@ class Security:
         )
 
     def yaml(self) -> dict[str, object]:
-        """Return what a node's cassandra.yaml says of logging in."""
+        """Return the settings for login and TLS in a node's cassandra.yaml."""
         return {
             "authenticator": "PasswordAuthenticator",
-            # A password that was changed, the superuser's known one above all, is refused at once.
+            # No cache, so that a changed password (the superuser's default one) is refused at once.
             "credentials_validity": "0ms",
             "authorizer": "CassandraAuthorizer",
             "role_manager": "CassandraRoleManager",
@@ -111,18 +111,18 @@ class Security:
         }
 
     def context(self) -> ssl.SSLContext:
-        """Return what our own questions are encrypted with; it trusts this server alone."""
+        """Return the TLS context for our own requests; it trusts only this server."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         context.check_hostname = False
         context.load_verify_locations(self.certificate)
         return context
 
     def login(self) -> tuple[str, str]:
-        """Return user name and password of the programs."""
+        """Return the user name and password of the programs."""
         return USER, self._secret("user")
 
     def lets_in(self, address: str) -> bool:
-        """Tell whether a node takes the login of the programs; not where its files are missing."""
+        """Return whether a node accepts the login of the programs; False if files are missing."""
         try:
             self._session(*self.login(), address).close()
         except (OSError, struct.error, ServerError):
@@ -130,15 +130,15 @@ class Security:
         return True
 
     def ensure_users(self) -> None:
-        """Give the default superuser a password of its own, and make the user of the programs.
+        """Change the password of the default superuser, and create the user of the programs.
 
         Raises:
-            ServerError: Nobody can log in: the passwords were changed by somebody else.
+            ServerError: The stored passwords are refused, because they were changed elsewhere.
         """
         if self.lets_in(self._settings.host):
             return
         deadline = time.monotonic() + _ROLES_SEC
-        while True:  # the server makes its first role a moment after it answers
+        while True:  # the server creates its superuser a moment after it answers
             for password in (self._secret("root"), SUPERUSER):
                 try:
                     with self._session(SUPERUSER, password) as session:
@@ -147,27 +147,27 @@ class Security:
                     refusal = exc
             if time.monotonic() > deadline:
                 raise ServerError(
-                    f"nobody can log in to the local Cassandra with what is kept in {self.folder} "
+                    f"the local Cassandra refuses the passwords that are kept in {self.folder} "
                     f"({refusal}): were its passwords changed? Put them back, or clear its data"
                 )
             time.sleep(_PAUSE_SEC)
 
     def _make_users(self, session: CqlSession) -> None:
         nodes = self._settings.nodes
-        if nodes > 1:  # or nobody could log in while one of them is away
+        if nodes > 1:  # otherwise no login would work while one of the nodes is down
             session.run(
                 "ALTER KEYSPACE system_auth WITH replication = "
                 f"{{'class': 'NetworkTopologyStrategy', 'datacenter1': {nodes}}}"
             )
-        # Roles take no bound values; the passwords are ours, without quotes.
+        # CQL of roles has no bound values. We made the passwords; they contain no quotes.
         root, user = self._secret("root"), self._secret("user")
         session.run(f"ALTER ROLE {SUPERUSER} WITH PASSWORD = '{root}'")
         session.run(f"CREATE ROLE IF NOT EXISTS {USER}")
         for everything in ("ALL KEYSPACES", "ALL ROLES"):
             session.run(f"GRANT ALL PERMISSIONS ON {everything} TO {USER}")
-        for right in ("SELECT", "AUTHORIZE"):  # "all" leaves out the server's own
+        for right in ("SELECT", "AUTHORIZE"):  # "all" does not include the virtual tables
             session.run(f"GRANT {right} ON KEYSPACE system_views TO {USER}")
-        # At last: who can log in has all rights.
+        # Allow the login last, so that the user has all rights as soon as it can log in.
         session.run(f"ALTER ROLE {USER} WITH PASSWORD = '{user}' AND LOGIN = true")
 
     def _session(self, user: str, password: str, address: str = "") -> CqlSession:
@@ -220,7 +220,7 @@ class Security:
         if not tool:
             raise ServerError(f"keytool, which comes with Java, is not beside {java}")
         store = ["-alias", _ALIAS, "-keystore", str(self._keystore), "-storetype", "PKCS12"]
-        # By the environment: other users see arguments.
+        # Passed by the environment, because other users can see arguments.
         password = {"KEYSTORE_PASSWORD": self._secret("keystore")}
         try:
             done = subprocess.run(
@@ -241,7 +241,7 @@ class Security:
 
 
 def write_private(path: Path, text: str) -> None:
-    """Write a file, whole or not at all, that nobody else can read at any moment."""
+    """Write a file atomically; other users cannot read it at any moment."""
     draft = path.with_name(path.name + ".draft")
     draft.unlink(missing_ok=True)
     number = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
