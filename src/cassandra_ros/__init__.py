@@ -4,7 +4,7 @@
 
 from pkgutil import extend_path
 
-# The generated cassandra_ros.msg and .srv lie in another folder of the same name.
+# The generated modules cassandra_ros.msg and .srv are in another folder of the same name.
 __path__ = extend_path(__path__, __name__)
 
 _PUBLIC = {
@@ -36,7 +36,8 @@ __all__ = list(_PUBLIC)
 
 
 def __getattr__(name: str) -> object:
-    # Loaded on first use: a node that only wants cassandra_ros.srv needs no database driver.
+    # Modules are loaded on first use, so that a node that only uses cassandra_ros.srv does not need
+    # the database driver.
     if name not in _PUBLIC:
         raise AttributeError(f"module 'cassandra_ros' has no attribute '{name}'")
     from importlib import import_module

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What the public methods take: one check for each kind of argument.
+"""Checks of the arguments of public methods, one function for each kind of argument.
 
-A check returns the argument in the form in which it is kept, or raises an error that names the
-argument, its value, and what to give instead. Nothing is stored or asked before.
+A check returns the argument in its internal form, or raises an error that names the argument, its
+value, and what to give instead. The methods check all arguments before they use the store.
 """
 
 from __future__ import annotations
@@ -18,18 +18,21 @@ from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
 from cassandra_ros.metadata import FACTS
 
 MAX_NAME_BYTES = 256
-"""Maximum length of a new name, bytes of UTF-8: of a topic, a robot, a run or a label, and of the
-text of a label. Reading and deleting take longer names, too: another client may have written them.
-"""
+"""Maximum length of a new name of a topic, a robot, a run or a label, and of a label's text, UTF-8
+bytes. Longer names can be read and deleted, because another client may have written them."""
 MAX_MESSAGE_NAME_BYTES = 4096
+"""Maximum length of the name of a message, UTF-8 bytes."""
 MAX_NODE_BYTES = 61_411
-"""Maximum length of a nodeID that is asked for. Beside a name, a time and a counter a partition key
-of 65,535 bytes holds no longer one."""
+"""Maximum length of a nodeID in a query, UTF-8 bytes. A longer one does not fit into a partition
+key of 65,535 bytes together with a name, a time and a counter."""
 MAX_TEXT_BYTES = 1 << 20
-"""Each client reads every comment: a topic's metadata are no place for files."""
+"""Maximum length of any text, UTF-8 bytes. Each client reads the metadata of all topics, so these
+must not hold whole files."""
 MAX_LIMIT = 2**63 - 1
+"""Maximum value of a limit for the number of messages or rows."""
 MAX_TTL_SEC = 18 * 365 * 86400
-"""What keeps chunks and directory longer than the rows must stay below Cassandra's 20 years."""
+"""Maximum time to live, s. Chunks and directory live longer than the rows, but must also stay below
+Cassandra's maximum of 20 years."""
 
 
 def _shown(value: Any) -> str:
@@ -46,7 +49,15 @@ def check_text(
     error: Type[CassandraRosError] = InvalidOption,
     wanted: str = "a text",
 ) -> str:
-    """Return a text that can be stored: valid Unicode of at most so many bytes of UTF-8."""
+    """Return a text that can be stored: valid Unicode of at most ``most`` bytes of UTF-8.
+
+    Args:
+        name: Name of the argument, for the error text.
+        value: The value that the caller gave.
+        most: Maximum length, UTF-8 bytes.
+        error: Class of the error that is raised.
+        wanted: What to give instead, for the error text.
+    """
     try:
         if not isinstance(value, str):
             reason = f"it is of type {type(value).__name__}"
@@ -62,7 +73,14 @@ def check_text(
 def check_integer(
     name: str, value: Any, least: int, most: int, error: Type[CassandraRosError] = InvalidOption
 ) -> int:
-    """Return a whole number of least to most, both included; a float of the same value is one."""
+    """Return a whole number from least to most, both included. A float with this value is accepted.
+
+    Args:
+        name: Name of the argument, for the error text.
+        value: The value that the caller gave.
+        least, most: Minimum and maximum.
+        error: Class of the error that is raised.
+    """
     try:
         number = None if isinstance(value, (bool, str, bytes)) else int(value)
     except (TypeError, ValueError, OverflowError):
@@ -82,24 +100,24 @@ def check_seconds(name: str, value: Any) -> float:
 
 
 def check_node(node: Any) -> str:
-    """Return a nodeID, '' = nobody says, or raise InvalidName."""
+    """Return a nodeID ('' = unknown robot), or raise InvalidName."""
     wanted = f"the name of a robot, as 'robot_1', of up to {MAX_NODE_BYTES} bytes"
     return check_text("nodeID", node, MAX_NODE_BYTES, InvalidName, wanted)
 
 
 def check_new_node(node: Any) -> str:
-    """Return a nodeID under which messages can be stored, '' = no robot, or raise InvalidName."""
+    """Return a nodeID that new messages can have ('' = unknown robot), or raise InvalidName."""
     wanted = f"the name of a robot, as 'robot_1', of up to {MAX_NAME_BYTES} bytes"
     return check_text("nodeID", node, MAX_NAME_BYTES, InvalidName, wanted)
 
 
 def check_nodes(node: Any) -> Optional[tuple[str, ...]]:
-    """Return the nodes whose messages a nodeID asks for, None = all, or raise InvalidName."""
+    """Return the robots that a nodeID selects (None = all), or raise InvalidName."""
     return None if node is None else (check_node(node),)
 
 
 def check_run(run: Any) -> Union[None, str, int]:
-    """Return what names a run, a text or a writer id, None = all runs, or raise InvalidName."""
+    """Return the name or the writer id of a run (None = all runs), or raise InvalidName."""
     if run is None:
         return None
     if isinstance(run, Integral) and not isinstance(run, bool):
@@ -109,13 +127,13 @@ def check_run(run: Any) -> Union[None, str, int]:
 
 
 def check_run_name(name: Any) -> str:
-    """Return a name that a new run can have, '' = none, or raise InvalidName."""
+    """Return the name of a new run ('' = no name), or raise InvalidName."""
     wanted = f"the name of a run, of up to {MAX_NAME_BYTES} bytes"
     return check_text("run.name", name, MAX_NAME_BYTES, InvalidName, wanted)
 
 
 def check_labels(labels: Any) -> dict[str, str]:
-    """Return labels that a new run can have, texts by texts, or raise InvalidName."""
+    """Return the labels of a new run (name -> text), or raise InvalidName."""
     if not isinstance(labels, Mapping):
         raise InvalidName(
             f"labels={_shown(labels)} are no mapping: give one like {{'site': 'lab'}}"
@@ -130,14 +148,14 @@ def check_labels(labels: Any) -> dict[str, str]:
 
 
 def check_topic(topic: Any) -> str:
-    """Return the name of a topic that is looked for, or raise InvalidName."""
+    """Return the name of a topic to look up, or raise InvalidName."""
     if isinstance(topic, str):
         return topic
     raise InvalidName(f"{_shown(topic)} is no name of a topic: give a text like '/scan'")
 
 
 def check_new_topic(topic: Any) -> str:
-    """Return the name of a topic if a table can be made for it, or raise InvalidName."""
+    """Return the name of a topic for which a table can be made, or raise InvalidName."""
     wanted = f"a name like '/scan', of up to {MAX_NAME_BYTES} bytes"
     name = check_text("topic", topic, MAX_NAME_BYTES, InvalidName, wanted)
     if not name or "\0" in name:
@@ -146,7 +164,12 @@ def check_new_topic(topic: Any) -> str:
 
 
 def check_ros_name(name: str, what: str = "") -> str:
-    """Return the name of a topic that ROS can have, or raise InvalidName, which says what it is."""
+    """Return the name of a topic that is valid in ROS, or raise InvalidName.
+
+    Args:
+        name: The name.
+        what: What the name stands for, at the beginning of the error text.
+    """
     wrong = re.search(r"[^A-Za-z0-9_/]|//", name.replace("~", "", name.startswith("~")))
     if wrong:
         reason = f"{wrong[0]!r} may not stand in it"
@@ -161,24 +184,24 @@ def check_ros_name(name: str, what: str = "") -> str:
 
 
 def check_topics(topics: Any) -> Optional[list[str]]:
-    """Return the names of several topics, a text is one, None = all, or raise InvalidName."""
+    """Return a list of topic names (None = all), or raise InvalidName. A text means one name."""
     if topics is None:
         return None
     return [check_topic(topic) for topic in check_list("topics", topics, "['/scan', '/tf']")]
 
 
 def check_field(field: Any) -> str:
-    """Return the name of a field that is looked for in a type, or raise InvalidName."""
+    """Return the name of a field to look up in a message type, or raise InvalidName."""
     return check_text("field", field, MAX_TEXT_BYTES, InvalidName, "a name like 'linear.x'")
 
 
 def check_fields(name: str, fields: Any) -> tuple[str, ...]:
-    """Return the names of several fields, a text is one, or raise InvalidName."""
+    """Return the names of fields, or raise InvalidName. A text means one name."""
     return tuple(check_field(field) for field in check_list(name, fields, "['linear.x']"))
 
 
 def check_list(name: str, values: Any, example: str) -> list[Any]:
-    """Return names as a list, whatever each of them is, a text is one, or raise InvalidName."""
+    """Return a list of unchecked names, or raise InvalidName. A text means one name."""
     if isinstance(values, str):
         return [values]
     if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray)):
@@ -187,7 +210,7 @@ def check_list(name: str, values: Any, example: str) -> list[Any]:
 
 
 def check_limit(limit: Any) -> Optional[int]:
-    """Return how many messages or rows somebody wants, None = all, or raise InvalidOption."""
+    """Return a maximum number of messages or rows (None = no maximum), or raise InvalidOption."""
     if limit is None:
         return None
     whole = isinstance(limit, Integral) and not isinstance(limit, bool)
@@ -199,12 +222,12 @@ def check_limit(limit: Any) -> Optional[int]:
 
 
 def check_ttl(ttl_sec: Any) -> int:
-    """Return a time to live of 0 to MAX_TTL_SEC, 0 = for ever, or raise InvalidOption."""
+    """Return a time to live, 0 to MAX_TTL_SEC s (0 = for ever), or raise InvalidOption."""
     return check_integer("ttl", ttl_sec, 0, MAX_TTL_SEC)
 
 
 def check_key_format(key_format: Any, key_part: Any) -> str:
-    """Return a key format, '' for None, if key_part goes with it, or raise InvalidKey."""
+    """Return a key format ('' for None) if key_part fits to it, or raise InvalidKey."""
     check_text("key_part", key_part, error=InvalidKey, wanted="a field like 'header.stamp'")
     if key_format not in (None, "", *KEY_FORMATS):
         raise InvalidKey(
@@ -219,18 +242,20 @@ def check_key_format(key_format: Any, key_part: Any) -> str:
 
 
 def check_message_name(topic: str, name: Any) -> str:
-    """Return a name under which a message of a topic can be kept, or raise InvalidKey."""
+    """Return a name under which a message of a topic can be stored, or raise InvalidKey."""
     wanted = f"a text of 1 to {MAX_MESSAGE_NAME_BYTES} bytes"
     if name != "":
         kept = f"a name, for messages of topic {topic} are kept under names: {wanted}"
         return check_text("key", name, MAX_MESSAGE_NAME_BYTES, InvalidKey, kept)
-    raise InvalidKey(f"messages of topic {topic} are kept under names, and '' is none: {wanted}")
+    raise InvalidKey(
+        f"messages of topic {topic} are kept under names, and '' is not a name: {wanted}"
+    )
 
 
 def check_user_keys(keys: Any) -> dict[str, Any]:
-    """Return metadata of the user's own if JSON gives them back as they are, or raise InvalidName.
+    """Return the user's own metadata if JSON can store them without change, or raise InvalidName.
 
-    It does not of a tuple, a set, bytes, NaN, keys that are no texts, what is no valid Unicode.
+    JSON cannot store tuples, sets, bytes, NaN, keys that are not texts, and invalid Unicode.
     """
     if not isinstance(keys, Mapping):
         raise InvalidName(f"metadata={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")

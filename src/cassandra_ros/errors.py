@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The one tree of errors of the package.
+"""The tree of errors of the package.
 
 * CassandraRosError
   - ConnectionFailed
@@ -17,25 +17,25 @@
     + BagUnindexed and BagTooLarge, both a BagError
   - MissingDependency (also an ImportError)
 
-Each text is a finished sentence: what failed, on which topic, why, and what to do.
+Each error text is a complete sentence: what failed, on which topic, why, and what to do.
 """
 
 from __future__ import annotations
 
 
 class CassandraRosError(Exception):
-    """Base of everything that this package raises on purpose."""
+    """Base class of all errors that this package raises."""
 
     def __str__(self) -> str:
-        # KeyError would show the text in quotes and with \n escaped.
+        # KeyError would show the text in quotes, with line breaks escaped.
         return str(self.args[0]) if self.args else type(self).__name__
 
 
 class ConnectionFailed(CassandraRosError):
-    """No Cassandra or ROS master answers at the given address, or refuses; or it was closed.
+    """No Cassandra or ROS master answers at the address, it refuses, or the connection was closed.
 
     Attributes:
-        refused: It is there and refuses this user: waiting does not help.
+        refused: Whether a server answers but refuses this user; then waiting does not help.
     """
 
     refused = False
@@ -47,32 +47,32 @@ class ConnectionFailed(CassandraRosError):
 
 
 class LoginFailed(ConnectionFailed):
-    """The cluster asks for a user name and password, and none was given or they are wrong."""
+    """The cluster requires a login, and user name or password are missing or wrong."""
 
     refused = True
 
 
 class CertificateRefused(ConnectionFailed):
-    """A certificate is expired, or none that the other side trusts: the server's or ours."""
+    """The server's certificate, or ours, has expired or is not trusted by the other side."""
 
     refused = True
 
 
 class TlsMismatch(ConnectionFailed):
-    """One side speaks TLS and the other one does not."""
+    """Only one side of the connection uses TLS."""
 
     refused = True
 
 
 class NotConfirmed(CassandraRosError):
-    """A person did not agree to what cannot be undone, or nobody was there to be asked."""
+    """The user did not confirm a deletion, or there was no terminal to ask on."""
 
 
 class AccessDenied(CassandraRosError):
     """The user who is logged in lacks a right.
 
     Attributes:
-        right: Its name in CQL, as SELECT or MODIFY; '' where the server does not tell it.
+        right: Name of the right in CQL, as SELECT or MODIFY; '' = the server does not name it.
     """
 
     def __init__(self, text: str = "", right: str = "") -> None:
@@ -81,14 +81,14 @@ class AccessDenied(CassandraRosError):
 
 
 class StoreUnavailable(CassandraRosError):
-    """A connected Cassandra did not answer in time, or too few replicas are up."""
+    """The connected Cassandra did not answer in time, or too few of its nodes are up."""
 
 
 class WriteFailed(CassandraRosError):
     """Rows could not be stored; the text names the topic, the number and the cause.
 
     Attributes:
-        first_ns, last_ns: When the first and the last of them came, ns; 0 = it is not known here.
+        first_ns, last_ns: Receive times of the first and the last of the rows, ns; 0 = unknown.
     """
 
     def __init__(self, text: str = "", first_ns: int = 0, last_ns: int = 0) -> None:
@@ -98,11 +98,11 @@ class WriteFailed(CassandraRosError):
 
 
 class KeyspaceNotFound(CassandraRosError):
-    """No keyspace is connected, or the one that was is gone."""
+    """No keyspace is connected, or the keyspace does not exist (any more)."""
 
 
 class SchemaConflict(CassandraRosError):
-    """A table differs from what was asked for, or the schema lock cannot be had."""
+    """A table has other properties than expected, or the schema lock cannot be acquired."""
 
 
 class UnsupportedSchema(CassandraRosError):
@@ -114,11 +114,11 @@ class TopicNotFound(CassandraRosError, KeyError):
 
 
 class TopicExists(CassandraRosError):
-    """The topic is stored already with other properties."""
+    """The topic is stored already, with other properties."""
 
 
 class MessageNotFound(CassandraRosError, KeyError):
-    """No message lies at this key."""
+    """There is no message with this key."""
 
 
 class RunNotFound(CassandraRosError, KeyError):
@@ -126,13 +126,13 @@ class RunNotFound(CassandraRosError, KeyError):
 
 
 class BagNotFound(RunNotFound, FileNotFoundError):
-    """Class Bag was given the name or path of a bag that is not stored: as rosbag, an OSError."""
+    """No stored run has the name or path that was given to class Bag. As in rosbag, an OSError."""
 
 
 class TransformException(CassandraRosError):
-    """There is no transform between two frames; tf2's own exception is the cause of this one.
+    """There is no transform between two frames. The exception of tf2 is the cause of this one.
 
-    These four mean what those of their names in tf2 mean, but are no classes of tf2's.
+    This class and its subclasses are named after those of tf2, but do not derive from them.
     """
 
 
@@ -149,7 +149,7 @@ class ExtrapolationException(TransformException):
 
 
 class TypeMismatch(CassandraRosError, ValueError):
-    """A message is of another type than its topic; nothing was stored."""
+    """A message has another type than its topic. It was not stored."""
 
 
 class UnknownFormat(CassandraRosError, ValueError):
@@ -157,7 +157,7 @@ class UnknownFormat(CassandraRosError, ValueError):
 
 
 class UnknownEncoding(CassandraRosError, ValueError):
-    """The pixels of an image are encoded in a way of which no picture can be made."""
+    """The pixel encoding of an image is unknown, so no picture can be made of it."""
 
 
 class InvalidKey(CassandraRosError, ValueError):
@@ -173,7 +173,7 @@ class InvalidOption(CassandraRosError, ValueError):
 
 
 class InvalidExpression(CassandraRosError, ValueError):
-    """A condition cannot be evaluated on the messages that it is asked of."""
+    """A condition cannot be evaluated on the messages of its topic."""
 
 
 class InvalidQuery(CassandraRosError, ValueError):
@@ -181,8 +181,8 @@ class InvalidQuery(CassandraRosError, ValueError):
 
     Args:
         statement: The statement as it was given.
-        position: Index of the first character that is wrong, 0 to len(statement).
-        reason: One sentence: what is wrong and what was perhaps meant.
+        position: Index of the first wrong character, 0 to len(statement).
+        reason: One sentence: the error, and a suggestion if there is one.
     """
 
     def __init__(self, statement: str, position: int, reason: str) -> None:
@@ -197,15 +197,15 @@ class InvalidQuery(CassandraRosError, ValueError):
 
 
 class AnswerTooLarge(CassandraRosError, ValueError):
-    """An answer, or one row or message of it, is larger than what is made at once."""
+    """An answer, or a row or message in it, is larger than the maximum."""
 
 
 class DefinitionError(CassandraRosError, ValueError):
-    """A message definition is malformed, hostile, or does not agree with its md5sum."""
+    """A message definition is malformed or hostile, or does not match its md5sum."""
 
 
 class CorruptMessage(CassandraRosError, ValueError):
-    """Stored or received bytes are not a message of the type that they claim."""
+    """Stored or received bytes are not a valid message of their type."""
 
 
 class BagError(CassandraRosError, ValueError):
@@ -217,7 +217,7 @@ class BagUnindexed(BagError):
 
 
 class BagTooLarge(BagError):
-    """A bag or an MCAP would unpack to more than is allowed: it may be made to fill the memory."""
+    """A bag or an MCAP would unpack to too many bytes; it may be made to fill the memory."""
 
 
 class ClockNotSet(CassandraRosError):
@@ -229,8 +229,8 @@ class ServerError(CassandraRosError):
 
 
 class DownloadFailed(CassandraRosError):
-    """What is fetched from the network could not be, or is not what was asked for."""
+    """A file could not be downloaded, or its content is not the expected one."""
 
 
 class MissingDependency(CassandraRosError, ImportError):
-    """An optional Python package is needed for this and is not installed."""
+    """An optional Python package that is needed is not installed."""

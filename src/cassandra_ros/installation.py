@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How the package is installed: its files, and what to do where Python lacks what it needs."""
+"""The installation of the package: its files, and hints about missing Python packages."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Any
 
 from cassandra_ros.errors import MissingDependency
 
-# What a Python without our venv lacks, by import name: the packages of requirements.txt, and those
-# of ROS, which another Python than the system's does not see.
+# Import names of required packages that a Python without our venv may lack: those of
+# requirements.txt, and those of ROS, which only the system's Python finds.
 NEEDED = {
     "cassandra",
     "lark",
@@ -27,7 +27,7 @@ NEEDED = {
     "yaml",
 }
 
-# What only some need, by import name: the file that pins it.
+# Import name of an optional package -> the requirements file that pins it.
 OPTIONAL = {
     "pandas": "requirements-tables.txt",
     "pyarrow": "requirements-tables.txt",
@@ -39,12 +39,12 @@ OPTIONAL = {
 
 
 def is_needed(error: ImportError) -> bool:
-    """Say whether what is missing is such a package."""
+    """Return whether the missing module is part of a required package."""
     return (error.name or "").split(".")[0] in NEEDED
 
 
 def explain_missing(error: ImportError) -> str:
-    """Return what to do when a Python package that we need is not there."""
+    """Return a text that says how to install the required Python packages."""
     return (
         f"{error}; this Python ({sys.executable}) lacks what cassandra_ros needs.\n"
         "In a checkout of cassandra_ros: make setup, then its .venv/bin/python\n"
@@ -56,7 +56,7 @@ def explain_missing(error: ImportError) -> str:
 
 
 def shipped_file(name: str) -> Path:
-    """Return where a file of the package's folder lies: in a checkout, or where it is installed."""
+    """Return the path of a file of the package, in a checkout or in the install space."""
     for parent in Path(__file__).parents:
         for place in (parent, parent / "share" / "cassandra_ros"):
             if (place / name).is_file():
@@ -65,19 +65,23 @@ def shipped_file(name: str) -> Path:
 
 
 def home_folder() -> Path:
-    """Return where a user's files of this package lie: in the ROS home, $ROS_HOME, else ~/.ros.
+    """Return the folder for a user's files of this package, in $ROS_HOME or else in ~/.ros.
 
-    So roslaunch resolves it.
+    roslaunch finds the ROS home in the same way.
     """
     return Path(os.environ.get("ROS_HOME") or Path.home() / ".ros") / "cassandra_ros"
 
 
 def optional_module(name: str, purpose: str) -> Any:
-    """Import a module of an optional package, as 'pyarrow.parquet', for a purpose.
+    """Return a module of an optional package.
+
+    Args:
+        name: Full name of the module, as 'pyarrow.parquet'.
+        purpose: What needs the package, for the error text.
 
     Raises:
-        MissingDependency: The package is not installed, or does not run here; the text says how to
-            get it.
+        MissingDependency: The package is not installed or cannot be loaded; the text says how to
+            install it.
     """
     package = name.split(".")[0]
     try:

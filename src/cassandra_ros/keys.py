@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where a row lies: its position in the total order of a topic, cursors, writer ids."""
+"""Positions of rows in the total order of a topic, cursors, writer ids."""
 
 from __future__ import annotations
 
@@ -13,68 +13,71 @@ from cassandra_ros.errors import InvalidKey
 
 KEY_FORMATS = ("time", "msg_part", "hash", "manual")
 NAMED_FORMATS = ("hash", "manual")
-"""Key formats whose rows are found by a text, not by their time."""
+"""Key formats whose rows are found by a name, not by a time."""
 SECOND_NS = 1_000_000_000
 MAX_NS = 2**32 * SECOND_NS - 1
-"""The largest key: ROS 1 counts seconds in 32 bits (February 2106)."""
+"""Maximum key time, ns: ROS 1 counts seconds in 32 bits (February 2106)."""
 
 _LAST = chr(0x10FFFF)
-"""Behind the names of all tables."""
+"""Text that sorts after the names of all tables."""
 _KINDS = [int, str, int, str]
+"""Types of the first four fields of Position."""
 MAX_WRITER = 2**31 - 1
+"""Maximum writer id."""
 COUNTER_BITS = 32
+"""Number of bits of the counter in a ``_seq``."""
 
 
 class Position(NamedTuple):
-    """Place of a row in the one order that all reads and cursors follow."""
+    """The position of a row in the order that all reads and cursors follow."""
 
     t: int
-    """Key time, nanoseconds since 1970."""
+    """Key time, ns since 1970."""
     node: str
-    """nodeID, the entity that produced the message."""
+    """nodeID: the robot that produced the message."""
     seq: int
     """Writer id << 32 | counter."""
     table: str
     name: str = ""
-    """Key of a row that is found by name, else ''."""
+    """Name of a row that is found by its name, else ''."""
 
     def among(self, tables: Iterable[str], reverse: bool = False) -> Position:
-        """Return the place as it is among the rows of some tables.
+        """Return the position relative to the rows of some tables.
 
-        Where its own is none of them, another one has replaced that, and holds the row under a
-        name that may come before or behind: the place is then behind all rows of its time, node
-        and seq, in the direction of reading.
+        If the row's table is not among them, another table has replaced it. The name of that table
+        may sort before or after the old name. So the result is a position after all rows with the
+        same time, robot and seq, in the direction of reading.
         """
         return self if self.table in tables else self._replace(table="" if reverse else _LAST)
 
 
 class RowName(str):
-    """The key of a message that is kept under a name (key formats ``manual`` and ``hash``).
+    """The key of a message that is stored under a name (key formats ``manual`` and ``hash``).
 
-    It is that text; besides it knows the one row that it was given for, so that ``getData`` of
-    it gives this version, and ``getData`` of the plain text the newest.
+    It equals the name, but also identifies one row: ``getData`` with this object returns that
+    version of the message, ``getData`` with the plain text the newest version.
     """
 
     t: int = 0
-    """When this version was stored, ns."""
+    """Time at which this version was stored, ns."""
     node: str = ""
     seq: int = 0
     table: str = ""
 
     def __repr__(self) -> str:
-        # As plain text where it is one, as the parts of a name that was given are.
+        # A RowName without a row (made by a text method, say) is shown as a plain text.
         return f"RowName({str(self)!r} stored at {self.t} ns)" if self.table else repr(str(self))
 
     @classmethod
     def of(cls, position: Position) -> RowName:
-        """Return the name of a row."""
+        """Return the name of the row at a position."""
         name = cls(position.name)
         name.t, name.node, name.seq, name.table = position[:4]
         return name
 
 
 def new_writer_id() -> int:
-    """Draw a writer id: 1 to 2**31 - 1."""
+    """Return a random writer id, 1 to 2**31 - 1."""
     return secrets.randbelow(MAX_WRITER) + 1
 
 
@@ -89,14 +92,18 @@ def split_seq(seq: int) -> tuple[int, int]:
 
 
 def encode_cursor(position: Position) -> str:
-    """Write a position as a short text without spaces."""
+    """Return a position as a short text without spaces."""
     parts = list(position) if position.name else list(position[:4])
     text = json.dumps(parts, separators=(",", ":"), ensure_ascii=False)
     return base64.urlsafe_b64encode(text.encode("utf-8", "surrogateescape")).decode("ascii")
 
 
 def decode_cursor(text: str) -> Position:
-    """Read a cursor back; InvalidKey where encode_cursor did not write it."""
+    """Return the position in a cursor.
+
+    Raises:
+        InvalidKey: The text was not made by encode_cursor.
+    """
     try:
         raw = base64.b64decode(text.encode("ascii"), altchars=b"-_", validate=True)
         parts = json.loads(raw.decode("utf-8", "surrogateescape"))
@@ -111,7 +118,13 @@ def decode_cursor(text: str) -> Position:
 
 
 def is_behind(position: Position, after: Position | None, reverse: bool = False) -> bool:
-    """Say whether a row comes after another in the direction of reading; None = before all."""
+    """Return whether a row comes after another one in the direction of reading.
+
+    Args:
+        position: Position of the row.
+        after: Position of the other row; None = before all rows.
+        reverse: Whether rows are read from the last to the first.
+    """
     if after is None:
         return True
     return position < after if reverse else position > after

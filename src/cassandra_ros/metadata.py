@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is known of a stored topic: the JSON in the comment of its table (paper section 3)."""
+"""The metadata of a stored topic: JSON in the comment of its table (paper section 3)."""
 
 from __future__ import annotations
 
@@ -19,66 +19,66 @@ _log = logging.getLogger(__name__)
 SCHEMA_VERSION = 1
 _OURS, _FILLING = "cassandra_ros", "cassandra_ros_filling"
 FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
-"""In the table of formats they are the same."""
+"""Names of all storage formats; formats/table.py has the same names."""
 MAX_LIFETIME_SEC = 20 * 365 * 86_400
-"""Largest time to live that Cassandra takes, s."""
+"""Maximum time to live that Cassandra accepts, s."""
 ANY_MD5 = "*"
-"""Stands for the md5sum of a type whose definition cannot be used; it tells no types apart."""
+"""Replacement for the md5sum of a type whose definition cannot be used; several types share it."""
 SHADOW = "_ix"
-"""What the names of shadow columns begin with: SAI takes no dotted names."""
+"""Prefix of the names of shadow columns, which carry indexes: SAI accepts no dotted names."""
 
 
 @dataclass(frozen=True)
 class TopicMetadata:
-    """Immutable facts of one table. Counts and times never stand here."""
+    """The properties of one topic table. Counts and times are not part of them."""
 
     topic: str
     msg_type: str
-    """Type of the first connection, 'pkg/Name'; others of the same kind share the table."""
+    """Type of the first connection, 'pkg/Name'. Types of the same kind share the table."""
     md5sum: str
     format: str
-    """Name in the table of formats."""
+    """Name of the storage format."""
     bucket_ns: int
-    """Length of a time bucket, nanoseconds."""
+    """Length of a bucket, ns."""
     definition: str = ""
     key_format: str = "time"
     key_part: str = ""
     ttl: int = 0
-    """Seconds until a row expires, counted from its writing; 0 = never."""
+    """Time from the writing of a row until it expires, s; 0 = never."""
     nodeID: str = ""
-    """nodeID given at addTopic; '' when nobody said."""
+    """nodeID given to addTopic; '' = none was given."""
     comment: str = ""
     date: str = ""
-    """When the table was made, ISO 8601."""
+    """Time at which the table was made, ISO 8601."""
     generation: int = 0
-    """Counts how often the topic was dropped: no table name is used twice."""
+    """Number of times that the topic was dropped, so that no table name is used twice."""
     own_time: bool = False
-    """The key is not the receive time, which then has a column of its own."""
+    """Whether the key is not the receive time, which then has a column of its own."""
     indexes: Mapping[str, str] = field(default_factory=dict)
     """Indexed field -> shadow column."""
     index_names: Mapping[str, str] = field(default_factory=dict)
-    """Name given in CREATE INDEX -> field; void where the field is not indexed (any more)."""
+    """Name given in CREATE INDEX -> field. Entries of fields without index have no effect."""
     index_count: int = 0
-    """Number of the next shadow column; one that was dropped is never used again."""
+    """Number of the next shadow column; numbers of dropped columns are not used again."""
     span_ns: int = 0
-    """A row is a block of messages, of which the last is at most so many ns after the first; 0 =
-    a row is a message."""
+    """Maximum time between the first and the last message of a block, ns; 0 = rows are messages,
+    not blocks."""
     columns: tuple[Mapping[str, Any], ...] = ()
-    """How each column holds its field, as the format describes it."""
+    """Description of each column, made by the format."""
     user: Mapping[str, Any] = field(default_factory=dict)
     """The user's own keys (setMeta)."""
     replaces: tuple[str, ...] = ()
-    """Names of the tables whose messages this one took over, also of those that they replaced."""
+    """Names of all tables that this one has replaced, directly or indirectly."""
     filling: bool = False
-    """Nobody reads it yet: it is being filled with the messages of those that it replaces."""
+    """Whether messages of the replaced tables are still being copied; readers ignore the table."""
     cut: bool = False
-    """Its blocks may begin at other messages than those of an import: it took the place of a table
-    that was removed while it was written to."""
+    """Whether blocks may begin at other messages than those of a repeated import, because the table
+    replaced one that was removed while messages were written to it."""
     version: int = SCHEMA_VERSION
 
     @property
     def kind(self) -> tuple[str, str]:
-        """What messages of one table have in common, see ``message_kind``."""
+        """The kind of all messages of the table, see ``message_kind``."""
         return message_kind(self.md5sum, self.msg_type)
 
     @property
@@ -93,44 +93,49 @@ class TopicMetadata:
 
     @property
     def partition(self) -> str:
-        """Name of the second column of the partition key: a name, or a time range."""
+        """Name of the second column of the partition key, which holds a name or a bucket."""
         return "_key" if self.named else "_bucket"
 
     @property
     def next_shadow(self) -> int:
-        """Number that no shadow column had yet, as far as the comment tells."""
+        """Number for a new shadow column that, by the comment, was never used."""
         used = [int(shadow[len(SHADOW) :]) for shadow in self.indexes.values()]
         return max(self.index_count, *(number + 1 for number in used), 0)
 
     def with_index(self, field: str, number: int) -> TopicMetadata:
-        """Return a copy with one more index, in the shadow column of this number."""
+        """Return a copy with an index on a field, in the shadow column ``number``."""
         indexes = {**self.indexes, field: shadow_column(number)}
         return self.with_(indexes=indexes, index_count=number + 1)
 
     def without_index(self, field: str) -> TopicMetadata:
-        """Return a copy without an index."""
+        """Return a copy without the index on a field."""
         indexes = {name: shadow for name, shadow in self.indexes.items() if name != field}
         names = {name: indexed for name, indexed in self.index_names.items() if indexed != field}
         return self.with_(indexes=indexes, index_names=names, index_count=self.next_shadow)
 
     @property
     def received_columns(self) -> dict[str, str]:
-        """Columns that say when a message came, where its key does not: name -> CQL type."""
+        """Columns for the receive time, if the key is another time: name -> CQL type."""
         if not self.own_time or self.packed:  # blocks hold these times themselves
             return {}
-        # Equal messages have one row, with 0 for time and counter; this is its place in the order.
+        # Equal messages share a row, whose time and counter are 0; _arrival orders these rows.
         arrival = {"_arrival": "bigint"} if self.key_format == "hash" else {}
         return {"_recv": "bigint", **arrival}
 
     def to_comment(self) -> str:
-        """Write the metadata as the JSON text of a table comment."""
-        # Also an earlier release, which does not know what filling is, must not read such a table.
+        """Return the metadata as the JSON text of a table comment."""
+        # Another key, so that earlier releases, which do not know ``filling``, ignore the table.
         return json.dumps({_FILLING if self.filling else _OURS: vars(self)}, sort_keys=True)
 
     def with_user(self, keys: Mapping[str, Any], comment: str | None) -> TopicMetadata:
-        """Return a copy with keys of the user's own set, None = removed, and the comment."""
-        every = {**self.user, **keys}
-        user = {name: value for name, value in every.items() if value is not None}
+        """Return a copy with other keys of the user's own and another comment.
+
+        Args:
+            keys: Keys to set; the value None removes a key.
+            comment: The new comment; None = keep it.
+        """
+        merged = {**self.user, **keys}
+        user = {name: value for name, value in merged.items() if value is not None}
         return self.with_(user=user, comment=self.comment if comment is None else comment)
 
     def with_(self, **changes: Any) -> TopicMetadata:
@@ -139,7 +144,7 @@ class TopicMetadata:
 
 
 def message_kind(md5sum: str, msg_type: str) -> tuple[str, str]:
-    """Return the md5sum of messages, and their type where the md5sum tells no types apart.
+    """Return the kind of messages: their md5sum, and their type if the md5sum is ANY_MD5.
 
     Messages of one topic, kind and format share a table.
     """
@@ -147,17 +152,18 @@ def message_kind(md5sum: str, msg_type: str) -> tuple[str, str]:
 
 
 def shadow_column(number: int) -> str:
-    """Name a column that carries an index."""
+    """Return the name of a shadow column."""
     return f"{SHADOW}{number}"
 
 
 def from_comment(comment: str, table: str) -> TopicMetadata | None:
-    """Read the metadata out of the comment of any table; None where that is not one of ours.
+    """Return the metadata in the comment of a table; None if it is not a topic table.
 
-    Where the comment is ours but a field cannot be what it says, a warning names the table, once.
+    If it is one, but a field has an impossible value, the result is None, too, and a warning names
+    the table, once.
 
     Raises:
-        UnsupportedSchema: A newer release wrote it.
+        UnsupportedSchema: A newer release made the table.
     """
     if not any(f'"{key}"' in comment for key in (_OURS, _FILLING)):
         return None
@@ -166,7 +172,7 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
         values = found[_OURS if _OURS in found else _FILLING]
         version = int(values["version"])
     except (ValueError, KeyError, TypeError, RecursionError):
-        return None  # a foreign table whose comment happens to name us
+        return None  # a table of another program whose comment contains our key by chance
     if version > SCHEMA_VERSION:
         raise UnsupportedSchema(
             f"table {table} was written with schema version {version}; this release of "
@@ -189,7 +195,7 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
 
 @lru_cache(maxsize=1024)
 def _skip(table: str, reason: str) -> None:
-    """Warn of a table that is left out; once, for comments are read every few seconds."""
+    """Warn of a table that is left out; only once, because comments are read every few seconds."""
     _log.warning(
         "table %s is left out: its comment was changed by hand or by another program, %s; put the "
         "comment right to read its messages again",
@@ -199,7 +205,7 @@ def _skip(table: str, reason: str) -> None:
 
 
 def _is_text(value: object) -> bool:
-    """Say whether a value is a text that can be written as UTF-8."""
+    """Return whether a value is a text that can be encoded as UTF-8."""
     try:
         return isinstance(value, str) and value.encode("utf-8") is not None
     except UnicodeEncodeError:
@@ -207,7 +213,7 @@ def _is_text(value: object) -> bool:
 
 
 def _is_escaped_text(value: object) -> bool:
-    """Say whether a value is a text in which bytes that are not UTF-8 stand as surrogates."""
+    """Return whether a value is a text; bytes that are not UTF-8 are surrogates in it."""
     try:
         return isinstance(value, str) and value.encode("utf-8", "surrogateescape") is not None
     except UnicodeEncodeError:
@@ -231,7 +237,7 @@ def _is_one_of(known: tuple[str, ...], value: object) -> bool:
 
 
 def _is_mapping(value: object) -> bool:
-    """Say whether a value is a JSON object; its keys must be texts, its values may be anything."""
+    """Return whether a value is a JSON object with texts as keys and any values."""
     return isinstance(value, dict) and all(map(_is_text, value))
 
 
@@ -240,7 +246,7 @@ def _is_texts(value: object) -> bool:
 
 
 def _is_indexes(value: object) -> bool:
-    """Say whether a value maps fields to shadow columns."""
+    """Return whether a value maps fields to shadow columns."""
     return (
         isinstance(value, dict)
         and all(map(_is_text, value))
@@ -273,22 +279,22 @@ _CHECKS: Mapping[str, Callable[[object], bool]] = {
     "replaces": partial(_is_list, _is_name),
     "user": _is_mapping,
 }
-"""What a comment may say of each field."""
+"""Field of TopicMetadata -> check of its value in a comment."""
 
 
 FACTS = (
     "topic msg_type msg_class msg_package md5sum definition key_format key_part format nodeID "
     "nodeIDs comment date ttl indexes"
 ).split()
-"""Keys of getMeta that are not the user's own."""
+"""Keys of getMeta that the package sets; all other keys are the user's own."""
 
 
 class MetaView(Mapping[str, Any]):
-    """Metadata of a topic: ``getMeta['msg_class']`` and ``getMeta('msg_class')`` are the same.
+    """The metadata of a topic; ``getMeta['msg_class']`` and ``getMeta('msg_class')`` are the same.
 
     Args:
-        metadata: What the topic's table says.
-        nodes: The nodeIDs that have stored messages.
+        metadata: Metadata of the topic's table.
+        nodes: nodeIDs of the robots that have stored messages.
     """
 
     def __init__(self, metadata: TopicMetadata, nodes: list[str]) -> None:

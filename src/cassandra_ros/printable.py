@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How things are shown: text from outside on a terminal, names and tables where Python is typed.
+"""Safe text for terminals, and tables and names for interactive Python.
 
-Names of runs, topics, robots and labels come from bags, publishers and other clients. Whatever is
-printed of them goes through here, so that no escape sequence reaches the terminal.
+Names of runs, topics, robots and labels come from bags, publishers and other clients. All text that
+is printed passes one of these functions, so that no escape sequence reaches the terminal.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import html
 from typing import Callable, Container, Iterable, List, Mapping, Optional, Sequence, TypeVar
 
 MOST_ROWS = 60
-"""A table that is shown has no more rows; as pandas."""
+"""Maximum number of rows of a table that is shown in a notebook, as in pandas."""
 
 MOST_CHARACTERS = 256
-"""Maximum number of characters shown of a name: as many as a new name may have."""
+"""Maximum number of characters of a name that are shown, which is the maximum of a new name."""
 
 _Item = TypeVar("_Item")
 
@@ -24,7 +24,7 @@ def shown(text: str, most: int | None = MOST_CHARACTERS) -> str:
     """Return text from outside as one line that is safe for a terminal.
 
     Args:
-        text: Characters that are not printable are escaped, line breaks too.
+        text: The text. Characters that are not printable, also line breaks, are escaped.
         most: Maximum number of characters; a longer text ends in '…'. None = no limit.
     """
     line = text if most is None else text[: most + 1]
@@ -34,7 +34,10 @@ def shown(text: str, most: int | None = MOST_CHARACTERS) -> str:
 
 
 def shown_lines(text: str) -> str:
-    """Return text of several lines, safe for a terminal: only line breaks and tabs are kept."""
+    """Return text of several lines that is safe for a terminal.
+
+    Line breaks and tabs are kept; all other characters that are not printable are escaped.
+    """
     if text.replace("\n", "").replace("\t", "").isprintable():
         return text
     return "".join(c if c in "\n\t" else _printable(c) for c in text)
@@ -45,7 +48,7 @@ def _printable(c: str) -> str:
 
 
 def public_names(thing: object, inner: Container[str]) -> list[str]:
-    """Return what dir() lists of an object: its names but those that begin with _, and some."""
+    """Return the names that dir() lists: all but those that begin with _ and those in ``inner``."""
     names = object.__dir__(thing)
     return sorted(name for name in names if not name.startswith("_") and name not in inner)
 
@@ -53,12 +56,12 @@ def public_names(thing: object, inner: Container[str]) -> list[str]:
 def html_table(
     columns: Sequence[str], rows: Sequence[Sequence[object]], of: Optional[int] = None
 ) -> str:
-    """Return a table as HTML for a notebook, of the first MOST_ROWS rows; texts are escaped.
+    """Return the first MOST_ROWS rows of a table as HTML for a notebook; texts are escaped.
 
     Args:
-        columns: The headings.
-        rows: What stands under them.
-        of: How many rows there are, None = these.
+        columns: Headings.
+        rows: Rows of cells.
+        of: Number of rows of the whole table; None = ``rows`` are all rows.
     """
     of = len(rows) if of is None else of
     parts = ["<table><thead>", _html_row("th", columns), "</thead><tbody>"]
@@ -75,10 +78,10 @@ def _html_row(tag: str, values: Iterable[object]) -> str:
 
 
 class Listing(List[_Item]):
-    """A list that says what it holds: an item a line, in a notebook a table.
+    """A list that is shown with one item per line, and in a notebook as a table.
 
     Attributes:
-        COLUMNS: Heading -> what stands under it of an item.
+        COLUMNS: Heading -> function that returns the cell of an item.
     """
 
     COLUMNS: Mapping[str, Callable[[_Item], object]]
