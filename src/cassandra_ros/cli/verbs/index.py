@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "field",
         metavar="FIELD",
         nargs="?",
-        help="dotted name of a field of its messages (not with --list)",
+        help="dotted name of a field of its messages (default: none, with --list)",
     )
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--remove", action="store_true", help="remove the index on FIELD")
