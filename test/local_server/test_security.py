@@ -17,7 +17,8 @@ from cassandra_ros.local_server.cluster_settings import Settings
 
 def test_its_files_are_utf_8_whatever_the_locale(tmp_path):
     code = (
-        "import sys; from pathlib import Path; from cassandra_ros.local_server import server_security; "
+        "import sys; from pathlib import Path; "
+        "from cassandra_ros.local_server import server_security; "
         "server_security.write_private(Path(sys.argv[1]), 'gr\\xf6\\xdfe')"
     )
     path = tmp_path / "cqlshrc"
