@@ -112,7 +112,7 @@ def same(left, right):
 
 
 def isNothing(ref, definition):
-    """An array of length 0 inside of an array: it lies nowhere, and nobody knows how often."""
+    """A field inside an array of fixed length 0: it has no bytes, and its number is unknown."""
     msg_type, lengths = definition.type, []
     for step in ref.steps:
         field = next(f for f in definition.specs[msg_type].fields if f.name == step.name)

@@ -117,14 +117,14 @@ def test_a_pause_that_is_short_beside_a_pixel_is_seen():
     points = envelope.points()
     (place,) = points.breaks.tolist()
     assert points.times[place] < 800 * second < 860 * second <= points.times[place + 1]
-    # A pixel in which something lies is none, however long the pause inside of it.
+    # A pixel with messages is no gap, however long the pause inside it.
     envelope = Envelope(Grid.between(0, 2000 * second, 10), 1)
     envelope.add(times, np.zeros((1, len(times))))
     assert envelope.points().breaks.tolist() == []
 
 
 def test_bounds_of_blocks_are_no_pauses():
-    """Of wide spans it is only known that messages lie in them, not how far they are apart."""
+    """Wide groups only tell that messages lie in them, not how far apart these are."""
     envelope = Envelope(Grid(0, 0, 100), 1)
     firsts, lasts = np.array([0, 30, 60]), np.array([25, 55, 85])
     envelope.add_wide(firsts, lasts, np.zeros((1, 3)), np.ones((1, 3)))

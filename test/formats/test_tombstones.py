@@ -51,7 +51,7 @@ def cells_read(cql, statement, parameters=()):
         found = [(int(match[1]), int(match[2])) for match in found if match]
         if found:
             return rows, sum(live for live, _ in found), sum(dead for _, dead in found)
-        time.sleep(0.1)  # events are written behind the answer
+        time.sleep(0.1)  # events are written after the answer
     pytest.fail("the trace does not tell what was read")
 
 

@@ -21,9 +21,9 @@ T0 = 1_700_000_000 * SEC
 WIDTH, HEIGHT = 8.0, 6.0
 """Metres; the room's middle is the origin of frame odom, and of odometry."""
 OFFSET = (0.3, 0.1, math.pi / 2)
-"""Of the laser on the robot."""
+"""Pose of the laser on the robot."""
 SHIFT = (2.0, -1.0, 0.25)
-"""Of odom in map."""
+"""Pose of odom in map."""
 PERIOD_NS = SEC // 10
 
 
@@ -146,7 +146,7 @@ class Drive:
 
 
 def assert_room(made, shift=(0, 0, 0), walls=0.95):
-    """A map shows the room: something at the walls, nothing inside, nothing behind them."""
+    """Check that a map shows the room: walls are occupied, inside is free, outside is unknown."""
     rows, columns = np.nonzero(made.cells >= 65)
     assert len(rows) > 100
     x = made.x + (columns + 0.5) * made.resolution

@@ -67,14 +67,14 @@ def test_beams_go_round_and_end_at_the_range_that_is_asked_for():
     ends, hit = beams_of_scan(scan([1.0, 2.0, 3.0, INF]), 2.5)
     assert np.allclose(ends[:, :2], [(1, 0), (0, 2), (-2.5, 0), (0, -2.5)])
     assert hit.tolist() == [True, True, False, False]
-    # Where nobody says how far it sees, nothing seen tells nothing.
+    # Without a maximum range a beam that hits nothing gives no information.
     assert beams_of_scan(scan([1.0, INF], range_max=0.0), None).hit.tolist() == [True]
     assert beams_of_scan(scan([1.0, INF], range_max=INF), None).hit.tolist() == [True]
     assert beams_of_scan(scan([1.0, INF], range_max=INF), 4.0).hit.tolist() == [True, False]
 
 
 def cloud(points, height=1, dtype="<f4", padding=0, names="xyz"):
-    """A cloud of which each point has a float in front, and each row some bytes behind."""
+    """A cloud in which each point has a float in front, and each row some padding at its end."""
     points = np.asarray(points, np.float64).reshape(height, -1, len(names))
     kind = np.dtype(dtype)
     rows = np.zeros(points.shape[:2] + (len(names) + 1,), kind)

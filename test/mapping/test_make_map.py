@@ -382,7 +382,7 @@ def test_figure_4_is_drawn_of_a_real_lidar(bags, cassandra, rosCas, ros_env, tmp
 
 @pytest.mark.long
 def test_first_echoes_of_a_real_backpack(bags, fresh):
-    """Nobody recorded where it was: in the laser's own frame the map is as if it had stood."""
+    """Without poses the map is in the laser's own frame, as if the laser had stood still."""
     with fresh() as made:
         bag = bags / "backpack_multiecho_bz2.bag"
         import_bag(made, bag, topics=["horizontal_laser_2d"], format="packed")

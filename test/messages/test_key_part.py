@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A value that somebody asks for: encoded as messages have it, in no message, or refused."""
+"""Values that are compared with a key field: encoded as in messages, in no message, or refused."""
 
 from __future__ import annotations
 

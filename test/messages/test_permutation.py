@@ -24,7 +24,7 @@ SEEDS = st.integers(0, 2**32)
 
 
 def walked(plan, wire):
-    """The columns of a message, each behind its size; None where one is not exact."""
+    """Return the columns of a message, each after its size; None if one is inexact."""
     columns, odd = plan.walk(wire)
     return None if odd else b"".join(struct.pack(">i", len(c)) + c for c in columns)
 

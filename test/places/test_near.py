@@ -142,7 +142,7 @@ def test_a_real_robot_by_its_odometry(husky):
     assert times_of(r for r in rows if r.topic == "/fix") == brute(
         husky, "/fix", x, y, 2.0, "/encoder"
     )
-    # What is not near, and what nobody knows.
+    # Messages that are not near, and messages without a known pose.
     others = husky.executeCQL(f"select count(*) from /joy where not {near}")[0][0]
     unknown = count - len(expected) - others
     assert others > 0
@@ -218,7 +218,7 @@ def drives(draw):
 
 
 def expected_of(runs, times, x, y, radius):
-    """The times at which the robot is on a disk, and those at which nobody knows; by hand."""
+    """Times at which the robot is on a disk, and times at which that is unknown; by hand."""
     poses = [pose for poses in runs for pose in poses]
     near, unknown = [], []
     for t in times:
@@ -338,7 +338,7 @@ def test_the_index_is_asked_and_right(rosCas, monkeypatch):
     whole = [low for _, low, high in spans if high.to_nsec() - low.to_nsec() > 5 * SEC]
     assert whole
     assert not any(T0 + hour <= low.to_nsec() <= T0 + hour + 40 * SEC for low in whole)
-    # Messages of other runs at the time, other frames, robots that are none.
+    # Messages of other runs at the same time, other frames, frames that are not robots.
     with Writer(rosCas, "", "late") as writer:
         writer.put("/n", T0 + 20 * SEC + 5, Int32(9))
     assert asked(rosCas, condition) == sorted([*expected, T0 + 20 * SEC + 5])
@@ -481,7 +481,7 @@ def test_without_places_nothing_is_noted(rosCas, monkeypatch):
 def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
     lane(rosCas, "ant", run="a")
     lane(rosCas, "bee", run="b", y=50.0)
-    with Writer(rosCas, "cat", "c") as writer:  # of which nobody knows where it was
+    with Writer(rosCas, "cat", "c") as writer:  # a robot without poses
         writer.put("/n", T0 + 20 * SEC + 1, Int32(1))
     for indexed in (False, True):
         rows = rosCas.executeCQL("select NODE, KEY from /n where NEAR(200, 50, 2)")
@@ -497,7 +497,7 @@ def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
 
 
 def test_two_robots_to_which_nobody_gave_a_name(rosCas):
-    """Of runs at the same time each message goes by the poses of its own."""
+    """If runs overlap, each message is judged by the poses of its own run."""
     lane(rosCas, run="a")
     lane(rosCas, run="b", y=50.0)
     expected = T0 + 20 * SEC + 1
@@ -527,7 +527,7 @@ def test_what_may_be_meant_in_two_ways_is_asked_for(rosCas):
         asked(rosCas, "NEAR(0, 2, 0.5, 'odom')")
     assert asked(rosCas, "NEAR(0, 2, 0.5, 'odom', '/vision')") == [T0 + 2 * SEC]
     with pytest.raises(InvalidQuery, match="no pose in frame 'site' is stored"):
-        asked(rosCas, "NEAR(99, 0, 1, 'site')")  # a goal is where nobody is yet
+        asked(rosCas, "NEAR(99, 0, 1, 'site')")  # a goal is not yet a position
     rosCas.upkeep.indexPlaces()
     assert asked(rosCas, "NEAR(0, 2, 0.5, 'odom', '/vision')") == [T0 + 2 * SEC]
     assert asked(rosCas, "NEAR(0, 2, 0.5, 'world', 'turtle2')") == [T0 + 2 * SEC]
@@ -568,7 +568,7 @@ def test_near_goes_by_the_poses_of_the_run_and_the_robot_that_are_asked_for(two_
         drawn = store.statements.series(f"{n} {inside}")
         assert drawn.points.rows.sum() == 1
         assert [row.t for row in store.near(2, 0, 0.5, "odom", ["/n"], run=run)] == [expected]
-    # Another robot's choice is none of this one's business.
+    # The choice for another robot does not matter here.
     only = f"RUN = 'first' and NODE = 'husky' and {near}"
     assert topic.getArrays(["KEY"], where=only)["KEY"].tolist() == [first]
     with pytest.raises(InvalidQuery, match="/left and /right tell poses in frame 'odom'"):
@@ -597,7 +597,7 @@ def test_time_that_begins_at_0_and_a_robot_that_never_moves(rosCas):
 def test_messages_under_names_and_deleting(rosCas):
     lane(rosCas)
     topic = rosCas.addTopic("/map_of", key_format="manual", msg_type="std_msgs/Int32")
-    topic.addData(Int32(1), key="kitchen")  # now, when nobody knows where the robot is
+    topic.addData(Int32(1), key="kitchen")  # now, when no pose is known
     assert rosCas.executeCQL("select KEY from /map_of where NEAR(0, 0, 1000)") == []
     assert rosCas.executeCQL("delete from /n where NEAR(200, 0, 15)") == [(3,)]
     assert rosCas.getTopic("/n").countTopicData() == 37
@@ -692,7 +692,7 @@ def test_an_index_stays_as_long_as_what_stays_longest(rosCas):
     def left(column, table):
         return cassandra.execute(ask.format(column, rosCas.keyspace, table), what="asking")[0][0]
 
-    # What is said to be there is there until nobody says so.
+    # Visits must live longer than the record that says that they are complete.
     assert left("t_out", "cr_place") > left("high", "cr_placed") > 4000
     with Writer(rosCas, "", "ever") as writer:
         detour(writer, "/pose")

@@ -187,7 +187,7 @@ def test_a_topic_tells_poses(store):
     middle, known = wheels.at((keys[:-1] + keys[1:]) // 2)
     assert known.all()
     assert np.allclose(middle.x, (found.x[:-1] + found.x[1:]) / 2, atol=1e-6)
-    # Nothing is known before and behind, and between poses that are too far apart.
+    # Poses are unknown before and after the recording, and between poses too far apart.
     assert not wheels.at(np.array([keys[0] - 1, keys[-1] + 1])).known.any()
     assert str(wheels.explain(int(keys[-1]) + 1)).startswith("topic /encoder tells no pose of node")
     rare = poses_of_topic(store.getTopic, "/encoder", node="husky", longest_gap_sec=1e-3)

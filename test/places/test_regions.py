@@ -124,7 +124,7 @@ def test_a_stay_is_not_longer_than_it_is():
 def test_what_is_known_of_a_way():
     path = path_of([(5, 0.0, 0.0), (10, 1.0, 2.0), (LONGEST_GAP_NS + 1, 5.0, 5.0), (1, 1e6, 0.0)])
     assert [path.at(t) for t in (4, 5, 10, 15)] == [None, (0, 0), (0.5, 1.0), (1, 2)]
-    assert path.at(16) is None  # nobody knows for so long
+    assert path.at(16) is None  # unknown for so long
     last = 15 + LONGEST_GAP_NS + 1
     assert path.at(last) == (5, 5)
     assert path.at(last + 1) == (1e6, 0)

@@ -28,7 +28,7 @@ LIKE_KINDS.update(dict.fromkeys(("number", "bool"), {"number", "bool"}))
 MISSING = type("Missing", (), {"__repr__": lambda self: "MISSING"})()
 KEY, NODE, RUN = "KEY", "NODE", "RUN"
 LONGEST_NS = 10**29
-"""So long no computed length may be."""
+"""Limit of the length of a computed duration, ns."""
 RUN_NAMES = {1: "dawn", 2: "noon's"}
 """By writer; another writer's run has no name, or there is none."""
 PARTS = {"time": "uint32", "duration": "int32"}
@@ -62,7 +62,7 @@ class Types:
 
 @dataclass(frozen=True)
 class Path:
-    """A field: names with the indexes behind them; part is 'secs' or 'nsecs'."""
+    """A field: names with their indexes; part is 'secs' or 'nsecs'."""
 
     steps: tuple[tuple[str, Optional[int]], ...]
     part: str = ""
@@ -530,7 +530,7 @@ def alike(value):
 
 
 def beside(at, down, one, other):
-    """Say which of two rows comes first; NaN comes behind all numbers, what is missing last."""
+    """Compare two rows; NaN sorts after all numbers, missing values last."""
     a, b = one[at], other[at]
     ranks = [2 if v is MISSING or v is None else 1 if v != v else 0 for v in (a, b)]
     if ranks != [0, 0]:

@@ -33,7 +33,7 @@ from query.brute_force import (
 SECOND = 10**9
 ORDERED = ("=", "!=", "<", "<=", ">", ">=")
 MAX_STORED = 25
-"""So many values of a field, and what lies beside them, are asked for."""
+"""Maximum number of values of a field, and of values near them, that are compared with it."""
 
 INTS = [0, 1, -1, 255, 256, 2**24 + 1, 2**31 - 1, 2**31, -(2**31) - 1, 2**32, 2**53 + 1, 2**63 - 1]
 INTS += [2**63, -(2**63), -(2**63) - 1, 2**64 - 1, 2**64, 10**30, -(10**40), 10**310]

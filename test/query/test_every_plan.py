@@ -30,7 +30,7 @@ one way or another is taken."""
 PACKED = [("packed", plan) for plan in ("client", "filter", "auto")]
 """In blocks a filter has their zones, and auto as much as any."""
 STATEMENTS = examples(170)
-"""Of each kind; each has a condition."""
+"""Number of statements of each kind; each has a condition."""
 
 
 def ask(store, statement, params, plan, used):

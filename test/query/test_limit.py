@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""LIMIT and pages that end inside of a message's elements, at its last one, and one behind."""
+"""LIMIT and pages that end inside a message's elements, at the last element, and after it."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def ask(store, statement, **options):
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("format", FORMATS)
 def test_limits_at_every_element(store, format, reverse):
-    """Each LIMIT gives so many rows and reads no further message; what is behind goes on."""
+    """Each LIMIT returns so many rows and reads no further message; the next page continues."""
     every = ordered(ROWS, reverse)
     order = " order by KEY desc" if reverse else ""
     places = [n for n, _ in ordered([(n, "") for n in range(len(COUNTS))], reverse)]
@@ -84,7 +84,7 @@ def test_limits_at_every_element(store, format, reverse):
             last = every[limit - 1][0]
             assert read == places.index(last) + 1
             given = sum(n == last for n, _ in every[:limit])
-            # Behind a message's last element a page begins with the next message.
+            # After a message's last element a page begins with the next message.
             assert read_place(cursor).skip == given % COUNTS[last]
 
 

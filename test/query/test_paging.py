@@ -98,7 +98,7 @@ def paged(store, statement, size, plan):
             cursor = str(result.cursor)
         assert len(page) <= size
         found += page
-        # Aggregates are one row, behind which there is nothing to go on from.
+        # Aggregates are one row, after which nothing can be continued.
         if len(page) < size or not cursor:
             return found
 
@@ -127,7 +127,7 @@ def test_pages_of_the_store_change_nothing(store, statement, monkeypatch):
 
 
 def test_positions_are_cursors_too(store):
-    """Of a statement that gives a row for each message the cursor may be a bare position."""
+    """For a statement with one row per message the cursor may be a bare position."""
     topic = store.getTopic("both")
     statement = "select KEY, NODE from both"
     whole = rows(store.statements.select(statement))

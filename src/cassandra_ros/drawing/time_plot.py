@@ -55,11 +55,11 @@ def lines_of(series: Sequence[Series]) -> Sequence[Line]:
     found = []
     for each in series:
         times = each.points.times
-        behind = each.breaks + 1
-        broken = np.insert(times, behind, times[behind - 1])
+        after_gap = each.breaks + 1
+        broken = np.insert(times, after_gap, times[after_gap - 1])
         for n, column in enumerate(each.columns):
             ends = (each.points.low[n], each.points.high[n])
-            low, high = (np.insert(end, behind, np.nan) for end in ends)
+            low, high = (np.insert(end, after_gap, np.nan) for end in ends)
             label = column.name if len(topics) == 1 else f"{each.topic} {column.name}"
             found.append(Line(label, column.unit, broken, low, high))
     return found
@@ -99,9 +99,9 @@ def curves_of(series: Sequence[Series], names: Tuple[str, str]) -> Sequence[Curv
                 told = ", ".join(known) or "no column that is a number"
                 raise InvalidOption(f"--xy {name}: the statement on {each.topic} has {told}")
         places = [known.index(name) for name in names]
-        behind = each.breaks + 1
+        after_gap = each.breaks + 1
         low, high = (
-            np.insert(ends[places], behind, np.nan, axis=1)
+            np.insert(ends[places], after_gap, np.nan, axis=1)
             for ends in (each.points.low, each.points.high)
         )
         columns = each.columns[places[0]], each.columns[places[1]]

@@ -104,17 +104,17 @@ class LogOddsGrid:
         """Grow the array so that it contains the cells from low to high."""
         size = np.array(self._odds.shape[::-1])
         first = low if not self._odds.size else np.minimum(low, self._low)
-        behind = high + 1 if not self._odds.size else np.maximum(high + 1, self._low + size)
-        if self._odds.size and (first >= self._low).all() and (behind <= self._low + size).all():
+        stop = high + 1 if not self._odds.size else np.maximum(high + 1, self._low + size)
+        if self._odds.size and (first >= self._low).all() and (stop <= self._low + size).all():
             return
-        if math.prod(int(n) for n in behind - first) > MAX_CELLS:
-            metres = " x ".join(f"{n * self.resolution:.0f}" for n in behind - first)
+        if math.prod(int(n) for n in stop - first) > MAX_CELLS:
+            metres = " x ".join(f"{n * self.resolution:.0f}" for n in stop - first)
             raise InvalidOption(
                 f"the map would be {metres} m large, more than {MAX_CELLS} cells of "
                 f"{self.resolution:g} m: give a coarser resolution, or a shorter max_range"
             )
-        first, behind = first - _MARGIN, behind + _MARGIN
-        width, height = (int(n) for n in behind - first)
+        first, stop = first - _MARGIN, stop + _MARGIN
+        width, height = (int(n) for n in stop - first)
         odds = np.zeros((height, width), np.float32)
         column, row = (int(n) for n in self._low - first)
         odds[row : row + self._odds.shape[0], column : column + self._odds.shape[1]] = self._odds

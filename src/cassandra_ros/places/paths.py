@@ -144,11 +144,11 @@ def clip_ranges(spans: Iterable[NsRange], low: int, high: int) -> Iterator[NsRan
 
 def subtract_ranges(spans: Sequence[NsRange], taken: Sequence[NsRange]) -> Iterator[NsRange]:
     """Yield the parts of time ranges that are not in ``taken``; both sorted and disjoint."""
-    behind = 0
+    first_taken = 0
     for low, high in spans:
-        while behind < len(taken) and taken[behind][1] < low:
-            behind += 1
-        n = behind
+        while first_taken < len(taken) and taken[first_taken][1] < low:
+            first_taken += 1
+        n = first_taken
         while n < len(taken) and taken[n][0] <= high:
             if taken[n][0] > low:
                 yield low, taken[n][0] - 1

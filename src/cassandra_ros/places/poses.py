@@ -165,9 +165,9 @@ class Poses:
         gaps = np.flatnonzero(np.diff(ordered) > 2 * self._reach) + 1
         start = 0
         while start < len(order):
-            behind = int(np.searchsorted(ordered, ordered[start] + MAX_SPAN_NS, side="right"))
+            span_end = int(np.searchsorted(ordered, ordered[start] + MAX_SPAN_NS, side="right"))
             gap = int(np.searchsorted(gaps, start, side="right"))
-            end = min(behind, int(gaps[gap]) if gap < len(gaps) else len(order))
+            end = min(span_end, int(gaps[gap]) if gap < len(gaps) else len(order))
             yield order[start:end]
             start = end
 
