@@ -70,7 +70,7 @@ def test_an_image_is_a_jpeg(viewer):
         ("message", {"topic": "/camera"}, 400, "give position or key"),
         ("message", {"topic": "/camera", "key": "1", "position": "x"}, 400, "give position or key"),
         ("message", {"topic": "/camera", "position": "x"}, 400, "is not a cursor"),
-        ("message", {"topic": "/camera", "key": str(T), "nearest": "x"}, 400, "is none of before"),
+        ("message", {"topic": "/camera", "key": str(T), "nearest": "x"}, 400, "not one of before"),
         ("message", {"topic": "/cam", "key": str(T)}, 404, "did you mean /camera"),
         ("message", {"key": str(T)}, 400, "needs the parameter topic"),
         ("image", {"topic": "/numbers", "key": str(T)}, 400, "pictures are made of"),

@@ -189,7 +189,7 @@ def test_what_fails_says_why(viewer):
     for parameters, text in (
         ({"topics": "/fixx"}, "did you mean /fix"),
         ({"runs": "nobody"}, "there is no run 'nobody'"),
-        ({"start": "5", "end": "4"}, "lies behind end"),
+        ({"start": "5", "end": "4"}, "is later than end"),
         ({"where": "altitude > 3"}, "is not of the form"),
         ({"where": ["/fix: altitude > 3", "fix: altitude > 4"]}, "two conditions for /fix"),
         ({"where": "/fix: altitud > 3"}, "no field altitud"),

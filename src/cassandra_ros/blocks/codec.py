@@ -186,7 +186,7 @@ def pack_block(
 
 
 def _finished(flags: int, parts: Sequence[Part], messages: int) -> bytes:
-    """Return the bytes of a block, compressed as well as a sample of it promises."""
+    """Return the bytes of a block, compressed at the level that a sample suggests."""
     # If the bytes are stored plain they are not copied again.
     stored = b"".join([bytes((VERSION, flags | _STORED)), *parts])
     body = memoryview(stored)[_HEAD:]

@@ -174,7 +174,7 @@ def _denied(exc: Unauthorized, what: str) -> AccessDenied:
     user, right, place = found.groups()
     return AccessDenied(
         f"{what}: user {user} lacks the right {right} on {place}; have an owner grant it "
-        "('cassandra_bag roles' prints how), or log in as somebody else",
+        "('cassandra_bag roles' prints how), or log in as another user",
         right=right,
     )
 

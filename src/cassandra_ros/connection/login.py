@@ -133,7 +133,7 @@ def read_login(
     ignored = "" if is_private(keys_file) else keys_file
     if ignored:
         _warn(
-            f"{ignored} is not used: others can read it, or it belongs to somebody else; "
+            f"{ignored} is not used: others can read it, or it belongs to another user; "
             f"make it yours alone: chmod 600 {ignored}"
         )
     keys = _read("" if ignored else keys_file, "credentials", must_exist=bool(keys_named))
@@ -208,7 +208,7 @@ def _user(
     if not known and (module or name):
         raise InvalidOption(
             f"[{_SECTION}] of {config_file}: {module or '(no module)'} {name or '(no classname)'} "
-            f"is none that is known: module = cassandra.auth, classname = {' or '.join(PROVIDERS)}"
+            f"is not supported: use module = cassandra.auth, classname = {' or '.join(PROVIDERS)}"
         )
     for section in ("authentication", _SECTION):
         if _section(config, section).get("password") and not is_private(config_file):

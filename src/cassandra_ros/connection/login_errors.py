@@ -78,7 +78,7 @@ def _untrusted(texts: str, login: Login, where: str) -> CertificateRefused:
         )
     return CertificateRefused(
         f"the certificate of the Cassandra at {where} is not one of those that {trusted} trusts: "
-        "it is somebody else's server, or has a new certificate; get that and name it as certfile "
+        "it is another server, or has a new certificate; get that and name it as certfile "
         f"under [ssl] in {_rc(login)}, or in SSL_CERTFILE"
     )
 

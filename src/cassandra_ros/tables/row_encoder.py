@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a table is given when it is made: the components that turn messages into columns."""
+"""Components that a table gets when it is made: they turn messages into columns."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from cassandra_ros.connection.raw_page import Places
 
 Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
 """Encoded values of the format's columns (None = unset), whether the row must be marked odd, and
-the message where the columns cannot give it back."""
+the message if the columns cannot give it back."""
 Indexed = Tuple[Sequence[Optional[bytes]], bool]
 """Encoded values of the shadow columns (None = unset), and whether the row must be marked odd."""
 Zones = Tuple[Sequence[Optional[bytes]], Tuple[str, ...], bool]
-"""Encoded values of the zone columns (None = unset), the fields of which a value is NaN (sorted),
+"""Encoded values of the zone columns (None = unset), names of the fields with a NaN value (sorted),
 and whether the block must be marked odd."""
 
 
@@ -27,42 +27,42 @@ class RowEncoder(Protocol):
 
     @property
     def zone_columns(self) -> Sequence[str]:
-        """Names of the columns that bound the values in a block."""
+        """Names of the columns with minimum and maximum values in a block."""
 
     def encode_wire(self, wire: bytes) -> Encoded:
         """Return the columns of a message."""
 
     def encode_together(self, wires: Sequence[bytes]) -> Sequence[Optional[bytes]]:
-        """Return the columns of each message, each column after its size; None = encode_wire does.
+        """Return the columns of each message, each column after its size.
 
-        One result for each message.
+        None for a message = encode_wire must encode it. There is one result for each message.
         """
 
     def decode_together(
         self, data: bytes, starts: Places, ends: Places, sizes: Places
     ) -> Sequence[Optional[bytes]]:
-        """Return the messages, of these sizes, whose columns lie from starts to ends in data.
+        """Return the messages, of these sizes, whose columns are from starts to ends in data.
 
-        Each column follows its size. None = the row must be decoded by itself.
+        Each column follows its size. None for a message = the row must be decoded by itself.
         """
 
     def zones(self, wires: Sequence[bytes]) -> Zones:
-        """Return the bounds of the values in serialised messages; any bytes will do."""
+        """Return the zones of serialised messages; the bytes may be damaged."""
 
 
 class Shadows(NamedTuple):
-    """The columns that carry a table's indexes."""
+    """The columns of a table's indexes."""
 
     names: Tuple[str, ...]
     values: Callable[[bytes], Indexed]
-    """From the serialised message."""
+    """Returns the values of the columns for a serialised message."""
 
 
 class IndexEncoder(Protocol):
-    """Turns serialised messages into the columns that carry indexes."""
+    """Turns serialised messages into the columns of indexes."""
 
     def shadows(self, indexes: Mapping[str, str]) -> Optional[Shadows]:
-        """Return the columns of a table's indexes; None where it has no index.
+        """Return the columns of a table's indexes; None if it has no index.
 
         Args:
             indexes: Indexed field → shadow column, as the table's comment says.

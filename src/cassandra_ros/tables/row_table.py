@@ -125,14 +125,14 @@ class RowTable:
 
     Args:
         encoder: Turns messages into the columns of its rows, and back.
-        indexes: Turns messages into the columns that carry its indexes.
+        indexes: Turns messages into the columns of its indexes.
 
     Attributes:
-        named: Rows are found by a name, not by their time.
+        named: Whether rows are found by a name and not by their time.
         partition: Name of the second column of the partition key.
-        packed: A row of the table is a block of messages, each of which is a row to the readers.
-        zone_columns: The columns that bound the values in a block.
-        longest_text: A longer text of a large message is in no column; bytes of UTF-8.
+        packed: Whether a row of the table is a block; readers get each message as a row.
+        zone_columns: Columns with minimum and maximum values in a block.
+        longest_text: Maximum size of a text of a large message that has a column, bytes of UTF-8.
     """
 
     longest_text = INLINE_COLUMN_BYTES
@@ -169,7 +169,7 @@ class RowTable:
         """Whether the chunk table is known to exist."""
 
     def follow(self, metadata: TopicMetadata) -> None:
-        """Take over what the comment of the table says now."""
+        """Take over the present metadata from the comment of the table."""
         self.metadata = metadata
 
     def note_chunks(self) -> None:
@@ -199,10 +199,7 @@ class RowTable:
         return (*place, *map(encode_long, self.stored_order(row.t, row.seq)))
 
     def shadows(self) -> Shadows | None:
-        """Return the columns of the indexes that a bucket opened now is filled with.
-
-        None where the table has no index.
-        """
+        """Return the columns of the indexes for a bucket that is opened now; None = no index."""
         return self._indexes.shadows(self.metadata.indexes)
 
     # ---------------------------------------------------------------- statements
@@ -256,9 +253,9 @@ class RowTable:
     def select_over(self, names: str) -> PreparedStatement:
         """SELECT of columns, as CQL, of the blocks that may hold a message.
 
-        Parameters are the partition key, the ranges of ``_t`` and of ``_seq``, and a key time:
-        blocks
-        whose last message is earlier are left out.
+        Parameters are the partition key, the ranges of ``_t`` and of ``_seq``, and a key time.
+        Blocks
+        whose last message is earlier than that are left out.
         """
         return self._select(
             names,

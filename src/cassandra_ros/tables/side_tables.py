@@ -195,7 +195,7 @@ class SideTables:
         self._mutex = threading.Lock()
 
     def patient(self, retry_sec: Seconds) -> SideTables:
-        """Return these side tables for a client that tries a request for so long."""
+        """Return these side tables for a client with another retry time, s."""
         patient = copy(self)
         patient.retry_sec = retry_sec
         return patient

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The columns that carry a topic's indexes, made out of its messages."""
+"""Class IndexColumns: makes the columns of a topic's indexes from its messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cassandra_ros.tables.row_encoder import Indexed, Shadows
 _log = logging.getLogger(__name__)
 
 _Value = Callable[[bytes], Tuple[Optional[bytes], bool]]
-"""From a serialised message to its value in an index, None = unset, and whether it is odd."""
+"""Returns the value of a serialised message in an index (None = unset), and whether it is odd."""
 
 
 class IndexColumns:
@@ -25,8 +25,8 @@ class IndexColumns:
 
     Args:
         topic: Name of the topic, for the log.
-        definition: Of its messages; None where it is unusable.
-        digest: The key field whose index holds the md5 of a whole array; None where it has none.
+        definition: Definition of its messages; None = it is unusable.
+        digest: The key field whose index holds the md5 of a whole array; None = no such field.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class IndexColumns:
         self._known: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
 
     def fields(self, indexes: Mapping[str, str]) -> dict[str, IndexField]:
-        """Return the indexes that conditions can use, by their field.
+        """Return the indexes that conditions can use, by field.
 
         Args:
             indexes: Indexed field → shadow column, as the table's comment says.
@@ -48,7 +48,7 @@ class IndexColumns:
             fields = {}
             for field, shadow in indexes.items():
                 if self._digest is not None and self._digest.field == field:
-                    continue  # holds whole arrays, not their elements
+                    continue  # an index of whole arrays, not of their elements
                 try:
                     fields[field] = IndexField(self._definition, field, shadow)
                 except InvalidName as exc:
@@ -57,7 +57,7 @@ class IndexColumns:
         return fields
 
     def shadows(self, indexes: Mapping[str, str]) -> Optional[Shadows]:
-        """Return the columns of these indexes; None where there is no index."""
+        """Return the columns of these indexes; None if there is no index."""
         values: dict[str, _Value] = {i.shadow: i.value for i in self.fields(indexes).values()}
         if self._digest is not None:
             values[indexes[self._digest.field]] = partial(_digest_of, self._digest)

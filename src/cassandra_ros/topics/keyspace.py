@@ -28,12 +28,12 @@ _T = TypeVar("_T")
 
 
 class Keyspace:
-    """One keyspace of a cluster; it and its side tables are made by what first writes.
+    """One keyspace of a cluster; the first write makes it and its side tables.
 
-    Each of its parts, which are its attributes, does one thing in it; their classes say which.
+    Its attributes are its parts, each for one purpose; their classes describe these.
 
     Args:
-        robots: Returns where the robots of the keyspace were.
+        robots: Returns the lookup of the robots' places in the keyspace.
     """
 
     def __init__(self, cassandra: Cassandra, name: str, robots: Callable[[], RobotPlaces]) -> None:
@@ -57,7 +57,7 @@ class Keyspace:
         return holds_any(self.directory, tables, whose)
 
     def naming(self, make: Callable[[], _T]) -> _T:
-        """Make what names fields of topics; anew where one is unknown and tables have changed.
+        """Call ``make``; call it again if a field is unknown and the tables have changed.
 
         Raises:
             InvalidQuery: No table has the field now.
@@ -71,6 +71,6 @@ class Keyspace:
             return make()
 
     def nodes(self, tables: Sequence[TopicTable]) -> list[str]:
-        """List the nodeIDs that have stored messages in some tables."""
+        """Return the nodeIDs that have stored messages in some tables, sorted."""
         ends = (-(2**63), 2**63 - 1)
         return sorted({node for t in tables for _, node in self.directory.nodes(t.name, *ends)})

@@ -504,7 +504,7 @@ def make_writer(
 def usable_definition(
     connection: Connection, format_name: str
 ) -> tuple[Optional[Definition], Optional[str]]:
-    """Return a definition that the format can use, or None and the reason why there is none."""
+    """Return a definition that the format can use, or None and the reason."""
     try:
         definition = _definition(connection)
         fmt = format_class(format_name)(connection.type, connection.md5sum, definition)

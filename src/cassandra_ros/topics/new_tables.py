@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Tables for new messages: in which one they are kept, how a new one is planned and made."""
+"""Tables for new messages: choosing their format, planning and making tables."""
 
 from __future__ import annotations
 
@@ -39,16 +39,17 @@ class NewTables:
         self._tables = tables
 
     def format_for(self, topic: str, md5sum: str = "", asked: Optional[str] = None) -> str:
-        """Decide in which format new messages of a topic are kept.
+        """Return the format for new messages of a topic.
 
-        That is the one that was asked for, or raises UnknownFormat; else that of the table that was
-        made last, of this md5 where there is one: a stored topic stays in its format.
+        It is the requested one (raises UnknownFormat). Without a request it is that of the table
+        made
+        last, for this md5 if there is one, so a stored topic stays in its format.
         """
         if asked is not None and asked != "":
             format_class(asked)
             return asked
         tables = [m for m in self._schema.tables().values() if m.topic == topic]
-        # One publisher without a usable definition must not decide for all others.
+        # One publisher without a usable definition must not decide for all other publishers.
         chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
         newest = max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format), default=None)
         return DEFAULT_FORMAT if newest is None else newest.format
@@ -59,14 +60,16 @@ class NewTables:
         """Find the table for a topic, kind and format, or make it.
 
         Args:
-            metadata: What its comment is to say; columns, date and what is '' or 0 are completed
-                here, and what the topic's other tables say holds for this one. Of its indexes the
-                fields count; one that the type has not is left out.
+            metadata: Content of its comment. Columns, date and values that are '' or 0 are
+                completed
+                here; values of the topic's other tables hold for this one too. Of its indexes only
+                the
+                fields count; a field that the type lacks is left out.
             definition: The checked definition, or None.
-            large: The table for large messages, too, for which they would wait later.
+            large: Make the chunk table too, for which large messages would have to wait later.
 
         Raises:
-            InvalidKey: The type has no such field as key_part, and the topic is new.
+            InvalidKey: The type does not have the field key_part, and the topic is new.
         """
         key = (metadata.topic, metadata.kind, metadata.format)
         name = self._schema.ensure_table(key, planner(metadata, definition))
@@ -77,24 +80,24 @@ class NewTables:
                 "client removes this topic; try again"
             )
         if large:
-            with suppress(TopicNotFound):  # removed since: the first message meets that again
+            with suppress(TopicNotFound):  # removed meanwhile: the first message gets this error
                 self._schema.ensure_chunk_table(found)
         return found
 
     def for_wish(self, wish: Wish, definition: Definition) -> TopicTable:
-        """Find or make the table for messages of this definition, in the format asked for."""
+        """Find or make the table for messages of this definition, in the requested format."""
         for path in wish.metadata.indexes:
-            IndexField(definition, path, "")  # raises InvalidName where there is none
+            IndexField(definition, path, "")  # raises InvalidName if there is no such field
         kind, md5sum, text = definition.type, definition.md5sum, definition.text
         metadata = wish.metadata.with_(msg_type=kind, md5sum=md5sum, definition=text)
         table = self.make(metadata, definition)
-        wish.check(table.metadata, None)  # another client may have been quicker
+        wish.check(table.metadata, None)  # another client may have made it first
         return table
 
     def for_message(self, wish: Wish, msg: Any) -> TopicTable:
-        """Find or make the table for a message; TypeMismatch where it is none of the topic's."""
+        """Return the table for a message, made if missing; raises TypeMismatch for a wrong type."""
         topic = wish.metadata.topic
-        if not hasattr(type(msg), "_md5sum"):  # nor has a class, in place of its object
+        if not hasattr(type(msg), "_md5sum"):  # also if a class is given in place of an object
             raise TypeMismatch(
                 f"{msg!r:.80} is no message: give topic {topic} a message object, as "
                 "std_msgs.msg.String(data='x'); nothing was stored"
@@ -115,7 +118,7 @@ class NewTables:
 
 
 def planner(metadata: TopicMetadata, definition: Optional[Definition]) -> Planner:
-    """Return what plans the table for NewTables.make, given what the topic's other tables say."""
+    """Return the planner of a table for NewTables.make, which gets the topic's other metadata."""
     fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
 
     def plan(others: Sequence[TopicMetadata]) -> Planned:
@@ -141,7 +144,7 @@ def planner(metadata: TopicMetadata, definition: Optional[Definition]) -> Planne
 
 
 def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMetadata:
-    """Return the metadata of a table beside others of its topic: what they say holds for it."""
+    """Return the metadata of a further table of a topic, with values of its other tables."""
     if not others:
         return metadata
     first = others[0]
@@ -168,7 +171,7 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
 def _indexed(
     metadata: TopicMetadata, definition: Optional[Definition], new: bool
 ) -> tuple[TopicMetadata, dict[str, str]]:
-    """Return the metadata with the indexes of the table, and the columns that carry them."""
+    """Return the metadata with the indexes of the table, and the columns of these indexes."""
     wished, shadows, by_hash = list(metadata.indexes), {}, metadata.key_format == "hash"
     metadata = metadata.with_(own_time=by_hash, indexes={}, index_count=0)
     if metadata.key_format == "msg_part":
@@ -200,7 +203,7 @@ def _indexed(
 
 
 def check_packed(metadata: TopicMetadata, definition: Optional[Definition] = None) -> None:
-    """Raise InvalidOption where messages cannot lie in blocks, for their key is no time."""
+    """Raise InvalidOption if messages cannot be in blocks, because their key is not a time."""
     key_format, part = metadata.key_format, metadata.key_part
     if key_format not in NAMED_FORMATS and key_format != "msg_part":
         return
@@ -221,12 +224,12 @@ def check_packed(metadata: TopicMetadata, definition: Optional[Definition] = Non
 
 
 def _span(wanted: int, bucket_ns: int) -> int:
-    """Return how much time a block may cover, ns; wanted 0 = nobody knows the rate."""
+    """Return the maximum time range of a block, ns; wanted 0 = the rate is unknown."""
     return min(max(wanted or UNKNOWN_SPAN_NS, MIN_SPAN_NS), bucket_ns)
 
 
 def _default_bucket(definition: Optional[Definition]) -> int:
-    """Return the bucket length where the rate is unknown: 1 min for types with arrays."""
+    """Return the bucket length if the rate is unknown, ns: 1 min for types with arrays."""
     arrays = definition is None or any(
         field.is_array for spec in definition.specs.values() for field in spec.fields
     )

@@ -158,7 +158,7 @@ class Finder:
 
     def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
         if nearest not in NEAREST:
-            raise InvalidKey(f"nearest={nearest!r} is none of {', '.join(NEAREST)}")
+            raise InvalidKey(f"nearest={nearest!r} is not one of {', '.join(NEAREST)}")
         read = self.one(key)
         if read.only is not None:
             kind = "names" if isinstance(read.only, Named) else "values of a field"

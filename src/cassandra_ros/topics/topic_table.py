@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A topic table with its ROS side: the definition and the format that its columns follow."""
+"""Class TopicTable: a topic table with the definition and format of its messages."""
 
 from __future__ import annotations
 
@@ -33,16 +33,17 @@ from cassandra_ros.topics.stored_headers import ConnectionCache
 _log = logging.getLogger(__name__)
 
 MAX_CLASSES = 1024
-"""Connections of a table whose message class is kept: anonymous publishers come without end."""
+"""Maximum number of connections of a table with a cached message class. Anonymous publishers come
+without end."""
 MAX_LATER_BYTES = 64 * 1024
-"""Larger messages are turned into rows one by one: there is nothing to gain."""
+"""Size in bytes above which messages are encoded one by one: together would not be faster."""
 
 
 _new_row = partial(tuple.__new__, NewRow)  # _make is a function of Python
 
 
 class TopicTable(RowTable):
-    """Rows of one topic, one md5 and one format."""
+    """A table with messages of one topic, one md5 and one format."""
 
     def __init__(
         self,
@@ -56,23 +57,25 @@ class TopicTable(RowTable):
         robots: Callable[[], RobotPlaces],
     ) -> None:
         self.definition = definition = definition_in(metadata)
-        """None where the stored definition is not one; the rows are bytes then."""
+        """Checked definition; None = the stored one is not usable, and rows are bytes then."""
         self.format: CassandraTopic_ = format_class(metadata.format)(
             metadata.msg_type, metadata.md5sum, definition
         )
         self.zone_map = self.format.zone_map
-        """What bounds the values in a block, where a row is one."""
-        # A definition that lacks the field has neither index nor receive time; rows lie by time.
+        """Zone columns of the table's blocks; None = a row is a message, or has no zones."""
+        # Without a usable definition there are no indexes and no key field: rows are by receive
+        # time.
         able = metadata.own_time or metadata.key_part in metadata.indexes
         found = definition if able and metadata.key_format == "msg_part" else None
         self.key_part = None if found is None else KeyPart(found, metadata.key_part)
-        """The field that is the key, where there is one."""
+        """The key field; None = the key is not a field."""
         timed = self.key_part is None or self.key_part.is_time
         self.value_part = None if timed else self.key_part
-        """The field by whose value rows are found, where there is one."""
+        """The key field by whose value rows are found; None = there is no such field."""
         part = self.value_part
         self.digest = part if part is not None and part.digest else None
-        """The key field whose index holds the md5 of a whole array, where there is one."""
+        """The key field whose index holds the md5 of a whole array; None = there is no such
+        field."""
         self._index_columns = IndexColumns(metadata.topic, definition, self.digest)
         super().__init__(cassandra, keyspace, name, metadata, self.format, self._index_columns)
         self.msg_type = metadata.msg_type
@@ -89,29 +92,29 @@ class TopicTable(RowTable):
         return f"<TopicTable {self.name} of {self.metadata.topic}: {self.msg_type}>"
 
     def heir(self, fresh: bool) -> Optional[TopicTable]:
-        """Return the table that has its messages now, where one replaced it up to 2 s ago.
+        """Return the table that has replaced this one; None if it was not replaced.
 
         Args:
-            fresh: Up to now.
+            fresh: Read the comments now; otherwise they are up to 2 s old.
         """
         return self._heir(self.name, fresh)
 
     @property
     def places(self) -> RobotPlaces:
-        """Where its keyspace's robots were."""
+        """Lookup of the robots' places in the keyspace."""
         return self._robots()
 
     @property
     def index_fields(self) -> dict[str, IndexField]:
-        """The indexes that conditions can use, by their field, as the comment lists them now."""
+        """Indexes that conditions can use, by field, as the comment lists them now."""
         return self._index_columns.fields(self.metadata.indexes)
 
     def connection(self, conn: int) -> Connection:
-        """Read a connection by its number; CorruptMessage where there is none."""
+        """Return a connection by its number; raises CorruptMessage if it is missing."""
         try:
             return self.connections.get(self.name, conn)
         except CorruptMessage:
-            heir = self.heir(True)  # with the table its headers went
+            heir = self.heir(True)  # the headers are deleted with a replaced table
             if heir is None:
                 raise
             return heir.connection(conn)
@@ -124,8 +127,8 @@ class TopicTable(RowTable):
         try:
             text = connection.definition_text
             if connection.type != definition.type or (text and text != definition.text):
-                # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or of
-                # another text: it does not tell an array of messages from a single one.
+                # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or with
+                # another text: the md5 does not distinguish an array of messages from a single one.
                 definition = parse_definition(connection.type, text, md5sum)
             return message_class(definition)
         except DefinitionError as exc:
@@ -134,9 +137,9 @@ class TopicTable(RowTable):
             return raw_class(connection.type, md5sum)
 
     def make_row(self, received: int, seq: int, conn: int, wire: bytes, name: str = "") -> NewRow:
-        """Make the row of a message: its columns, and its place by the topic's key format.
+        """Return the row of a message: its columns, and its place by the topic's key format.
 
-        Where messages are kept under names, name is this one's; '' = the topic's.
+        In a topic with names, ``name`` is that of the message; '' = the topic's name.
         """
         metadata = self.metadata
         if self._later and len(wire) <= MAX_LATER_BYTES:
@@ -152,14 +155,14 @@ class TopicTable(RowTable):
             return NewRow(0, 0, conn, wire, columns, odd, raw, digest)
         if self.key_part is None or self.value_part is not None:
             return NewRow(received, seq, conn, wire, columns, odd, raw)
-        if not self.packed:  # blocks hold it themselves
+        if not self.packed:  # blocks hold the receive time themselves
             columns = (*columns, encode_long(received))
         return NewRow(self.key_time(received, wire), seq, conn, wire, columns, odd, raw)
 
     def make_rows(
         self, times: Sequence[int], seqs: Sequence[int], conn: int, wires: Sequence[bytes]
     ) -> list[NewRow]:
-        """Make the rows of messages whose columns are made later; none where one's must be now."""
+        """Return rows whose columns are made later; empty if some columns must be made now."""
         if not self._later or max(map(len, wires)) > MAX_LATER_BYTES:
             return []
         none = repeat(None)
@@ -167,16 +170,16 @@ class TopicTable(RowTable):
         return list(map(_new_row, every))
 
     def key_time(self, received: int, wire: bytes) -> int:
-        """Return the key time of a message, ns, where a field of it tells."""
+        """Return the key time of a message, ns, from its key field."""
         t = None if self.key_part is None else self.key_part.time(wire)
-        # What has no time lies where it was received; nsecs may pass the end of time.
+        # A message without a valid time has its receive time; nsecs may exceed the maximum time.
         return received if t is None else min(t, MAX_NS)
 
 
 class WholeTopic(List[TopicTable]):
-    """All tables of a topic, as some listing has them: one for each md5 and format.
+    """All tables of a topic in one listing: one for each md5 and format.
 
-    A read that is given one, and not a plain list, takes in tables that were made before it began.
+    A read of such a list, in place of a plain one, includes tables that were made before it began.
     """
 
     def __init__(
@@ -190,15 +193,15 @@ class WholeTopic(List[TopicTable]):
         self._renew = renew
 
     def now(self, *, fresh: bool) -> WholeTopic:
-        """Return the tables of now, with those in place of them that have replaced some."""
+        """Return the present tables of the topic, with replaced ones exchanged."""
         return self._renew(self, fresh)
 
 
 class TopicTables:
-    """The topic tables of a keyspace as objects, made once each. Thread-safe.
+    """The topic tables of a keyspace as objects, one for each. Thread-safe.
 
     Args:
-        robots: Returns where the keyspace's robots were.
+        robots: Returns the lookup of the robots' places in the keyspace.
     """
 
     def __init__(
@@ -236,7 +239,7 @@ class TopicTables:
             return table
 
     def by_name(self, name: str) -> Optional[TopicTable]:
-        """Return a table by its name, or None where there is none of this name now."""
+        """Return a table by its name; None if there is no table with this name now."""
         metadata = self._schema.tables().get(name)
         return None if metadata is None else self.get(name, metadata)
 
@@ -246,14 +249,17 @@ class TopicTables:
         return None if heir is None else self.get(heir, listing.visible[heir])
 
     def holding(self, name: str) -> Optional[TopicTable]:
-        """Return the table that holds what lay in one of this name; None where that is gone."""
+        """Return the table that has the messages of a table with this name.
+
+        None if it was dropped.
+        """
         listing = self._schema.listing()
         if name not in listing.every and name not in listing.heirs:
-            self._schema.tables(fresh=True)  # another client, which gave the name, knows more
+            self._schema.tables(fresh=True)  # another client may have made it just now
         return self.by_name(name) or self._heir(name, False)
 
     def of_topic(self, topic: str, *, fresh: bool = False) -> WholeTopic:
-        """List the tables of a topic: one for each md5 and format."""
+        """Return the tables of a topic: one for each md5 and format."""
         return self._whole(topic, self._schema.listing(fresh=fresh))
 
     def _whole(self, topic: str, listing: Listing, others: Iterable[str] = ()) -> WholeTopic:
@@ -262,18 +268,18 @@ class TopicTables:
         return WholeTopic(tables, listing, partial(self._renewed, topic))
 
     def _renewed(self, topic: str, was: WholeTopic, fresh: bool) -> WholeTopic:
-        # What is asked of no table has no answer before which a new one would have been pushed.
+        # Without tables there is no read whose answer comes after the push of a new table.
         listing = self._schema.listing(fresh=fresh or not was)
         if listing is was.listing:
             return was
-        # Of a topic that was renamed the tables stay the same.
+        # A topic that was renamed keeps its tables.
         heirs = (listing.heirs.get(table.name, table.name) for table in was)
         found = self._whole(topic, listing, [name for name in heirs if name in listing.visible])
         return found or was
 
 
 def definition_in(metadata: TopicMetadata) -> Optional[Definition]:
-    """Return the definition that a comment holds, None where it is unusable."""
+    """Return the definition in a comment; None if it is unusable."""
     try:
         return parse_definition(metadata.msg_type, metadata.definition, metadata.md5sum)
     except DefinitionError as exc:

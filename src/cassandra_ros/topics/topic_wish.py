@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What addTopic asks of a topic, kept until its first message tells the type."""
+"""The request of addTopic, kept until its first message tells the type."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def wished_topic(
     user: Optional[Mapping[str, Any]],
     index: Sequence[str],
 ) -> TopicMetadata:
-    """Check what addTopic was given, and return it as metadata without a type."""
+    """Check the arguments of addTopic, and return them as metadata without a type."""
     return TopicMetadata(
         topic=check_new_topic(topic),
         msg_type="",
@@ -46,23 +46,23 @@ def wished_topic(
 
 
 def with_key(wanted: TopicMetadata, key_format: Optional[str], key_part: str) -> TopicMetadata:
-    """Return them with the key that was asked for, '' = as the topic is stored."""
+    """Return metadata with the requested key; '' = as the topic is stored."""
     return wanted.with_(key_format=check_key_format(key_format, key_part), key_part=key_part)
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What addTopic asked for; kept until the first message tells the type."""
+    """The request of addTopic; kept until the first message tells the type."""
 
     metadata: TopicMetadata
-    """Without a type; key_format '' = as it is stored, else 'time'; indexes are to be made."""
+    """Metadata without a type; key_format '' = as stored, else 'time'; indexes are to be made."""
     asked: bool
-    """addTopic named the format; else it is the one that is stored."""
+    """Whether addTopic named the format; otherwise it is the stored one."""
     pending: bool
-    """Added in this process, perhaps without a table yet."""
+    """Whether it was added in this process and may have no table yet."""
 
     def check(self, stored: TopicMetadata, definition: Optional[Definition]) -> None:
-        """Raise TopicExists where the topic is stored in another way than asked for."""
+        """Raise TopicExists if the topic is stored with other values than requested."""
         wrong, wanted = [], self.metadata
         if definition is not None and definition.md5sum != stored.md5sum:
             wrong.append(f"type {stored.msg_type} [{stored.md5sum}]")

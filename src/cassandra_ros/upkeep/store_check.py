@@ -337,7 +337,7 @@ class _Check:
                 node,
                 (min(buckets) * length, (max(buckets) + 1) * length - 1),
                 0,
-                f"{len(buckets)} buckets of node {node!r} are in no directory, so nobody finds "
+                f"{len(buckets)} buckets of node {node!r} are in no directory, so no reader finds "
                 "them; --repair lists them",
                 mended=self._repair,
             )
@@ -362,7 +362,7 @@ class _Check:
             place[1],
             (totals.t_min, totals.t_max),
             totals.rows,
-            f"{totals.rows} messages of writer {place[3]} are in no directory, so nobody finds "
+            f"{totals.rows} messages of writer {place[3]} are in no directory, so no reader finds "
             "them; --repair lists them",
             mended=self._repair,
         )
@@ -446,8 +446,8 @@ class _Check:
             "",
             None if table.named else (min(times), max(times)),
             len(found),
-            f"pieces of {len(found)} large messages lie there without a message: whoever wrote "
-            "them died; --repair deletes them",
+            f"pieces of {len(found)} large messages lie there without a message: the "
+            "client that wrote them died; --repair deletes them",
             mended=self._repair,
         )
 
@@ -476,8 +476,8 @@ class _Check:
                 space.registry.forget(table)
                 space.place_index.forget(table)
             text = (
-                f"the directory knows a table {table} that is gone: whoever removed its topic "
-                "died; --repair forgets it"
+                f"the directory knows a table {table} that was dropped: the "
+                "client that removed its topic died; --repair forgets it"
             )
             self._note(DamageKind.LEFTOVER, "", table, "", None, 0, text, mended=self._repair)
 

@@ -36,7 +36,7 @@ class _Budget:
         self.blocks = MAX_BLOCKS
 
     def take_keys(self, count: int) -> bool:
-        """Take keys that were read; say whether they were not more than what was left."""
+        """Subtract keys that were read; return whether enough were left."""
         enough = count <= self.keys
         self.keys = max(0, self.keys - count)
         return enough

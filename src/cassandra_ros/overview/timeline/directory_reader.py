@@ -95,7 +95,7 @@ class Reader:
         return {table.name: known[table.name] for table in tables if not table.named}
 
     def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Optional[Ends]:
-        """Return the first and the last time of messages in some tables; None if there are none.
+        """Return the first and the last time of messages in some tables; None without messages.
 
         For single writers the times come from ``pieces``.
         """

@@ -158,7 +158,7 @@ class Picture(NamedTuple):
     """A timeline that was drawn."""
 
     extent: Optional[Ends]
-    """Times of the first and the last of all selected messages, ns; None = there are none. Messages
+    """Times of the first and the last of all selected messages, ns; None = no messages. Messages
     with names count only if no others are selected."""
     scale: Optional[Scale]
     """Cells of the time range; None = there is no time range."""
@@ -286,7 +286,7 @@ class Timeline:
 
 
 def _extent(named: Sequence[Piece]) -> Optional[Ends]:
-    """Return the first and the last time of messages with names, ns; None if there are none."""
+    """Return the first and the last time of messages with names, ns; None without messages."""
     times = Keys.joined([piece.keys for piece in named]).times
     return (int(times.min()), int(times.max())) if len(times) else None
 

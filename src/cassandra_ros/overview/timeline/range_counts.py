@@ -118,10 +118,10 @@ def unread(
     )
     totals = np.array(list(columns), np.int64).reshape(-1, 2).sum(axis=0) // max(1, len(read))
     messages, size = (np.full(len(ends), total) for total in totals)
-    nobody = np.zeros(len(ends), np.int64)
-    sure = nobody.astype(bool)
-    time_ranges = TimeRanges(first, last + length - 1, messages, size, nobody, sure)
-    return Piece(table, node, time_ranges, nobody - 1, sampled=True)
+    unknown = np.zeros(len(ends), np.int64)
+    sure = unknown.astype(bool)
+    time_ranges = TimeRanges(first, last + length - 1, messages, size, unknown, sure)
+    return Piece(table, node, time_ranges, unknown - 1, sampled=True)
 
 
 def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:

@@ -50,7 +50,7 @@ class Scale(NamedTuple):
         if not 1 <= most <= MAX_CELLS:
             raise InvalidOption(f"pixels {most}: give 1 to {MAX_CELLS}")
         if start > end:
-            raise InvalidOption(f"start {start} lies behind end {end}; both are ns since 1970")
+            raise InvalidOption(f"start {start} is later than end {end}; both are ns since 1970")
         return cls(start, end, -(-(end - start + 1) // most))
 
     @property
