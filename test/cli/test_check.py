@@ -135,7 +135,7 @@ def test_check(store, call, cql, connect):
 def test_what_is_being_written_is_no_damage(rosCas, call, cql):
     with begin(rosCas, 7, "live", count=3) as writer:
         status, out, err = call("check")
-        assert (status, err) == (0, "") and "of 2 buckets no counts could be compared" in out
+        assert (status, err) == (0, "") and "the counts of 2 buckets could not be compared" in out
         writer.flush()
         age(cql, rosCas.keyspace)  # the recorder died
         status, out, _ = call("check", "--repair")

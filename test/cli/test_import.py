@@ -188,7 +188,7 @@ def test_chosen_topics_in_and_out(call, tmp_path):
     # A file behind --topics is a topic; -o is one wherever it stands.
     status, _, err = call("export", "--topics", "/tf", target)
     assert status == 2
-    assert "--topics takes all words behind it" in err
+    assert "--topics takes all words after it" in err
     status, out, err = call("export", "--topics", "/tf", "-e", "/.*/left", "-o", target, "--json")
     assert (status, err) == (0, "")
     assert json.loads(out)["messages"] == {"/tf": 10, "/cam/left": 10}

@@ -333,10 +333,10 @@ def test_the_help_tells_the_defaults_that_the_library_has(bag):
         f"metres (default: {MapOptions().resolution:g})",
         f"moving transforms (default: {PoseChoice().tf})",
         f"fixed transforms (default: {PoseChoice().tf_static})",
-        f"nothing is known between (default: {PoseChoice().longest_gap_sec:g})",
-        f"range_max of scans, {CLOUD_RANGE:g} of clouds",
-        f"of clouds {CLOUD_HEIGHTS[0]:g})",
-        f"of clouds {CLOUD_HEIGHTS[1]:g})",
+        f"two poses for interpolation, seconds (default: {PoseChoice().longest_gap_sec:g})",
+        f"range_max for scans, {CLOUD_RANGE:g} for clouds",
+        f"{CLOUD_HEIGHTS[0]:g} for clouds)",
+        f"{CLOUD_HEIGHTS[1]:g} for clouds)",
     ):
         assert known in text
 
