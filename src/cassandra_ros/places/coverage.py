@@ -14,7 +14,6 @@ from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, 
 from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, Cell, cells_of
 from cassandra_ros.places.paths import (
     LONGEST_GAP_NS,
-    NsRange,
     clip_ranges,
     merge_ranges,
     subtract_ranges,
@@ -23,6 +22,7 @@ from cassandra_ros.places.regions import Region
 from cassandra_ros.places.robots import MOST_FRAMES, Robot
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import overlapping_pairs
+from cassandra_ros.query.plan.near_conditions import NsRange
 from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square
 
 _FIRST = LONGEST_NS + JOIN_NS

@@ -20,14 +20,13 @@ from cassandra_ros.places.pose_samples import Times, Track
 from cassandra_ros.places.poses import LONGEST_GAP_SEC
 from cassandra_ros.places.regions import Lines, Region
 from cassandra_ros.places.rigid import Floats
+from cassandra_ros.query.plan.near_conditions import NsRange
 
 LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
 LONGEST_WAY_M = 40_000.0
 """Maximum distance between two connected poses, metres in x or y. A robot cannot move farther."""
 AROUND_NS = 1_000_000
 """Margin added to both ends of a computed stay, ns, because times are rounded."""
-NsRange = Tuple[int, int]
-"""A time range, ns since 1970, both ends included."""
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,12 @@ from typing import Callable, Dict, Iterable, Iterator, List, Mapping, Optional, 
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.coverage import Coverage
-from cassandra_ros.places.paths import NsRange, clip_ranges, merge_ranges
+from cassandra_ros.places.paths import clip_ranges, merge_ranges
 from cassandra_ros.places.regions import DiskRegion, Region
 from cassandra_ros.places.robots import Robot, RobotFinder
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import WINDOW_NS, Window, Windows
+from cassandra_ros.query.plan.near_conditions import NsRange
 from cassandra_ros.query.protocols import Disk
 from cassandra_ros.read import Writers
 from cassandra_ros.tables.place_index import PlaceIndex

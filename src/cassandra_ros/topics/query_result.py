@@ -14,7 +14,7 @@ from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_behind
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
 from cassandra_ros.printable import MOST_ROWS, html_table
 from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of, meant_as_seconds
-from cassandra_ros.query.plan.near_conditions import Span, spans_of, with_stays
+from cassandra_ros.query.plan.near_conditions import NsRange, spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Row, Table
@@ -317,7 +317,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._spans, self.time_ranges = spans_of(self.select.condition), 0
         return replace(bounds, spans=None if self._spans is None else self._counted_spans)
 
-    def _counted_spans(self, low: int, high: int, reverse: bool) -> Iterator[Span]:
+    def _counted_spans(self, low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         for span in () if self._spans is None else self._spans(low, high, reverse):
             self.time_ranges += 1
             self._watch()

@@ -16,7 +16,7 @@ from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidQuery
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW
-from cassandra_ros.query.plan.near_conditions import Spans
+from cassandra_ros.query.plan.near_conditions import RangeSource
 from cassandra_ros.query.protocols import Runs
 from cassandra_ros.query.tree.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.tree.syntax import (
@@ -50,7 +50,7 @@ class Bounds:
     """Whether no row can match."""
     whole: bool = True
     """Whether the bounds are the whole condition, so that every row inside matches."""
-    spans: Optional[Spans] = None
+    spans: Optional[RangeSource] = None
     """Function that returns the ranges of KEY outside of which no row matches; None = unknown."""
 
     def reads(self) -> Iterator[Read]:

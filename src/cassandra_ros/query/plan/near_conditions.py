@@ -32,9 +32,9 @@ from cassandra_ros.query.tree.syntax import (
 )
 from cassandra_ros.read import EVERYBODY, Whose
 
-Span = Tuple[int, int]
+NsRange = Tuple[int, int]
 """A time range, ns, both ends included."""
-Spans = Callable[[int, int, bool], Iterator[Span]]
+RangeSource = Callable[[int, int, bool], Iterator[NsRange]]
 """Function that yields disjoint time ranges in [low, high], ascending or (True) descending."""
 
 _METRES = ("x", "y", "the radius")
@@ -122,7 +122,7 @@ def _text(name: str, literal: Literal) -> str:
     raise StatementError(literal.position, reason)
 
 
-def spans_of(condition: Optional[Expression]) -> Optional[Spans]:
+def spans_of(condition: Optional[Expression]) -> Optional[RangeSource]:
     """Return the time ranges outside of which a condition is never true; None = all time.
 
     The ranges may be too long, never too short.
@@ -138,28 +138,28 @@ def spans_of(condition: Optional[Expression]) -> Optional[Spans]:
     return None
 
 
-def _both(every: Sequence[Spans]) -> Spans:
+def _both(every: Sequence[RangeSource]) -> RangeSource:
     """Return the intersection: the ranges of one function are requested inside those of another."""
     first, rest = every[0], every[1:]
     if not rest:
         return first
     others = _both(rest)
 
-    def spans(low: int, high: int, reverse: bool) -> Iterator[Span]:
+    def spans(low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         for start, end in first(low, high, reverse):
             yield from others(start, end, reverse)
 
     return spans
 
 
-def _united(every: Sequence[Spans]) -> Spans:
+def _united(every: Sequence[RangeSource]) -> RangeSource:
     if len(every) == 1:
         return every[0]
 
-    def spans(low: int, high: int, reverse: bool) -> Iterator[Span]:
+    def spans(low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         sign = -1 if reverse else 1
         streams = [each(low, high, reverse) for each in every]
-        last: Optional[Span] = None
+        last: Optional[NsRange] = None
         # Descending ranges are merged by their ends, ascending ones by their starts.
         for span in heapq.merge(*streams, key=lambda span: sign * span[1 if reverse else 0]):
             if last is not None and last[0] <= span[1] + 1 and span[0] - 1 <= last[1]:
