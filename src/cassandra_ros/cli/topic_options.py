@@ -11,7 +11,7 @@ from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.topics.patterns import matching
 
 if TYPE_CHECKING:
-    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.topics.catalog import Catalog
 
 _EXPRESSION = set("*+?[](){}|^$\\")
 """Characters that never occur in a ROS topic name."""
@@ -59,7 +59,7 @@ def add_topics_option(parser: argparse._ActionsContainer, after: str) -> None:
     )
 
 
-def stored_topics(ros_cas: RosCassandra, options: argparse.Namespace) -> list[str] | None:
+def stored_topics(catalog: Catalog, options: argparse.Namespace) -> list[str] | None:
     """Return the stored names of the topics that the options select; None = all topics.
 
     Raises:
@@ -72,12 +72,12 @@ def stored_topics(ros_cas: RosCassandra, options: argparse.Namespace) -> list[st
     topics = {}
     for name in names or ():
         try:
-            topics[ros_cas.getTopic(name).name] = True
+            topics[catalog.get(name).name] = True
         except TopicNotFound as exc:
             raise TopicNotFound(f"{exc}{_hint(name)}") from exc
     if expressions:
-        stored = {topic.name for topic in ros_cas.getAllTopics()}
-        where = f"keyspace {ros_cas.keyspace}"
+        stored = {topic.name for topic in catalog.all(None)}
+        where = f"keyspace {catalog.keyspace.name}"
         topics.update(dict.fromkeys(sorted(matching("-e", expressions, stored, where)), True))
     return list(topics)
 

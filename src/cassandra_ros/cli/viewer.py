@@ -47,7 +47,7 @@ from cassandra_ros.viewing.viewer_settings import (
 )
 
 if TYPE_CHECKING:
-    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.topics.catalog import Catalog
 
 PROGRAM = "viewer"
 _TOKEN_BYTES = 18
@@ -132,7 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     offer(PROGRAM, settings.studio)
     # The viewer may be started before the recorder creates the keyspace.
     with open_store(options, make=True) as ros_cas:
-        _warn_of_nothing(ros_cas)
+        _warn_of_nothing(ros_cas.catalog)
 
         def ready(address: str) -> None:
             print(f"keyspace {options.keyspace} is at {address} (Ctrl-C ends it)", flush=True)
@@ -152,9 +152,9 @@ def _require_pages(folder: Path) -> None:
         )
 
 
-def _warn_of_nothing(ros_cas: RosCassandra) -> None:
+def _warn_of_nothing(catalog: Catalog) -> None:
     """Warn if the keyspace does not exist: its name may be misspelt."""
     try:
-        ros_cas.catalog.keyspace.side_tables.require_keyspace()
+        catalog.keyspace.side_tables.require_keyspace()
     except KeyspaceNotFound as exc:
         print(error_line(PROGRAM, f"{exc}; it is shown once it is there"), file=sys.stderr)

@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
     where, (start, end) = read_where(options), read_times(options)
     with open_store(options) as ros_cas:
         rows = ros_cas.readMessages(
-            stored_topics(ros_cas, options),
+            stored_topics(ros_cas.catalog, options),
             start,
             end,
             nodeID=options.node_id,

@@ -54,7 +54,7 @@ def run(options: argparse.Namespace) -> int:
     """Check the store, and print the damages."""
     (start, end), begun = read_times(options), time.monotonic()
     with open_store(options) as ros_cas:
-        topics = stored_topics(ros_cas, options)
+        topics = stored_topics(ros_cas.catalog, options)
         with MessageBar("checking") as bar, SafeInterrupt(ros_cas.cassandra.outage) as stop:
 
             def progress(done: int, total: int) -> None:

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> int:
     """Convert the topics one after the other, up to the first failure."""
     with open_store(options) as ros_cas:
         reports = []
-        for topic in stored_topics(ros_cas, options) or ():
+        for topic in stored_topics(ros_cas.catalog, options) or ():
             begun = time.monotonic()
             with MessageBar(f"converting {shown(topic)}") as bar, SafeInterrupt(
                 ros_cas.cassandra.outage

@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     if whole and not options.topics:
         options.parser.error("name topics, times, a node, a run or a condition")
     with open_store(options) as ros_cas:
-        topics = stored_topics(ros_cas, options)
+        topics = stored_topics(ros_cas.catalog, options)
 
         def delete(dry_run: bool) -> dict[str, int]:
             if whole:

@@ -91,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         report = export_bag(
             ros_cas,
             path,
-            topics=stored_topics(ros_cas, options),
+            topics=stored_topics(ros_cas.catalog, options),
             start=start,
             end=end,
             nodeID=options.node_id,

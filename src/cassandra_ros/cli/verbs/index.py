@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("TOPIC and FIELD are needed, or --list")
     done = []
     with open_store(options) as ros_cas:
-        for name in stored_topics(ros_cas, options) or ():
+        for name in stored_topics(ros_cas.catalog, options) or ():
             topic = ros_cas.getTopic(name)
             if options.remove:
                 topic.removeIndex(options.field)
@@ -102,7 +102,7 @@ def _list(options: argparse.Namespace) -> int:
     from cassandra_ros.topics.indexes import list_indexes
 
     with open_store(options) as ros_cas:
-        names = stored_topics(ros_cas, options)
+        names = stored_topics(ros_cas.catalog, options)
         every = ros_cas.getAllTopics() if names is None else map(ros_cas.getTopic, names)
         directory = ros_cas.catalog.keyspace.directory
         states = [

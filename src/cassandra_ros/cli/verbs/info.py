@@ -56,9 +56,9 @@ from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.message_sample import MessageSample
-    from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.overview.timeline.lanes import Picture
     from cassandra_ros.tables.registry import Loss, LossKind, Run
+    from cassandra_ros.topics.catalog import Catalog
     from cassandra_ros.topics.stored_totals import TopicInfo
 
 _HEADER = (
@@ -176,7 +176,7 @@ def _find(options: argparse.Namespace) -> _Description:
     hosts, port = store_place(options)
     with open_store(options) as ros_cas:
         asked = {"nodeID": options.node_id, "run": options.run}
-        topics = stored_topics(ros_cas, options)
+        topics = stored_topics(ros_cas.catalog, options)
         infos = ros_cas.info(topics, **asked)
         losses = ros_cas.losses(topics, **asked)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
@@ -192,7 +192,7 @@ def _find(options: argparse.Namespace) -> _Description:
             views = [replace(view, start=s, end=e, cells=cells) for s, e in activity.eras]
             eras = list(map(timeline.picture, views))
         told = (options.yaml or options.json) and options.key in (None, "topics")
-        samples = _samples(ros_cas, infos, options.run) if told else []
+        samples = _samples(ros_cas.catalog, infos, options.run) if told else []
     if options.run:
         runs = [run for run in runs if options.run in (run.name, str(run.writer))]
     place = f"{','.join(hosts)}:{port}"
@@ -200,7 +200,7 @@ def _find(options: argparse.Namespace) -> _Description:
 
 
 def _samples(
-    ros_cas: RosCassandra, infos: Sequence[TopicInfo], run: str | None
+    catalog: Catalog, infos: Sequence[TopicInfo], run: str | None
 ) -> list[MessageSample]:
     """Read the first messages of each topic and robot; return a sample for each of ``infos``."""
     from cassandra_ros.bag.message_sample import MessageSample, read_samples
@@ -208,7 +208,7 @@ def _samples(
     samples: dict[tuple[str, str], dict[str, MessageSample]] = {}
     for info in infos:
         if (info.topic, info.node) not in samples:
-            topic = ros_cas.getTopic(info.topic)
+            topic = catalog.get(info.topic)
             samples[info.topic, info.node] = read_samples(topic, _SAMPLED, info.node, run)
     return [samples[info.topic, info.node].get(info.table, MessageSample()) for info in infos]
 

@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
         options.parser.error("say what is to be dropped: --max-age, --max-size or --thin")
     keep, now = read_conditions(options, "keep"), read_time("now", options.now)
     with open_store(options) as ros_cas:
-        topics = stored_topics(ros_cas, options)
+        topics = stored_topics(ros_cas.catalog, options)
 
         def retain(text: str, dry_run: bool) -> list[Retained]:
             with MessageBar(text) as bar:

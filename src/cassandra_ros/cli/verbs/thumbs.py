@@ -40,9 +40,9 @@ from cassandra_ros.errors import (
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
-    from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.drawing.contact_sheet import Cell
     from cassandra_ros.overview.time_sample import Chosen
+    from cassandra_ros.topics.catalog import Catalog
 
 MAX_PICTURES = 1000
 MAX_WIDTH = 2000
@@ -94,7 +94,7 @@ def run(options: argparse.Namespace) -> int:
     check_picture_path(path, options.force)
     with open_store(options) as ros_cas:
         topic = ros_cas.getTopic(options.topic)
-        drawn = list(_draw(ros_cas, topic.name, options, count))
+        drawn = list(_draw(ros_cas.catalog, topic.name, options, count))
         kind = topic.getMeta["msg_type"]
     if not drawn:
         raise MessageNotFound(f"what topic {topic.name} had there was deleted meanwhile")
@@ -138,7 +138,7 @@ def _count(options: argparse.Namespace) -> int:
 
 
 def _draw(
-    ros_cas: RosCassandra, topic: str, options: argparse.Namespace, count: int
+    catalog: Catalog, topic: str, options: argparse.Namespace, count: int
 ) -> Iterator[_Thumbnail]:
     """Read and draw the messages, one after the other."""
     from cassandra_ros.drawing.contact_sheet import Cell
@@ -147,7 +147,7 @@ def _draw(
     from cassandra_ros.overview.time_sample import spaced_rows
 
     every_ns = seconds_to_ns(options.every) if options.every else 0
-    rows = spaced_rows(ros_cas.catalog, topic, _chosen(ros_cas, topic, options), count, every_ns)
+    rows = spaced_rows(catalog, topic, _chosen(catalog, topic, options), count, every_ns)
     for row in rows:
         try:
             picture = picture_of(row, options.width)
@@ -157,14 +157,14 @@ def _draw(
             yield _Thumbnail(row.t, row.node, Cell("", None), exc)
 
 
-def _chosen(ros_cas: RosCassandra, topic: str, options: argparse.Namespace) -> Chosen:
+def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> Chosen:
     from cassandra_ros.overview.time_sample import Chosen
 
     start, end = read_times(options)
-    where = {ros_cas.getTopic(name).name: text for name, text in read_where(options).items()}
+    where = {catalog.get(name).name: text for name, text in read_where(options).items()}
     if set(where) - {topic}:
         raise InvalidOption(f"--where is for {topic}, which is drawn, and for no other topic")
-    writers = ros_cas.catalog.keyspace.runs.writers(options.run)
+    writers = catalog.keyspace.runs.writers(options.run)
     return Chosen(start, end, options.node_id, writers, where.get(topic))
 
 

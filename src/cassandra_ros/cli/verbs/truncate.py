@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print what will be deleted, ask, and delete it."""
     with open_store(options) as ros_cas:
-        topics = stored_topics(ros_cas, options) or []
+        topics = stored_topics(ros_cas.catalog, options) or []
         counts = {name: [0, 0] for name in topics}
         for info in ros_cas.info(topics):
             counts[info.topic][0] += info.count
