@@ -297,10 +297,10 @@ class MessageWriter:
                     change = self._keyspace.schema.change_topic
                     change(connection.topic, lambda metadata: metadata.with_(cut=True))
             _log.warning(
-                "the table of topic %s was removed or replaced by another client: what comes goes "
                 "the table of topic %s was removed or replaced by another client: new messages go "
                 "into %s",
                 handle.topic,
+                "its successor" if found.table.name != handle.table.name else "it anew",
             )
             handle = found
         return handle

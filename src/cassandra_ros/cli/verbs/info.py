@@ -169,9 +169,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _find(options: argparse.Namespace) -> _Description:
-    from cassandra_ros.arguments import check_nodes
     from cassandra_ros.overview.timeline.lanes import Timeline, View
-    from cassandra_ros.read import Whose
 
     hosts, port = store_place(options)
     with open_store(options) as ros_cas:
@@ -180,9 +178,7 @@ def _find(options: argparse.Namespace) -> _Description:
         infos = ros_cas.info(topics, **asked)
         losses = ros_cas.losses(topics, **asked)
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
-        whose = Whose(
-            check_nodes(options.node_id), ros_cas.catalog.keyspace.runs.writers(options.run)
-        )
+        whose = ros_cas.catalog.whose(options.node_id, options.run)
         view = View(*_ends_of(infos), cells=_CELLS, topics=topics, whose=whose)
         timeline = Timeline(ros_cas.catalog)
         activity = timeline.picture(view)
@@ -199,9 +195,7 @@ def _find(options: argparse.Namespace) -> _Description:
     return _Description(place, options.keyspace, infos, losses, runs, activity, eras, samples)
 
 
-def _samples(
-    catalog: Catalog, infos: Sequence[TopicInfo], run: str | None
-) -> list[MessageSample]:
+def _samples(catalog: Catalog, infos: Sequence[TopicInfo], run: str | None) -> list[MessageSample]:
     """Read the first messages of each topic and robot; return a sample for each of ``infos``."""
     from cassandra_ros.bag.message_sample import MessageSample, read_samples
 
