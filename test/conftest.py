@@ -85,12 +85,12 @@ class RosMaster:
 
 
 def pytest_configure(config):
-    # Fixtures are torn down on Ctrl-C; let them be on a SIGTERM as well, and where a shell
+    # Fixtures are torn down on Ctrl-C. Tear them down on SIGTERM, too, and where a shell
     # started us in the background and SIGINT is ignored, here and by inheritance in every node.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     os.environ.setdefault("JAVA_TOOL_OPTIONS", ONE_COMPILER)
-    # Whoever runs them may have a cluster that asks for a login, and data of a local one to lose.
+    # The developer may have a cluster that requires a login, and a local one with data to lose.
     os.environ["CASSANDRA_ROS_CQLSHRC"] = os.devnull
     os.environ.pop("CASSANDRA_ROS_DIR", None)
     # A master may run on this machine, with topics called as ours: only the tests' own is asked.

@@ -48,7 +48,7 @@ FEATURES = (
     PADDING,
 )
 """Records are in a chunk, what follows the chunk, what the summary has, and bytes of later versions
-of the format behind the last field of each record."""
+of the format after the last field of each record."""
 _NEEDS = {
     ATTACHMENT_INDEX: Attachment,
     METADATA_INDEX: Metadata,

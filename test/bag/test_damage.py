@@ -52,7 +52,7 @@ def test_a_bag_that_is_cut_anywhere_is_refused(whole, tmp_path, data):
 @given(data=st.data())
 def test_changed_bytes_give_an_error_or_a_bag(whole, tmp_path, data):
     changed = bytearray(whole)
-    # The padding behind the header holds nothing.
+    # The padding after the header is not used.
     places = st.one_of(st.integers(0, 100), st.integers(4096, len(whole) - 1))
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(places)] = data.draw(st.integers(0, 255))
@@ -66,7 +66,7 @@ def test_changed_bytes_give_an_error_or_a_bag(whole, tmp_path, data):
 
 @MANY
 @given(content=st.binary(max_size=500))
-def test_noise_behind_the_magic_line_is_refused(tmp_path, content):
+def test_noise_after_the_magic_line_is_refused(tmp_path, content):
     path = tmp_path / "noise.bag"
     path.write_bytes(bagformat.MAGIC + content)
     with pytest.raises(BagError):

@@ -130,7 +130,7 @@ def test_a_chunk_without_messages_does_not_count(tmp_path):
     assert identify(tmp_path / "b.bag") == expected
 
 
-def test_what_stands_behind_damage_counts(original, tmp_path):
+def test_content_after_the_damage_changes_the_writer_id(original, tmp_path):
     """An import of some topics never comes to a damaged chunk that holds none of them."""
     found = set()
     for name, text in (("a", "text 2999"), ("b", "text 2998"), ("c", "text 2997")):

@@ -157,7 +157,7 @@ def test_a_bag_of_what_satisfies_conditions(rosCas, bags, tmp_path, form):
     assert 0 < counts["/tf"] < 2688
 
 
-def test_no_bag_is_begun_for_a_condition_that_is_none(rosCas, tmp_path):
+def test_an_invalid_condition_creates_no_bag(rosCas, tmp_path):
     rosCas.addTopic("/a", msg_type="std_msgs/String")
     for where, error in (({"/a": "data >"}, InvalidQuery), ({"/b": "data = ''"}, TopicNotFound)):
         with pytest.raises(error):

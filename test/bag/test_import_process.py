@@ -41,14 +41,14 @@ print(report.messages, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 """
 
 
-def spawn_import(cassandra, keyspace, path, killed_behind=10**9, form=""):
+def spawn_import(cassandra, keyspace, path, killed_after=10**9, form=""):
     """Import in a process that is killed when it has taken so many messages."""
     where = (
         cassandra.host,
         str(cassandra.port),
         keyspace,
         str(path),
-        str(int(killed_behind)),
+        str(int(killed_after)),
         form,
     )
     return subprocess.Popen(

@@ -123,7 +123,7 @@ def test_every_layout_of_other_writers_is_read(tmp_path, layout):
         assert latched.latching
         assert latched.fields["x"] == b"y"
         assert latched.fields["topic"] == b"/latched"
-        # Computed, for nobody says it.
+        # Computed, because the file does not state it.
         assert {c.md5sum for c in reader.connections.values()} == {string_connection().md5sum}
         assert {c.type for c in reader.connections.values()} == {"std_msgs/String"}
         assert latched.definition_text == "string data\n"
@@ -207,7 +207,7 @@ def test_damage_is_found_or_changes_nothing(tmp_path):
 
 
 def test_a_chunk_that_is_passed_over_is_missed(tmp_path):
-    """Of a kind that nobody knows, as damage or a later version of the format makes it."""
+    """A record of unknown kind, as after damage or from a later version of the format."""
     whole = bytearray(foreign(tmp_path / "a.mcap").read_bytes())
     with open(tmp_path / "a.mcap", "rb") as file:
         first = next(r for r in walk(file, "") if r.kind == Opcode.CHUNK)
@@ -232,8 +232,8 @@ def test_a_footer_that_points_nowhere_is_damage(tmp_path, place):
         assert reader.message_count == 40
 
 
-def test_a_chunk_of_records_that_nobody_knows_takes_time_once(tmp_path):
-    """Each of them is passed over where it lies, without a copy of all that follows."""
+def test_a_chunk_of_unknown_records_is_read_once(tmp_path):
+    """Each record is skipped without copying the bytes that follow it."""
     content = RECORD.pack(0x7F, 0) * 300_000
     before = process_time()
     assert not len(find_messages(content, "").times)

@@ -16,19 +16,19 @@ from cassandra_ros.bag.message_file import MessageBatch
 from cassandra_ros.errors import BagError
 
 
-def stretch(number, size):
+def batch(number, size):
     places = np.zeros(1, np.int64)
     return MessageBatch(number, places, places, [bytes(size)])
 
 
 def test_batches_come_in_order_with_their_sizes():
-    with ReadAhead(stretch(n, n % 7) for n in range(500)) as ahead:
+    with ReadAhead(batch(n, n % 7) for n in range(500)) as ahead:
         assert [(s.number, size) for s, size in ahead] == [(n, n % 7) for n in range(500)]
 
 
-def test_what_the_reading_raises_comes_behind_what_was_read_before():
+def test_an_error_of_the_reader_is_raised_after_all_earlier_batches():
     def broken():
-        yield from (stretch(n, 10) for n in range(3))
+        yield from (batch(n, 10) for n in range(3))
         raise BagError("damaged")
 
     seen = []
@@ -44,7 +44,7 @@ def test_no_more_is_read_ahead_than_is_allowed(monkeypatch):
     def endless():
         for number in range(10**9):
             read.put(number)
-            yield stretch(number, 5000 if number == 1 else 300)
+            yield batch(number, 5000 if number == 1 else 300)
 
     with ReadAhead(endless()) as ahead:
         every = iter(ahead)
@@ -57,7 +57,7 @@ def test_no_more_is_read_ahead_than_is_allowed(monkeypatch):
 
 
 def test_who_takes_no_more_ends_the_reading():
-    with pytest.raises(KeyboardInterrupt), ReadAhead(stretch(n, 10**6) for n in range(99)) as ahead:
+    with pytest.raises(KeyboardInterrupt), ReadAhead(batch(n, 10**6) for n in range(99)) as ahead:
         next(iter(ahead))
         raise KeyboardInterrupt
     assert not any(t.name == "cassandra_ros-bag" for t in threading.enumerate())

@@ -74,7 +74,7 @@ def test_times_out_of_order_in_a_chunk(path):
 
 @pytest.mark.parametrize("chunks", range(1, len(TIMES) + 1))
 def test_a_chunk_that_ends_with_the_file_is_whole(path, chunks):
-    """Its recorder died between the chunk and what stands behind it."""
+    """Its recorder died between the chunk and its index records."""
     _, end = chunks_of(path)[chunks - 1]
     salvaged = read(cut(path, end), chunks)
     assert (salvaged.messages, salvaged.lost_bytes) == (sum(map(len, TIMES[:chunks])), 0)

@@ -111,7 +111,7 @@ def test_a_line_of_bars():
 def test_indexes_and_which_is_not_finished(call, rosCas, three_topics):
     assert json.loads(call("index", "--list", "--json")[1]) == []
     assert call("index", "--list")[1] == "there is no index\n"
-    # What somebody leaves who is killed before he has filled it.
+    # A table whose writer was killed before it was filled.
     rosCas.catalog.keyspace.indexes.add("/tf", "data", lambda metadata: "text")
     status, out, _ = call("index", "--list", "/tf")
     lines = out.splitlines()

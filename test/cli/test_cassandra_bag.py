@@ -190,7 +190,7 @@ def test_info_says_what_rosbag_info_says(call, ros_env, bags):
 
 
 def test_info_of_a_hundred_million_messages_reads_none_of_them(call, rosCas):
-    """The directory says what there is: here it says so of messages that nobody ever stored."""
+    """The numbers come from the directory: here it lists messages that were never stored."""
     with rosCas.messageWriter() as writer:
         handle = writer.connect(string_connection("/many"))
         writer.write(handle, 0, 0, string_wire("x"))
@@ -205,7 +205,7 @@ def test_info_of_a_hundred_million_messages_reads_none_of_them(call, rosCas):
             (table.name, "", 0, writer_id), 0, (), totals, closed=True
         )
     status, out, _ = call("info", "/twice", "--json", "--freq")
-    # Four times the next one came, in three seconds; the pause before the second run is none.
+    # Four periods in three seconds; the pause before the second run does not count.
     assert json.loads(out)["topics"][0]["rate_hz"] == pytest.approx(4 / 3)
     status, out, _ = call("info", "/many")
     assert status == 0

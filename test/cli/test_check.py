@@ -19,7 +19,7 @@ from cassandra_ros.upkeep.store_check import _agrees
 
 @pytest.fixture
 def store(rosCas):
-    """/n by rows, /p in blocks, a large message, and one under a name; nobody is writing."""
+    """/n by rows, /p in blocks, a large message, and one under a name; no writer is active."""
     rosCas.addTopic("/p", format="packed", msg_type="std_msgs/Int64")
     with begin(rosCas, 7, "run") as writer:
         add(writer, 5, "/p")
@@ -241,13 +241,13 @@ def test_each_number_of_the_directory_is_compared(changed, agrees):
     assert _agrees(row, BucketTotals(**LISTED)) == agrees
 
 
-def test_an_empty_bucket_agrees_whatever_else_is_said_of_it():
+def test_an_empty_bucket_is_never_a_damage():
     row = BucketRow("r", 1, 7, True, None, 0, 0, 8, 5, 6, 0, age_sec=0.0)
     assert _agrees(row, BucketTotals())
 
 
 def test_pieces_beside_a_row_that_has_none_are_orphans(store, cql):
-    """The row has its message inside: whoever wrote it in pieces died."""
+    """The row holds the whole message; the writer that stored it in pieces died."""
     row = store.getTopic("/n").getRow(T0)
     large = store.getTopic("/big").getRow(T0)
     (table,) = store.getTopic("/big").tables

@@ -44,7 +44,7 @@ def test_delete(store, call, type_in, monkeypatch):
     with pytest.raises(InvalidOption, match="removeTopic and truncateTopic"):
         store.upkeep.delete(["/n"])
 
-    # By time, first only said, then asked for where nobody can be, then done.
+    # By time: first a dry run, then refused without a terminal, then deleted.
     by_time = ("delete", "-e", "/[np]", "--end", end(1))
     status, out, err = call(*by_time, "--dry-run")
     assert (status, err) == (0, "")

@@ -44,7 +44,7 @@ def valued(parser):
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda module: module.__name__.split(".")[-1])
-def test_every_option_says_what_it_is_without(program):
+def test_every_option_states_its_default(program):
     silent = []
     for parser in parsers(program):
         for action in valued(parser):

@@ -100,7 +100,7 @@ def test_salvage_of_a_bag_that_is_cut_short(call, tmp_path):
 
 
 def test_salvage_of_a_bag_that_was_never_closed(call, tmp_path):
-    """What a recorder that was killed leaves behind: rosbag's own writer, not closed."""
+    """The file of a recorder that was killed: written by rosbag, not closed."""
     import rosbag
     from std_msgs.msg import String
 
@@ -185,7 +185,7 @@ def test_chosen_topics_in_and_out(call, tmp_path):
     )
     assert call("import", path, "-q") == (0, "", "")
     target = tmp_path / "out.bag"
-    # A file behind --topics is a topic; -o is one wherever it stands.
+    # A file name after --topics is taken for a topic; -o may stand anywhere.
     status, _, err = call("export", "--topics", "/tf", target)
     assert status == 2
     assert "--topics takes all words after it" in err

@@ -83,7 +83,7 @@ def write(path, channels, profile="ros1", messages=6, extras=False):
 ROS1, CDR, JSON = ("ros1", "ros1msg"), ("cdr", "ros2msg"), ("json", "jsonschema")
 
 
-def test_what_is_none_of_ros_1_is_told(call, tmp_path):
+def test_messages_that_are_not_of_ros_1_are_reported(call, tmp_path):
     mixed = write(tmp_path / "a.mcap", {"/a": ROS1, "/j": JSON}, extras=True)
     status, text, err = call("import", mixed)
     assert status == 1

@@ -97,7 +97,7 @@ def test_wrong_values_end_with_usage(line, capsys):
 
 
 @pytest.mark.parametrize("option", ["--run", "--node-id", "--around"])
-def test_what_is_taken_once_is_not_forgotten(option, capsys):
+def test_an_option_that_is_given_twice_is_refused(option, capsys):
     with pytest.raises(SystemExit) as ended:
         changed([option, HIT, option, HIT])
     assert ended.value.code == 2

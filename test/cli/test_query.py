@@ -415,7 +415,7 @@ def test_the_help_tells_all(call):
 
 @pytest.mark.parametrize("package", ["pandas", "pyarrow"])
 def test_without_the_optional_packages(env, rosCas, tmp_path, package):
-    """Everything else works, and who asks for a table is told what to install."""
+    """Everything else works, and --output parquet says what to install."""
     rosCas.addTopic("/a").addData(Time(), key=T)
     keyspace = env["CASSANDRA_ROS_KEYSPACE"]
     program = f"""
@@ -487,7 +487,7 @@ def test_ctrl_c_ends_quietly(env, rosCas, tmp_path):
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     with open(pipe) as reader:
-        assert reader.read(10)  # it is amid the answer, and nobody takes more
+        assert reader.read(10)  # in the middle of the answer; no more is read
         time.sleep(0.1)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=300)

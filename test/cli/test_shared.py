@@ -52,7 +52,7 @@ def test_defaults_environment_and_options(parse):
     assert parse(HOST="", PORT="", KEYSPACE="") == (["127.0.0.1"], 9042, "ros")
 
 
-def test_the_cqlshrc_says_what_nobody_else_does(parse, tmp_path):
+def test_the_cqlshrc_sets_what_no_option_sets(parse, tmp_path):
     (tmp_path / ".cassandra").mkdir()
     usual, named = tmp_path / ".cassandra" / "cqlshrc", tmp_path / "mine"
     usual.write_text("[connection]\nhostname = d\nport = 6\n")
@@ -65,13 +65,13 @@ def test_the_cqlshrc_says_what_nobody_else_does(parse, tmp_path):
 
 
 @pytest.mark.parametrize("port", ["0", "65536", "-1", "x", "", "1.5", "٣"])
-def test_ports_that_are_none(parse, port):
+def test_invalid_ports(parse, port):
     with pytest.raises(SystemExit):
         parse("--port", port)
 
 
 @pytest.mark.parametrize("seconds", ["-1", "x", "", "1e3", "inf", "٣"])
-def test_times_to_wait_that_are_none(parse, seconds):
+def test_invalid_times_to_wait(parse, seconds):
     parse("--wait", "2.5")
     with pytest.raises(SystemExit):
         parse("--wait", seconds)

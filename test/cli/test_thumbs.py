@@ -81,7 +81,7 @@ def test_a_sheet_has_the_pictures_of_even_times(thumbs, tmp_path):
         assert sorted(set(numbers_in(tmp_path / "a.png"))) == wanted, words
 
 
-def test_what_cannot_be_drawn_is_told_and_leaves_its_place(thumbs, tmp_path):
+def test_a_message_that_cannot_be_drawn_leaves_an_empty_cell(thumbs, tmp_path):
     status, out, err = thumbs("/broken", "-o", "a.png", "--width", "8")
     assert status == 1 and err.count("\n") == 1 and "encoded as 'h264'" in err
     assert "2 pictures of /broken" in out
@@ -115,7 +115,7 @@ def test_what_is_wrong_is_told_in_a_line(thumbs, tmp_path, words, text):
     assert [path.name for path in tmp_path.iterdir()] == ["there.png"]
 
 
-def test_what_is_deleted_meanwhile_is_told(thumbs, tmp_path, monkeypatch):
+def test_messages_deleted_meanwhile_are_reported(thumbs, tmp_path, monkeypatch):
     monkeypatch.setattr("cassandra_ros.overview.time_sample.spaced_rows", lambda *asked: iter(()))
     status, out, err = thumbs("/camera/image")
     assert (status, out) == (1, "") and "/camera/image had there was deleted meanwhile" in err

@@ -49,7 +49,7 @@ def test_the_environment_says_where_the_store_is(environment, cassandra, keyspac
 
 
 @pytest.mark.parametrize("port", ["x", "0", "65536", "1.5", "-1", "9" * 30, "٣"])
-def test_ports_that_are_none(environment, port):
+def test_invalid_ports(environment, port):
     environment(port=port)
     with pytest.raises(InvalidOption, match=r"\(CASSANDRA_ROS_PORT\) is not a port"):
         RosCassandra()

@@ -160,7 +160,7 @@ def test_what_was_acknowledged_survives_kill_9(folder):
     ask(cluster, "INSERT INTO k.t (i, s) VALUES (2, 'written last')")
     kill(cluster)
     assert not cluster.status()[0].pid
-    # The pid in the file may be somebody else's by now: ours, say.
+    # The pid in the file may belong to another process by now: ours, for example.
     cluster.nodes[0].pid_file.write_text(f"{os.getpid()}\n")
     assert make(folder).status()[0].pid == 0
     assert make(folder).stop() is False

@@ -55,5 +55,5 @@ def test_a_node_tells_its_version_of_the_schema(cassandra, cql):
     assert told == after
 
 
-def test_nobody_tells_nothing():
+def test_a_closed_port_gives_no_versions():
     assert schema_versions("127.0.0.1", free_port()) == {}

@@ -49,7 +49,7 @@ def test_java_home_is_asked_first(make_java, monkeypatch, tmp_path):
     assert jars.find_java() == mine
 
 
-def test_a_java_that_does_not_run_counts_as_none(make_java, tmp_path):
+def test_a_java_that_does_not_run_is_ignored(make_java, tmp_path):
     path = make_java("", "17")
     (tmp_path / "bin" / "java").write_text("#!/nowhere/sh\n")
     assert jars.java_version(path) == 0

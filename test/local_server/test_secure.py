@@ -91,7 +91,7 @@ def test_what_it_writes_is_its_owners_alone(cluster, capsys):
     assert folder.stat().st_mode & 0o777 == 0o700
     private = [*folder.iterdir(), cluster.nodes[0].config]
     assert {path.stat().st_mode & 0o777 for path in private} == {0o600}
-    # The data are behind the login, too: who can read the files would need none.
+    # The data are protected, too: a user who could read the files would need no login.
     assert cluster.nodes[0].directory.stat().st_mode & 0o777 == 0o700
     assert [status.answers for status in cluster.status()] == [True]
     assert local_cassandra.main(["status", "--dir", str(cluster.directory)]) == 0
@@ -135,7 +135,7 @@ def test_it_answers_when_its_user_is_made(cluster, monkeypatch, capsys):
     assert len(made) == 1
 
 
-def test_who_is_not_let_in_is_told_why(
+def test_a_refused_login_gives_the_reason(
     cluster, cqlshrc, tmp_path, monkeypatch, cassandra, make_certificate, capsys
 ):
     foreign = make_certificate("foreign")

@@ -40,7 +40,7 @@ def test_the_heap_follows_the_memory_that_all_nodes_share(memory_gib, nodes, mib
     assert own_heap_mb(nodes, memory_gib << 30) == mib
 
 
-def test_a_heap_that_nobody_named_is_not_fixed(tmp_path):
+def test_a_default_heap_is_not_stored(tmp_path):
     settings = new_settings()
     assert 512 <= settings.java_heap_mb == own_heap_mb(1) <= 4096
     assert change_settings(settings, heap="768M").java_heap_mb == 768
@@ -139,7 +139,7 @@ def test_a_foreign_directory_is_refused(tmp_path):
         LocalCluster(tmp_path)
 
 
-def test_a_folder_of_somebody_elses_logins_is_foreign(tmp_path):
+def test_a_login_folder_of_another_program_is_foreign(tmp_path):
     (tmp_path / "login").mkdir()  # to clear the cluster would remove it
     with pytest.raises(ServerError, match="login"):
         LocalCluster(tmp_path)
