@@ -24,7 +24,7 @@ from nodes.children import Child, start_client, start_node
 from std_msgs.msg import String, UInt8MultiArray
 
 from cassandra_ros.errors import AnswerTooLarge
-from cassandra_ros.query.rows.answer_bound import MOST_BYTES, AnswerBound, least_bytes
+from cassandra_ros.query.rows.answer_bound import MAX_ANSWER_BYTES, AnswerBound, least_bytes
 
 MB = 2**20
 T0 = 1_500_000_000 * 10**9
@@ -35,7 +35,7 @@ WIDE = TOO_WIDE.replace("data," * 960, "")
 """A row takes 40 MB, and two take more than an answer may have."""
 DEEP = f"select {','.join(['values.key'] * 1000)} from deep limit 5"
 """All elements of the message together would be 60 million values."""
-BESIDE_MB = 4 * MOST_BYTES // MB
+BESIDE_MB = 4 * MAX_ANSWER_BYTES // MB
 """What an answer may make a program take: its rows, its text, its bytes, and what sends them."""
 
 COMMAND_MB = 150
@@ -58,7 +58,7 @@ def store(fresh):
             made.getTopic("/text").addData(String("x" * MB), key=T0 + n)
         values = [KeyValue()] * ELEMENTS
         made.addTopic("/deep").addData(DiagnosticStatus(values=values), key=T0)
-        large = UInt8MultiArray(data=bytes(MOST_BYTES))
+        large = UInt8MultiArray(data=bytes(MAX_ANSWER_BYTES))
         made.addTopic("/large", format="binary").addData(large, key=T0)
         yield made
 
@@ -141,7 +141,7 @@ def test_a_message_that_is_too_large_is_refused_by_the_viewer(viewer):
     assert (status, answer["error"]) == (400, "AnswerTooLarge")
     assert "give elements and characters" in answer["text"]
     status, answer = viewer.ask("/api/message", topic="/large", key=T0, elements=9)
-    assert status == 200 and answer["size"] > MOST_BYTES
+    assert status == 200 and answer["size"] > MAX_ANSWER_BYTES
 
 
 def test_answers_of_the_query_server_are_bounded(server):
@@ -152,7 +152,7 @@ def test_answers_of_the_query_server_are_bounded(server):
     assert not answer["success"] and not answer["rows"]
     assert "more than 64 MiB; select fewer columns" in answer["message"]
     # The text of a row is made until it is too large.
-    assert peak_of(server.child) - before < 2 * MOST_BYTES // MB
+    assert peak_of(server.child) - before < 2 * MAX_ANSWER_BYTES // MB
     wide = {"statement": WIDE.replace(f" where KEY >= {T0 + 1}", "")}
     first = server.ask("executeCQL", **wide)
     assert first["success"] and [len(row["values"]) for row in first["rows"]] == [40, 40]
@@ -202,9 +202,9 @@ def test_what_is_counted():
     values = ["é" * 3, b"\0" * 5, [1.5] * 7, [["a"], ["bc"]], None, 2**70]
     assert list(map(least_bytes, values)) == [3, 5, 14, 3, 2, 2]
     bound = AnswerBound("it", "ask for less")
-    bound.take(MOST_BYTES)
-    for size in (1, MOST_BYTES):
+    bound.take(MAX_ANSWER_BYTES)
+    for size in (1, MAX_ANSWER_BYTES):
         with pytest.raises(AnswerTooLarge, match="it would take more than 64 MiB; ask for less"):
             bound.take(size)
     bound.take(0)
-    assert bound.bytes == MOST_BYTES
+    assert bound.bytes == MAX_ANSWER_BYTES

@@ -49,9 +49,9 @@ _OPENCV_COLOURS = {3: "bgr", 4: "bgra"}
 _DECODERS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF")
 """Formats accepted in a compressed image; other decoders of Pillow start programs."""
 _JPEG_START = b"\xff\xd8"
-_MOST_JPEG = 65_500
+_MAX_JPEG = 65_500
 """Maximum width or height of a JPEG, pixels."""
-_MOST_PIXELS = 1 << 26
+_MAX_PIXELS = 1 << 26
 """Maximum number of pixels of a compressed image. A few bytes can decode to very many pixels."""
 _DEPTH_HEADER = struct.Struct("<iff")
 """Header that compressed_depth_image_transport writes: an enum and two parameters."""
@@ -107,7 +107,7 @@ def jpeg_of(row: StoredRow, width: int | None = None, quality: int = 85) -> byte
         if width is None or own <= width:
             return bytes(msg.data)
     picture, found = picture_of(row, width), io.BytesIO()
-    picture.thumbnail((_MOST_JPEG, _MOST_JPEG))
+    picture.thumbnail((_MAX_JPEG, _MAX_JPEG))
     picture.save(found, "JPEG", quality=quality)
     return found.getvalue()
 
@@ -268,7 +268,7 @@ def _opened(row: StoredRow, data: bytes) -> Image:
         ) from exc
     except (OSError, SyntaxError, ValueError, struct.error, image.DecompressionBombError) as exc:
         raise _undecodable(row, str(exc)) from exc
-    if found.width * found.height > _MOST_PIXELS:
+    if found.width * found.height > _MAX_PIXELS:
         raise _undecodable(row, f"it has {found.width} x {found.height} pixels, which are too many")
     return found
 

@@ -19,7 +19,7 @@ from cassandra_ros.places.paths import (
     subtract_ranges,
 )
 from cassandra_ros.places.regions import Region
-from cassandra_ros.places.robots import MOST_FRAMES, Robot
+from cassandra_ros.places.robots import MAX_FRAMES, Robot
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import overlapping_pairs
 from cassandra_ros.query.plan.near_conditions import NsRange
@@ -80,7 +80,7 @@ def is_valid(noted: Placed, robot: Robot, fixed: Mapping[str, str]) -> bool:
         return False
     # A frame that did not exist has no visits, unless it was fixed to another frame since.
     absent = robot.frame not in noted.frames and robot.frame not in fixed
-    absent = absent and len(noted.frames) < MOST_FRAMES
+    absent = absent and len(noted.frames) < MAX_FRAMES
     return robot.frame in noted.above or (absent and not _carries(robot.frame, fixed))
 
 

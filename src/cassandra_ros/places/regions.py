@@ -13,7 +13,7 @@ import numpy as np
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.places.rigid import Floats
 
-MOST_CORNERS = 1000
+MAX_CORNERS = 1000
 SLACK = 1e-9
 """Margin by which a region is enlarged where only what is certainly outside may be left out:
 a share of its size, and metres."""
@@ -105,9 +105,9 @@ class Polygon:
     """
 
     def __init__(self, corners: Sequence[Tuple[float, float]]) -> None:
-        if not 3 <= len(corners) <= MOST_CORNERS:
+        if not 3 <= len(corners) <= MAX_CORNERS:
             raise InvalidOption(
-                f"a polygon has 3 to {MOST_CORNERS} corners, not {len(corners)}: give x,y;x,y;x,y"
+                f"a polygon has 3 to {MAX_CORNERS} corners, not {len(corners)}: give x,y;x,y;x,y"
             )
         if not all(math.isfinite(number) for corner in corners for number in corner):
             raise InvalidOption("a corner of a polygon is no place: give finite numbers of metres")

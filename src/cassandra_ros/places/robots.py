@@ -38,9 +38,9 @@ from cassandra_ros.read import Writers
 BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
 """Usual names of the frame of a robot's body, with or without a prefix, in order of preference."""
 USUAL_FRAMES = ("map", "odom", "world")
-MOST_FRAMES = 1000
+MAX_FRAMES = 1000
 """Maximum number of frame names remembered for one robot."""
-MOST_ROBOTS = 8
+MAX_ROBOTS = 8
 """Maximum number of moving frames treated as robots when no frame has a robot's usual name."""
 _SAMPLES = 5
 """Number of samples, evenly spaced over the recording, that are searched for frame names."""
@@ -136,9 +136,7 @@ def frames_in(frames: TfRecording, parts: Iterable[Samples]) -> TfFrames:
         frames.names[code] for code in (moving | carrying | fixed) - moving if code != NO_FRAME
     )
     tops = [name for name in tops if frames.code(name) not in frames.fixed]
-    return TfFrames(
-        frozenset(sorted(every)[:MOST_FRAMES]), tuple(robots[:MOST_ROBOTS]), tuple(tops)
-    )
+    return TfFrames(frozenset(sorted(every)[:MAX_FRAMES]), tuple(robots[:MAX_ROBOTS]), tuple(tops))
 
 
 def _bodies(frames: Iterable[str]) -> List[str]:

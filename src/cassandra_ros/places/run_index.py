@@ -22,11 +22,11 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, merge_ranges
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
-from cassandra_ros.places.robots import MOST_FRAMES, fixed_frames, frames_above, frames_in
+from cassandra_ros.places.robots import MAX_FRAMES, fixed_frames, frames_above, frames_in
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square, Visited
 
-MOST_ABOVE = 16
+MAX_FRAMES_ABOVE = 16
 """Maximum number of frames above a robot in which its places are indexed."""
 _WINDOW_SEC = MAX_SPAN_NS // SECOND_NS
 _MAX_CACHED = 4
@@ -93,12 +93,12 @@ class TfVisits:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         samples = self._frames.read(low, high)
         seen = frames_in(self._frames, [samples])
-        self._seen.update(sorted(seen.frames)[: max(0, MOST_FRAMES - len(self._seen))])
+        self._seen.update(sorted(seen.frames)[: max(0, MAX_FRAMES - len(self._seen))])
         for robot in seen.robots:
             self._since.setdefault(robot, low if self._begun else 0)
         self._begun = True
         for robot in sorted(self._since):
-            for frame in frames_above(self._frames, samples, robot)[:MOST_ABOVE]:
+            for frame in frames_above(self._frames, samples, robot)[:MAX_FRAMES_ABOVE]:
                 if frame != robot:
                     if (robot, frame) not in self._ways:
                         poses = Poses(FrameChain(self._frames, robot, frame))

@@ -85,7 +85,7 @@ def find_tracks(
 def _path(robot: Robot, spans: Sequence[Tuple[int, int]], watch: Callable[[], None]) -> Path:
     poses, tracks = robot.poses(), []
     total = sum(end - start + 1 for start, end in spans)
-    for start, end in spans if total <= WHOLE_NS else _looks(spans, total):
+    for start, end in spans if total <= WHOLE_NS else _sample_ranges(spans, total):
         for track in poses.tracks(start, end):
             watch()
             tracks.append(track)
@@ -99,7 +99,7 @@ def _path(robot: Robot, spans: Sequence[Tuple[int, int]], watch: Callable[[], No
     return Path(path.times, path.x, path.y, max(2 * step, LONGEST_GAP_NS))
 
 
-def _looks(spans: Sequence[Tuple[int, int]], total: int) -> Iterator[Tuple[int, int]]:
+def _sample_ranges(spans: Sequence[Tuple[int, int]], total: int) -> Iterator[Tuple[int, int]]:
     """Yield time ranges of one second, evenly spaced over the given ones."""
     step = max(1, total // _SAMPLES)
     for start, end in spans:

@@ -11,7 +11,7 @@ from typing import Callable, Dict
 from cassandra_ros.formats.json import CassandraTopic_json
 from cassandra_ros.messages.tree.echo import echo_printer
 from cassandra_ros.messages.tree.tree_reader import Budget, tree_reader
-from cassandra_ros.query.rows.answer_bound import MOST_BYTES, AnswerBound
+from cassandra_ros.query.rows.answer_bound import MAX_ANSWER_BYTES, AnswerBound
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -42,7 +42,7 @@ class MessageText:
         characters: int | None = None,
         bounded: bool = False,
     ) -> None:
-        self._most = MOST_BYTES if bounded else _NO_LIMIT
+        self._most = MAX_ANSWER_BYTES if bounded else _NO_LIMIT
         self._json = as_json
         self._elements = _NO_LIMIT if elements is None else elements
         self._characters = _NO_LIMIT if characters is None else characters

@@ -4,7 +4,7 @@
 
 A page ends after the row that reaches the page size. But one row may contain a field a thousand
 times, and a message may be as large as the store accepts. Therefore each answer counts its bytes
-while it is made, and fails before it takes more than MOST_BYTES.
+while it is made, and fails before it takes more than MAX_ANSWER_BYTES.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 from cassandra_ros.errors import AnswerTooLarge
 from cassandra_ros.query.tree.json_values import to_json
 
-MOST_BYTES = 64 * 2**20
+MAX_ANSWER_BYTES = 64 * 2**20
 """Maximum size of an answer, or of one row of it, bytes."""
 _NUMBER = 2
 """Minimum length of an element of a list as JSON, with its comma, bytes."""
@@ -37,15 +37,16 @@ class AnswerBound:
         """Count a part of ``size`` bytes that is about to be made.
 
         Raises:
-            AnswerTooLarge: The answer would have more than MOST_BYTES. The part is not counted.
+            AnswerTooLarge: The answer would have more than MAX_ANSWER_BYTES. The part is not
+                counted.
         """
-        if self.bytes + size > MOST_BYTES:
+        if self.bytes + size > MAX_ANSWER_BYTES:
             raise self.error()
         self.bytes += size
 
     def error(self) -> AnswerTooLarge:
         """Return the error for an answer that is too large."""
-        limit = f"more than {MOST_BYTES // 2**20} MiB"
+        limit = f"more than {MAX_ANSWER_BYTES // 2**20} MiB"
         return AnswerTooLarge(f"{self._what} would take {limit}; {self._remedy}")
 
     def json(self, value: object) -> str:

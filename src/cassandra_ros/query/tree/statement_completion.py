@@ -18,7 +18,7 @@ from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.parse import MAX_STATEMENT, grammar
 from cassandra_ros.query.tree.syntax import StatementError
 
-MOST = 200
+MAX_OFFERS = 200
 """Maximum number of offers."""
 _WORD_BACKWARDS = re.compile(r"[\w./\[\]~]*")
 """Pattern for the reversed text. A forward search would start at each character of a long text."""
@@ -109,7 +109,7 @@ def complete(text: str, cursor: int, known: NameSource) -> Offers:
     # Names that begin with the word come first; the sort is stable, to keep fields in wire order.
     fitting.sort(key=lambda offer: not offer.text.lower().lstrip("/").startswith(word.lstrip("/")))
     alone = len(fitting) == 1 and fitting[0].text == before[start:]
-    return Offers(start, () if alone else tuple(fitting[:MOST]))
+    return Offers(start, () if alone else tuple(fitting[:MAX_OFFERS]))
 
 
 def _begin(before: str) -> int:
