@@ -9,10 +9,9 @@ import struct
 import threading
 import time
 
-import numpy as np
 import pytest
 from nodes.children import await_true
-from proxy import BATCH, EXECUTE
+from proxy import BATCH
 from std_msgs.msg import Header, String, UInt8MultiArray
 from store.test_failures import directory_of, told
 
@@ -228,69 +227,6 @@ def test_what_fails_once_is_sent_again(far, proxy, rosCas, stored):
 
 
 # ------------------------------------------------------------------ the table goes meanwhile
-
-
-@pytest.mark.fault
-@pytest.mark.parametrize("how", ["truncateTopic", "removeTopic"])
-@pytest.mark.parametrize("size", ["small", "chunks", "row"])
-def test_a_block_on_its_way_goes_on_in_the_topics_next_table(
-    far,
-    proxy,
-    rosCas,
-    how,
-    size,
-):
-    losses, big = [], "x" * (600_000 if size != "small" else 10)
-    writer = packed(far, writer_id=9, on_loss=lambda *loss: losses.append(loss))
-    write(writer, range(5))
-    writer.flush()
-    if size == "chunks":
-        held = proxy.catch(lambda f: f.opcode == EXECUTE and big[:10_000].encode() in f.body)
-    else:
-        held = proxy.catch(lambda f: f.opcode == BATCH)
-    held.failed = False
-    held.hold()
-    sent = [serialize(String(data=f"{big} {number}")) for number in range(5, 8)]
-    handle = connect(writer)
-    for number, wire in enumerate(sent, 5):
-        writer.write(handle, T0 + number, number, wire)
-    writer._rows._builders.seal()
-    held.wait()
-    getattr(rosCas, how)("/a")
-    held.release()
-    writer.flush()
-    writer.write(handle, T0 + 8, 8, wire_of(8))
-    writer.close()
-    assert losses == []
-    assert wires(rosCas) == [*sent, wire_of(8)]
-    assert told(rosCas) == (4, 4, 4)
-    assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (9, 0)
-
-
-@pytest.mark.fault
-@pytest.mark.parametrize("way", ["one by one", "together", "large"])
-def test_what_is_written_anew_keeps_its_seq(far, proxy, rosCas, way):
-    """Of equal times the seq is the order, and a repeated import must meet the same rows."""
-    writer = packed(far, writer_id=9)
-    handle = connect(writer)
-    writer.write(handle, T0, 0, serialize(String(data="before")))
-    writer.flush()
-    held = proxy.catch(lambda f: f.opcode == BATCH, failed=False).hold()
-    counters = np.array([7, 3, 2**32 - 1, 5], np.int64)
-    big = "x" * (70_000 if way == "large" else 10)
-    wires = [serialize(String(data=f"{counter} {big}")) for counter in counters.tolist()]
-    if way == "together":
-        writer.write_run(handle, np.full(4, T0, np.int64), counters, wires)
-    else:
-        for counter, wire in zip(counters.tolist(), wires):
-            writer.write(handle, T0, counter, wire)
-    writer._rows._builders.seal()
-    held.wait()
-    rosCas.removeTopic("/a")
-    held.release()
-    writer.close()
-    found = [(row.key.seq, row.wire) for row in rosCas.getTopic("/a").rows()]
-    assert found == sorted((9 << 32 | c, wire) for c, wire in zip(counters.tolist(), wires))
 
 
 @pytest.mark.fault

@@ -207,16 +207,27 @@ def test_a_bucket_whose_chunks_are_on_their_way_is_not_closed(far, proxy, rosCas
 # ------------------------------------------------------------------ the table goes meanwhile
 
 
+FORMATS = pytest.mark.parametrize("format", ["binary", "packed"])
+
+
+def seal(writer):
+    """Close the blocks that a writer in format packed is filling; of other formats nothing."""
+    writer._rows._builders.seal()
+
+
 @pytest.mark.fault
+@FORMATS
 @pytest.mark.parametrize("how", ["truncateTopic", "removeTopic"])
 @pytest.mark.parametrize("size", ["small", "chunks", "row"])
-def test_what_is_on_its_way_goes_on_in_the_topics_next_table(far, proxy, rosCas, how, size):
+def test_what_is_on_its_way_goes_on_in_the_topics_next_table(far, proxy, rosCas, format, how, size):
     """Requests that reach a table which was dropped meanwhile: each message lies in the next one.
 
     What is held is a batch, the pieces of a large message, or the row that follows them.
     """
     losses, big = [], "x" * (600_000 if size != "small" else 10)
-    writer = far.messageWriter(writer_id=9, on_loss=lambda *loss: losses.append(loss))
+    writer = far.messageWriter(
+        writer_id=9, format=format, on_loss=lambda *loss: losses.append(loss)
+    )
     write(writer, range(5))
     writer.flush()
     if size == "chunks":
@@ -229,6 +240,7 @@ def test_what_is_on_its_way_goes_on_in_the_topics_next_table(far, proxy, rosCas,
     handle = connect(writer, "/a", String)
     for number, wire in enumerate(wires, 5):
         writer.write(handle, T0 + number, number, wire)
+    seal(writer)
     held.wait()
     getattr(rosCas, how)("/a")
     held.release()
@@ -243,10 +255,11 @@ def test_what_is_on_its_way_goes_on_in_the_topics_next_table(far, proxy, rosCas,
 
 
 @pytest.mark.fault
+@FORMATS
 @pytest.mark.parametrize("way", ["one by one", "together", "large"])
-def test_what_is_written_anew_keeps_its_seq(far, proxy, rosCas, way):
-    """Of equal times the seq is the order, and a repeated import must meet the same rows."""
-    writer = far.messageWriter(writer_id=9, format="binary")
+def test_a_message_that_is_written_again_keeps_its_seq(far, proxy, rosCas, format, way):
+    """The seq orders messages of equal times, and a repeated import must meet the same rows."""
+    writer = far.messageWriter(writer_id=9, format=format)
     handle = connect(writer, "/a", String)
     writer.write(handle, T0, 0, serialize(String(data="before")))
     writer.flush()
@@ -259,6 +272,7 @@ def test_what_is_written_anew_keeps_its_seq(far, proxy, rosCas, way):
     else:
         for counter, wire in zip(counters.tolist(), wires):
             writer.write(handle, T0, counter, wire)
+    seal(writer)
     held.wait()
     rosCas.removeTopic("/a")
     held.release()
