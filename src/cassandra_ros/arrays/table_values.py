@@ -41,7 +41,7 @@ from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.name_resolution import KEY_PLACE, NODE_PLACE
-from cassandra_ros.query.rows.projection import Own, Projection
+from cassandra_ros.query.rows.projection import Projection, RowIdentity
 from cassandra_ros.query.tree.field_names import FieldRef, Findings
 from cassandra_ros.query.tree.syntax import Select
 
@@ -185,7 +185,7 @@ class TableValues:
 
     def _clear(self) -> None:
         self._numbers: list[int] = []
-        self._own: list[Own] = []
+        self._own: list[RowIdentity] = []
         self._raws: list[Sequence[Optional[bytes]]] = []
         self._hits: list[list[bool]] = []
         self._decoded: list[Sequence[object]] = []

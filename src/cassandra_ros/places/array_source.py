@@ -29,11 +29,11 @@ class ArraySource(Source[Row], Protocol):
         """Return fields of the messages in [key, to_key] as numpy arrays."""
 
 
-Find = Callable[[str], ArraySource]
+TopicFinder = Callable[[str], ArraySource]
 """Function that returns a topic by its name, like RosCassandra.getTopic; raises TopicNotFound."""
 
 
-def find_stored(find: Find, name: str) -> Optional[ArraySource]:
+def find_stored(find: TopicFinder, name: str) -> Optional[ArraySource]:
     """Return a topic by its name, or None if it is not stored."""
     try:
         return find(name)

@@ -21,7 +21,7 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.places.array_source import (
     ArraySource,
-    Find,
+    TopicFinder,
     arrays_between,
     find_stored,
     key_after,
@@ -68,7 +68,7 @@ class TfRecording:
 
     def __init__(
         self,
-        find: Find,
+        find: TopicFinder,
         node: Optional[str] = None,
         writers: Writers = None,
         tf: str = TF,

@@ -12,7 +12,13 @@ from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.places.array_source import ArraySource, Find, arrays_between, key_after, last_key
+from cassandra_ros.places.array_source import (
+    ArraySource,
+    TopicFinder,
+    arrays_between,
+    key_after,
+    last_key,
+)
 from cassandra_ros.places.frame_poses import filled
 from cassandra_ros.places.pose_samples import Flags, KnownPoses, Samples, Times
 from cassandra_ros.places.rigid import Floats, Rigid
@@ -71,7 +77,7 @@ class PoseTopic:
 
     def __init__(
         self,
-        find: Find,
+        find: TopicFinder,
         topic: str,
         node: Optional[str] = None,
         writers: Writers = None,

@@ -22,7 +22,7 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.array_source import Find
+from cassandra_ros.places.array_source import TopicFinder
 from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.pose_samples import (
     NO_FRAME,
@@ -185,7 +185,7 @@ class Poses:
 
 
 def poses_in_frame(
-    find: Find,
+    find: TopicFinder,
     of: str,
     frame: str,
     *,
@@ -217,7 +217,7 @@ def poses_in_frame(
 
 
 def poses_of_topic(
-    find: Find,
+    find: TopicFinder,
     topic: str,
     *,
     offset: Optional[Rigid] = None,

@@ -27,7 +27,13 @@ import numpy as np
 
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.places.array_source import ArraySource, Find, find_stored, key_after, last_key
+from cassandra_ros.places.array_source import (
+    ArraySource,
+    TopicFinder,
+    find_stored,
+    key_after,
+    last_key,
+)
 from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.pose_samples import NO_FRAME, Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
@@ -76,7 +82,7 @@ class Robot:
     """Frame in which its places are given, without a slash in front."""
     name: str
     """Frame of the robot; '' if a topic gives its poses."""
-    find: Find
+    find: TopicFinder
     writers: Writers = None
     """Writer ids of the runs whose poses are used; None = all runs."""
 
@@ -149,7 +155,7 @@ def _bodies(frames: Iterable[str]) -> List[str]:
     return sorted(min(n, key=lambda f: BASES.index(f.rpartition("/")[2])) for n in found.values())
 
 
-def find_frames(find: Find, node: str, writers: Writers = None) -> Optional[TfFrames]:
+def find_frames(find: TopicFinder, node: str, writers: Writers = None) -> Optional[TfFrames]:
     """Return the frames that tf has for a node and some runs, at some times; None without tf."""
     try:
         frames = TfRecording(find, node, writers)

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
 
 from cassandra_ros.keys import MAX_NS, SECOND_NS
-from cassandra_ros.places.array_source import ArraySource, Find, find_stored
+from cassandra_ros.places.array_source import ArraySource, TopicFinder, find_stored
 from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
 from cassandra_ros.places.ground_cells import OpenVisits
 from cassandra_ros.places.paths import LONGEST_GAP_NS, Path, merge_ranges
@@ -43,7 +43,7 @@ class RobotRun(NamedTuple):
 class _CachedRecording(TfRecording):
     """Transforms with a cache, because several chains read the same time ranges."""
 
-    def __init__(self, find: Find, node: str) -> None:
+    def __init__(self, find: TopicFinder, node: str) -> None:
         super().__init__(find, node)
         self._read: OrderedDict[Tuple[int, int], Samples] = OrderedDict()
 
@@ -80,7 +80,7 @@ class TfVisits:
         whose: The run.
     """
 
-    def __init__(self, find: Find, whose: RobotRun) -> None:
+    def __init__(self, find: TopicFinder, whose: RobotRun) -> None:
         self._whose = whose
         self._frames = _CachedRecording(find, whose.node)
         self._ways: Dict[Tuple[str, str], _RobotVisits] = {}
@@ -128,7 +128,7 @@ class TfVisits:
 class TopicVisits:
     """Index of the robot of a topic of poses, for one run; arguments as for TfVisits."""
 
-    def __init__(self, find: Find, topic: str, whose: RobotRun) -> None:
+    def __init__(self, find: TopicFinder, topic: str, whose: RobotRun) -> None:
         self._whose = whose
         recording = PoseTopic(find, topic, whose.node)
         self._frame = recording.frame

@@ -74,7 +74,7 @@ class Places(Protocol):
         """
 
 
-class Group(Protocol):
+class SizeGroup(Protocol):
     """Messages of a block that have the same size."""
 
     @property
@@ -92,7 +92,7 @@ class Block(Protocol):
     def __len__(self) -> int: ...
 
     @property
-    def groups(self) -> Sequence[Group]:
+    def groups(self) -> Sequence[SizeGroup]:
         """All messages of the block, by size."""
 
 

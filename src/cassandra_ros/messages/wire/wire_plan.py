@@ -13,7 +13,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.cql_values import compile_decoder
 from cassandra_ros.messages.wire.layout import FieldColumn, columns_of, layout
 from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS, EncodedColumns, compile_build
-from cassandra_ros.messages.wire.wire_walk import Out, WalkStep, compile_walk, walk_message
+from cassandra_ros.messages.wire.wire_walk import ColumnValues, WalkStep, compile_walk, walk_message
 
 MAX_COLUMNS = 64
 
@@ -42,7 +42,7 @@ class WirePlan:
         self._scalar_at = [i for i, c in enumerate(self.columns) if c.is_scalar]
         self._scalar_steps = compile_walk(self._segments, True, {c.name for c in scalars} & names)
 
-    def walk(self, wire: bytes) -> tuple[Out, bool]:
+    def walk(self, wire: bytes) -> tuple[ColumnValues, bool]:
         """Return the columns of a message in CQL's encoding, and whether they are inexact.
 
         Any bytes are accepted. A column that cannot hold its field exactly is None. The columns are
@@ -52,10 +52,10 @@ class WirePlan:
         out, odd = _walk(self._steps, wire)
         return [None] * len(self.columns) if out is None else out, odd
 
-    def walk_scalars(self, wire: bytes) -> tuple[Out, bool]:
+    def walk_scalars(self, wire: bytes) -> tuple[ColumnValues, bool]:
         """Return the scalar columns of a large message; lists and arrays are None."""
         out, odd = _walk(self._scalar_steps, wire)
-        columns: Out = [None] * len(self.columns)
+        columns: ColumnValues = [None] * len(self.columns)
         for i, column in zip(self._scalar_at, out or ()):
             columns[i] = column
         return columns, odd or len(self._scalar_at) < len(columns)
@@ -151,9 +151,9 @@ class WirePlan:
         return CorruptMessage(f"{len(wire)} bytes are no {self.definition.type}")
 
 
-def _walk(steps: Sequence[WalkStep], wire: bytes) -> tuple[Out | None, bool]:
+def _walk(steps: Sequence[WalkStep], wire: bytes) -> tuple[ColumnValues | None, bool]:
     """Return the columns of a message (None: malformed bytes), and whether they are inexact."""
-    out: Out = []
+    out: ColumnValues = []
     odd: list[int] = []
     try:
         end = walk_message(steps, wire, 0, out, odd)

@@ -25,10 +25,11 @@ from cassandra_ros.messages.wire.cql_values import (
 from cassandra_ros.messages.wire.field_ends import Skip
 from cassandra_ros.messages.wire.layout import FixedField, Segment, VariableField, columns_of
 
-Out = List[Optional[bytes]]
-_Head = Callable[[bytes, int, Out, List[int]], int]
+ColumnValues = List[Optional[bytes]]
+"""Encoded columns of a message; None for a column that cannot hold its field exactly."""
+_Head = Callable[[bytes, int, ColumnValues, List[int]], int]
 """(wire, offset, columns so far, marks of inexact columns) -> length of the tail."""
-_Tail = Callable[[bytes, int, int, Out, List[int]], int]
+_Tail = Callable[[bytes, int, int, ColumnValues, List[int]], int]
 """(wire, offset, length, columns, marks) -> offset after the field."""
 WalkStep = Tuple[_Head, int, Optional[_Tail]]
 
@@ -53,7 +54,9 @@ def compile_walk(
     return steps
 
 
-def walk_message(steps: Sequence[WalkStep], wire: bytes, at: int, out: Out, odd: list[int]) -> int:
+def walk_message(
+    steps: Sequence[WalkStep], wire: bytes, at: int, out: ColumnValues, odd: list[int]
+) -> int:
     """Append the columns of a message and the marks of inexact ones; return the offset after it."""
     for head, size, tail in steps:
         count = head(wire, at, out, odd)
@@ -82,12 +85,12 @@ def _head(
     bools = [i for i, f in enumerate(used) if f.special == "bool"]
     varints = [i for i, f in enumerate(used) if f.special == "uint64"]
 
-    def head(wire: bytes, at: int, out: Out, odd: list[int]) -> int:
+    def head(wire: bytes, at: int, out: ColumnValues, odd: list[int]) -> int:
         values = unpack(wire, at)
         out += cut(pack(*values))
         return values[-1]  # type: ignore[no-any-return]
 
-    def special_head(wire: bytes, at: int, out: Out, odd: list[int]) -> int:
+    def special_head(wire: bytes, at: int, out: ColumnValues, odd: list[int]) -> int:
         values = list(unpack(wire, at))
         inexact = []
         for i in bools:
@@ -133,7 +136,7 @@ def _tail(tail: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
     return _elements(tail, strict, wanted)
 
 
-def _text(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
+def _text(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
     end = at + count
     text = wire[at:end]
     if _is_utf8(text):
@@ -155,7 +158,7 @@ def _is_utf8(text: bytes) -> bool:
 
 
 def _bytes(unit: int) -> _Tail:
-    def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         end = at + count * unit
         out.append(wire[at:end])
         return end
@@ -164,7 +167,7 @@ def _bytes(unit: int) -> _Tail:
 
 
 def _wire(skip: Skip) -> _Tail:
-    def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         end = skip(wire, at)
         out.append(wire[at:end])
         return end
@@ -173,7 +176,7 @@ def _wire(skip: Skip) -> _Tail:
 
 
 def _texts(length: int | None, strict: bool) -> _Tail:
-    def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         texts = []
         for _ in range(count if length is None else length):
             start = at + 4
@@ -197,7 +200,7 @@ def _numbers(
     unpack, size = struct.Struct(codes).iter_unpack, struct.calcsize(codes)
     encoders = [pack_numbers(f, strict) for f in used]
 
-    def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
         end = at + (count if length is None else length) * size
         if at == end:
             out.extend([EMPTY_LIST] * len(encoders))
@@ -217,11 +220,11 @@ def _elements(field: VariableField, strict: bool, wanted: Container[str]) -> _Ta
     sizes = [size for column, size in columns_of(field.element) if column.name in wanted]
     encoders = [pack_list if size is None else pack_equal(size) for size in sizes]
 
-    def tail(wire: bytes, at: int, count: int, out: Out, odd: list[int]) -> int:
-        rows: list[Out] = []
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+        rows: list[ColumnValues] = []
         marks: list[int] = []
         for _ in range(count if length is None else length):
-            row: Out = []
+            row: ColumnValues = []
             at = walk_message(steps, wire, at, row, marks)
             rows.append(row)
         if not rows:

@@ -24,7 +24,7 @@ RawColumns = Sequence[Optional[bytes]]
 ResultRows = List[Tuple[Any, ...]]
 CompiledRows = Callable[[Row], Optional[ResultRows]]
 """Function that returns the result rows of a stored row; None = use the general way."""
-Shown = Sequence[Tuple[Optional[int], Optional[Get]]]
+ShownColumns = Sequence[Tuple[Optional[int], Optional[Get]]]
 """For each column of the result the index of its value (None: missing in this table), and the
 conversion for display."""
 _Fill = Callable[[RawColumns, List[Any]], bool]
@@ -40,7 +40,7 @@ def compile_rows(
     own: Callable[[Row], Tuple[Any, ...]],
     check: Check,
     checked: Sequence[int],
-    shown: Shown,
+    shown: ShownColumns,
     key_place: int,
     computed: Sequence[Get] = (),
     *,
@@ -55,7 +55,7 @@ def compile_rows(
         own: Returns the values of a row that are not fields.
         check: The condition.
         checked: Indices of the values that the condition needs.
-        shown: See Shown.
+        shown: See ShownColumns.
         key_place: Index of KEY, which is shown as the row's key.
         computed: Functions of the computed columns, whose values follow the others.
         own_width: Number of values that are not fields.
@@ -74,7 +74,7 @@ def compile_wire_rows(
     read: Callable[[bytes], List[Any]],
     own: Callable[[Row], Tuple[Any, ...]],
     check: Check,
-    shown: Shown,
+    shown: ShownColumns,
     key_place: int,
     computed: Sequence[Get] = (),
 ) -> CompiledRows:
@@ -178,7 +178,7 @@ def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
 
 
 def _compile_show(
-    shown: Shown, key_place: int, computed: Sequence[Get] = ()
+    shown: ShownColumns, key_place: int, computed: Sequence[Get] = ()
 ) -> Callable[[Row, List[Any]], Tuple[Any, ...]]:
     """Return the function from the values of a row, which it may change, to a row of the result."""
     if computed:

@@ -48,12 +48,12 @@ from cassandra_ros.query.tree.syntax import (
     given,
 )
 
-Values = Sequence[Any]
+RowValues = Sequence[Any]
 """Values of one message, or of one element of its unnested array; None = missing."""
-Check = Callable[[Values], Optional[bool]]
+Check = Callable[[RowValues], Optional[bool]]
 
 
-class Fields(Protocol):
+class ConditionNames(Protocol):
     """Lookup of the names in a condition, for the rows of one table."""
 
     def locate(self, leaf: Comparison) -> Optional[int]:
@@ -83,7 +83,7 @@ _SWAPPED = {
 """Operators with swapped arguments, so that ``partial`` can bind the right operand."""
 
 
-def compile_condition(expression: Optional[Expression], fields: Fields) -> Check:
+def compile_condition(expression: Optional[Expression], fields: ConditionNames) -> Check:
     """Return the function from values to the truth of a condition; None is always true."""
     if expression is None:
         return lambda values: True
@@ -108,7 +108,9 @@ def compile_condition(expression: Optional[Expression], fields: Fields) -> Check
     return lambda values: check((compute(values),))
 
 
-def _leaf(leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: Fields) -> Check:
+def _leaf(
+    leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: ConditionNames
+) -> Check:
     if isinstance(leaf, IsNull):
         return (lambda values: True) if place is None else (lambda values: values[place] is None)
     listed = [fields.fit(leaf, value) for value in given(leaf)]
@@ -131,7 +133,7 @@ def _related(sign: str, left: Optional[Get], right: Optional[Get]) -> Check:
         return lambda values: None
     first, second, test = left, right, _SWAPPED[sign]
 
-    def check(values: Values) -> Optional[bool]:
+    def check(values: RowValues) -> Optional[bool]:
         x, y = first(values), second(values)
         return None if x is None or y is None else bool(test(y, x))
 
@@ -149,7 +151,7 @@ def _quantified(leaf: Quantified, place: Optional[int], gets: Sequence[Optional[
     if all(isinstance(term, Literal) for _, term in leaf.tests):
         fixed = _element_test(leaf, [_test(s, get(())) for s, get in zip(signs, known)])
 
-    def check(values: Values) -> Optional[bool]:
+    def check(values: RowValues) -> Optional[bool]:
         array = values[place]
         if array is None:
             return None
@@ -191,7 +193,7 @@ def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:
         None if None in listed else False
     )  # a value of another kind makes the result unknown
 
-    def check(values: Values) -> Optional[bool]:
+    def check(values: RowValues) -> Optional[bool]:
         value = values[place]
         return None if value is None else value in members or otherwise
 
@@ -199,7 +201,7 @@ def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:
 
 
 def _tested(place: int, test: Callable[[Any], bool]) -> Check:
-    def check(values: Values) -> Optional[bool]:
+    def check(values: RowValues) -> Optional[bool]:
         value = values[place]
         return None if value is None else test(value)
 
@@ -250,7 +252,7 @@ def _holding(wanted: Comparable) -> Callable[[Any], bool]:
 
 
 def _negation(inner: Check) -> Check:
-    def check(values: Values) -> Optional[bool]:
+    def check(values: RowValues) -> Optional[bool]:
         found = inner(values)
         return None if found is None else not found
 
@@ -260,7 +262,7 @@ def _negation(inner: Check) -> Check:
 def _joined(checks: list[Check], decisive: bool) -> Check:
     """Return the check of AND (decisive False) or OR (decisive True): one decisive part decides."""
 
-    def check(values: Values) -> Optional[bool]:
+    def check(values: RowValues) -> Optional[bool]:
         result: Optional[bool] = not decisive
         for part in checks:
             found = part(values)

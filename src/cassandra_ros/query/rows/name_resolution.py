@@ -88,7 +88,7 @@ class Output(NamedTuple):
 
 
 class NameResolver:
-    """Resolves the names of a statement in one table; implements ``Fields`` of the conditions."""
+    """Resolves the names of a statement in one table; implements ``ConditionNames``."""
 
     def __init__(self, table: Table, findings: Findings) -> None:
         self._definition = table.definition

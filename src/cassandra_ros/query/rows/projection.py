@@ -14,7 +14,7 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.compiled_rows import CompiledRows, compile_rows, compile_wire_rows
-from cassandra_ros.query.rows.condition_check import Check, Values
+from cassandra_ros.query.rows.condition_check import Check, RowValues
 from cassandra_ros.query.rows.field_extractor import Extractor, extractor_of
 from cassandra_ros.query.rows.name_resolution import (
     COUNTED,
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 ResultRow = Tuple[Any, ...]
 """One value for each column of the result."""
-Own = Tuple[Union[int, str], str, str, int]
+RowIdentity = Tuple[Union[int, str], str, str, int]
 """KEY, NODE and RUN of a row, and its time, ns."""
 
 
@@ -124,12 +124,12 @@ class Projection:
             stored=self.stored,
         )
 
-    def own(self, row: Row) -> Own:
+    def own(self, row: Row) -> RowIdentity:
         """Return the values of a row that are not fields."""
         t = row.t
         return (row.name if self.named else t, row.node, row.run if self.runs else "", t)
 
-    def values(self, row: Row) -> Iterator[Values]:
+    def values(self, row: Row) -> Iterator[RowValues]:
         """Yield the values of a row, once or for each unnested element; None = missing."""
         own = self.own(row)
         if self.extractor is None:
@@ -161,11 +161,11 @@ class Projection:
             return found
         return (self._row(row, v) for v in self.values(row) if self.check(v) is True)
 
-    def complete(self, values: Values) -> Values:
+    def complete(self, values: RowValues) -> RowValues:
         """Return the values of a row, followed by the computed ones."""
         return [*values, *[get(values) for get in self.computed]] if self.computed else values
 
-    def _row(self, row: Row, values: Values) -> ResultRow:
+    def _row(self, row: Row, values: RowValues) -> ResultRow:
         values = self.complete(values)
         found: list[object] = []
         made: dict[int, object] = {}

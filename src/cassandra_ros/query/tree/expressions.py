@@ -66,7 +66,7 @@ class OperandPlace(NamedTuple):
     array: bool = False
 
 
-Find = Callable[[Operand, Optional[bool]], Optional[OperandPlace]]
+OperandFinder = Callable[[Operand, Optional[bool]], Optional[OperandPlace]]
 """Function that finds an operand; the flag says whether it must be an array (None = either). It
 returns None if the table lacks the operand. StatementError: the operand is of another kind."""
 
@@ -82,7 +82,7 @@ def family(kind: str) -> str:
     return kind if kind in NO_NUMBERS else "number"
 
 
-def compile_term(term: Term, find: Find) -> Optional[Computed]:
+def compile_term(term: Term, find: OperandFinder) -> Optional[Computed]:
     """Compile a term to a function; None if the table lacks one of its fields.
 
     Raises:
@@ -114,7 +114,7 @@ def compile_term(term: Term, find: Find) -> Optional[Computed]:
     return Computed(kind, _unary(compute, *gets) if len(gets) == 1 else _binary(compute, *gets))
 
 
-def _compile_all(terms: Sequence[Term], find: Find) -> list[Optional[Computed]]:
+def _compile_all(terms: Sequence[Term], find: OperandFinder) -> list[Optional[Computed]]:
     """Compile terms; all fields are looked up before the first error is raised."""
     parts: list[Optional[Computed]] = []
     problems: list[StatementError] = []
@@ -308,7 +308,7 @@ float, else INTEGER."""
 _OF_ARRAYS = ("len", "min", "max", "sum", "avg")
 
 
-def _of_array(call: Call, find: Find) -> Optional[Computed]:
+def _of_array(call: Call, find: OperandFinder) -> Optional[Computed]:
     array, function = call.arguments[0], call.function
     if not isinstance(array, Path):
         reason = f"{function} takes an array here, and {array.text} is not an array"
