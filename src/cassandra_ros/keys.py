@@ -117,7 +117,7 @@ def decode_cursor(text: str) -> Position:
     return position
 
 
-def is_behind(position: Position, after: Position | None, reverse: bool = False) -> bool:
+def is_after(position: Position, after: Position | None, reverse: bool = False) -> bool:
     """Return whether a row comes after another one in the direction of reading.
 
     Args:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a read asks for: one record, made in the public method and handed down to the store."""
+"""The record that describes a read. The public method makes it and hands it down to the store."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from numpy.typing import NDArray
 from cassandra_ros.keys import Position, writer_of
 
 LAST_NS = 2**63 - 1
-"""The largest time of a time range, ns."""
+"""Maximum end of a time range, ns."""
 Nodes = Optional[Sequence[str]]
 """nodeIDs whose messages are read; None = all."""
 Writers = Optional[FrozenSet[int]]
 """Writer ids whose messages are read; None = all."""
 Columns = Callable[..., Optional[Sequence[str]]]
-"""Returns for a table the columns of its format to read, in their order; None = all."""
+"""Function of a table that returns the columns of its format to read, in order; None = all."""
 Terms = Tuple[Tuple[str, str, bytes], ...]
-"""Comparisons for the server: column, operator of CQL, encoded value."""
+"""Comparisons for the server, each a column, an operator of CQL and an encoded value."""
 Query = Tuple[Terms, bool]
-"""What the server checks, and whether it finds the rows by an index."""
+"""Comparisons that the server checks, and whether it finds the rows by an index."""
 Sift = Callable[..., Optional[NDArray[np.bool_]]]
-"""Returns for an unpacked block a mask of the messages to keep; None = all."""
+"""Function of an unpacked block that returns a mask of the messages to keep; None = all."""
 
 
 class Place(Protocol):
-    """A row, its position, or a key that the store gave."""
+    """A row, its position, or a key that the store returned."""
 
     @property
     def node(self) -> Optional[str]:
@@ -41,7 +41,7 @@ class Place(Protocol):
 
 
 class Whose(NamedTuple):
-    """Whose messages are meant."""
+    """The robots and writers whose messages are read."""
 
     nodes: Nodes = None
     writers: Writers = None
@@ -49,16 +49,16 @@ class Whose(NamedTuple):
 
     @classmethod
     def of(cls, node: Optional[str], writers: Writers = None) -> Whose:
-        """Return the messages of one node, None = of all, and of some writers."""
+        """Return an object for one robot (None = all robots) and some writers."""
         return cls(None if node is None else (node,), writers)
 
     @property
     def node(self) -> Optional[str]:
-        """The nodeID, where the messages of one node are meant; else None."""
+        """The nodeID if there is exactly one robot, else None."""
         return self.nodes[0] if self.nodes is not None and len(self.nodes) == 1 else None
 
     def both(self, other: Whose) -> Whose:
-        """Return the messages that are theirs and also those of others."""
+        """Return the intersection with another object."""
         nodes, writers = self
         if nodes is None:
             nodes = other.nodes
@@ -72,20 +72,20 @@ class Whose(NamedTuple):
 
     @property
     def empty(self) -> bool:
-        """Whether no node or no writer is left."""
+        """Whether there is no robot or no writer left."""
         return self.nodes == () or self.writers == frozenset()
 
     def has(self, place: Place) -> bool:
-        """Say whether a row, or what tells of one, is of theirs."""
+        """Return whether a row, position or key belongs to one of these robots and writers."""
         return self.wrote(place.seq or 0) and (self.nodes is None or place.node in self.nodes)
 
     def wrote(self, seq: int) -> bool:
-        """Say whether one of the writers gave this ``_seq``."""
+        """Return whether a ``_seq`` was assigned by one of the writers."""
         return self.writers is None or writer_of(seq) in self.writers
 
 
 EVERYBODY = Whose()
-"""The messages of all nodes and writers."""
+"""All robots and writers."""
 
 
 class TimeRange(NamedTuple):
@@ -95,7 +95,7 @@ class TimeRange(NamedTuple):
     high: int = LAST_NS
 
     def wider(self, by_ns: int) -> TimeRange:
-        """Return the time range that begins earlier and ends later by this time, ns."""
+        """Return the time range extended by ``by_ns`` at both ends."""
         return TimeRange(max(0, self.low - by_ns), min(LAST_NS, self.high + by_ns))
 
 
@@ -116,60 +116,60 @@ class Valued(NamedTuple):
 
 
 class Chooser(Protocol):
-    """Decides, bucket by bucket, what the server checks of a condition.
+    """Decides for each bucket which comparisons of a condition the server checks.
 
-    A table is the object that the reader was given; a bucket is the list of its rows in the
-    directory. (A signature with ``...`` leaves the type of the table to each room.)
+    A table is the object that the reader got; a bucket is the list of its rows in the directory.
+    Signatures have ``...`` because the type of the table differs between rooms.
     """
 
     @property
     def checks(self) -> bool:
-        """Whether there is anything to check."""
+        """Whether there is a condition to check."""
 
     @property
     def choose(self) -> Callable[..., Optional[Sequence[Query]]]:
-        """From table and bucket to the queries that give the rows that may pass; None = all."""
+        """Function of table and bucket that returns queries for rows that may match; None = all."""
 
     @property
     def few(self) -> Callable[..., bool]:
-        """Says of a table whether the server probably lets few rows of a bucket through."""
+        """Function of a table: whether few rows of a bucket probably satisfy the comparisons."""
 
     @property
     def learn(self) -> Callable[..., None]:
-        """Takes table, bucket and how many messages its queries found."""
+        """Function that gets a table, a bucket, and the number of messages that were found."""
 
     @property
     def sift(self) -> Callable[..., Optional[Sift]]:
-        """From a table to what leaves out messages of its unpacked blocks; None = all stay."""
+        """Function of a table that returns its Sift; None = keep all messages of its blocks."""
 
     @property
     def opened(self) -> Callable[..., None]:
-        """Takes a table, the messages of a block that was unpacked, and how many became rows."""
+        """Function that gets a table, the messages of an unpacked block, and how many were kept."""
 
 
 @dataclass(frozen=True)
 class Read:
-    """Which stored messages to read, in which order, and how much of each.
+    """The messages to read, their order, and their columns.
 
-    The tables to read are given beside it: they may be replaced while a read goes on.
+    The tables are not part of it, because they may be replaced during the read.
     """
 
     time_range: TimeRange = ALWAYS
-    """Key times, or times of reception where these are asked for."""
+    """Time range of the keys, or of the receive times if the caller asks for these."""
     whose: Whose = EVERYBODY
     only: Union[Named, Valued, None] = None
-    """Only the messages under this name, or with this value of the key field; None = all."""
+    """Name of the messages, or value of their key field; None = all messages."""
     after: Optional[Position] = None
-    """Only rows that come after this place in the order of reading (a cursor)."""
+    """Position (of a cursor) after which rows are read, in the order of reading; None = all."""
     reverse: bool = False
-    """Newest first."""
+    """Whether the newest messages come first."""
     columns: Optional[Columns] = None
-    """None = all columns. A row fetches the others when its bytes are asked for."""
+    """Columns to read; None = all. A row fetches the other columns when they are needed."""
     chooser: Optional[Chooser] = None
-    """What the server may leave out; None = nothing."""
+    """Object that decides which comparisons the server checks; None = it checks none."""
     wanted: Optional[int] = None
-    """Number of rows that are probably taken; None = all. More come all the same."""
+    """Number of rows that the caller will probably take; None = all. More rows can be read."""
 
 
 EVERYTHING = Read()
-"""The read of all messages in the order of their place."""
+"""The read of all messages in the order of their positions."""

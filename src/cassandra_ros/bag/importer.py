@@ -139,7 +139,7 @@ def import_bag(
         run = _run(reader, nodeID, writer_id, format, content)
         formats = _formats(keyspace, reader, numbers, run)
         lengths = table_lengths(reader, content.sizes)
-        # Blocks are not sealed by time, nor do they depend on the topics that are chosen.
+        # The limits of blocks depend neither on the current time nor on the imported topics.
         limits = limits_for(len(reader.connections))
         node = check_new_node(nodeID)
         with MessageWriter(
@@ -161,7 +161,7 @@ def import_bag(
 def _connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, format_name: str
 ) -> Handle:
-    """Make ready for the messages of a connection of the bag."""
+    """Return the handle with which the writer writes messages of a connection of the bag."""
     bucket_ns, span_ns, large = lengths
     return writer.connect(connection, bucket_ns, span_ns=span_ns, large=large, format=format_name)
 
@@ -287,9 +287,10 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
 
 
 def _batches(reader: MessageFile, numbers: AbstractSet[int]) -> Iterator[MessageBatch]:
-    """Read the messages of some connections; chunks without any are not unpacked.
+    """Read the messages of some connections, chunk by chunk.
 
-    The index says which they are: where it is wrong messages are missed.
+    Chunks that hold none of them according to the index are not unpacked. If the index is wrong,
+    messages are missed.
     """
     for chunk in range(reader.chunk_count):
         yield from reader.batches(chunk, numbers)

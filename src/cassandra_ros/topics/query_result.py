@@ -10,7 +10,7 @@ from itertools import chain, islice
 from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_behind
+from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
 from cassandra_ros.printable import MOST_ROWS, html_table
 from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of, meant_as_seconds
@@ -300,9 +300,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             row
             for row in self._read(narrowed)
             if (
-                place.skip
-                if _is_at(row, at, self._source)
-                else is_behind(row.position, at, reverse)
+                place.skip if _is_at(row, at, self._source) else is_after(row.position, at, reverse)
             )
         )
 

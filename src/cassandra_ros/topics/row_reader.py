@@ -12,7 +12,7 @@ from typing import Iterable, Iterator, Optional, Sequence, Union
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, RowName, is_behind
+from cassandra_ros.keys import Position, RowName, is_after
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import Named, Read, Valued, Whose
@@ -94,7 +94,7 @@ class RowReader:
             for key in list_names(table, read.whose.nodes)
             if low <= key.position.t <= high
             and read.whose.wrote(key.position.seq)
-            and is_behind(key.position, read.after, read.reverse)
+            and is_after(key.position, read.after, read.reverse)
         ]
         keys.sort(key=lambda key: key.position, reverse=read.reverse)
         return fetch_rows(keys)
@@ -193,4 +193,4 @@ class RowReader:
 def _inside(position: Position, read: Read) -> bool:
     """Return whether a row with one name or value is in the time range and after the cursor."""
     low, high = read.time_range
-    return low <= position.t <= high and is_behind(position, read.after, read.reverse)
+    return low <= position.t <= high and is_after(position, read.after, read.reverse)
