@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Callable, FrozenSet, Iterable, List, Optional, Sequence, Tuple
 
 import numpy as np
@@ -59,7 +59,8 @@ class BucketRead:
         bare: Rows are made without their bytes.
         filters: Conditions for the server; a block must pass one of them. None = no conditions.
         sift: Selects messages of a block after it was unpacked.
-        opened: Called for each block with its number of messages and the number that became rows.
+        opened: Called for each block with its number of messages and the number that became rows;
+            None = not called.
         wanted: Number of messages that will probably be taken; 0 = all.
         early: Number of blocks that a read of few messages requests together with the headers.
         page_bytes: Approximate limit of serialised bytes in memory.
@@ -74,7 +75,7 @@ class BucketRead:
     bare: bool = False
     filters: Optional[Sequence[Terms]] = None
     sift: Optional[Sift] = None
-    opened: Callable[[int, int], None] = field(default=lambda messages, kept: None)
+    opened: Optional[Callable[[int, int], None]] = None
     wanted: int = 0
     early: int = EARLY_BLOCKS
     page_bytes: int = 2 * 1024 * 1024
@@ -143,7 +144,8 @@ class BucketRead:
             mask = self.sift(block.unpacked)
             if mask is not None:
                 places = places[mask[places]]
-        self.opened(len(block), len(places))
+        if self.opened is not None:
+            self.opened(len(block), len(places))
         return Opened(row, block, places)
 
     def rows(self, opened: Opened) -> List[TableRow]:

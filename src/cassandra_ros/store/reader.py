@@ -26,7 +26,7 @@ from typing import (
 from cassandra.query import PreparedStatement
 
 from cassandra_ros.blocks.block_stream import opened, stream
-from cassandra_ros.blocks.bucket_read import EARLY_BLOCKS, BucketRead, Opened
+from cassandra_ros.blocks.bucket_read import EARLY_BLOCKS, BucketRead, Opened, Sift
 from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.connection.paging import GROWTH, Asked, RawRow
 from cassandra_ros.connection.raw_page import RawPage
@@ -41,6 +41,7 @@ from cassandra_ros.tables.row_table import (
     KEYS,
     RowTable,
     TableRow,
+    Terms,
     bind,
     decode_long,
     encode_int,
@@ -90,16 +91,28 @@ def _blocks(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
     """Request the first blocks of a bucket; return their messages."""
     table, chooser = piece.table, read.chooser
     columns = None if read.columns is None else read.columns(table)
-    part = _part(piece, read)
-    part.bare = columns is not None and not columns
-    part.filters = None if chosen is None else [terms for terms, _ in chosen]
-    if chooser is None:
+    part = _part(
+        piece,
+        read,
+        bare=columns is not None and not columns,
+        filters=None if chosen is None else [terms for terms, _ in chosen],
+        sift=None if chooser is None else chooser.sift(table),
+        opened=None if chooser is None else partial(chooser.opened, table),
+    )
+    if chooser is None or chosen is None:
         return stream(part)
-    part.sift, part.opened = chooser.sift(table), partial(chooser.opened, table)
-    return _counted(piece, chooser, stream(part)) if chosen is not None else stream(part)
+    return _counted(piece, chooser, stream(part))
 
 
-def _part(piece: Piece, read: Read) -> BucketRead:
+def _part(
+    piece: Piece,
+    read: Read,
+    *,
+    bare: bool = False,
+    filters: Optional[Sequence[Terms]] = None,
+    sift: Optional[Sift] = None,
+    opened: Optional[Callable[[int, int], None]] = None,
+) -> BucketRead:
     return BucketRead(
         piece.table,
         piece.node,
@@ -107,6 +120,10 @@ def _part(piece: Piece, read: Read) -> BucketRead:
         ends_of(piece, read),
         read.reverse,
         read.whose.writers,
+        bare=bare,
+        filters=filters,
+        sift=sift,
+        opened=opened,
         wanted=piece.first_rows,
         early=min(EARLY_BLOCKS, len({row.writer for row in piece.rows})),
         page_bytes=piece.page_bytes,
