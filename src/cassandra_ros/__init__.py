@@ -16,7 +16,7 @@ _PUBLIC = {
     "OccupancyMap": "cassandra_ros.mapping.occupancy",
     "Player": "cassandra_ros.nodes.player",
     "PlayerOptions": "cassandra_ros.playing.play_options",
-    "PlaySelection": "cassandra_ros.playing.selection",
+    "PlaySelection": "cassandra_ros.playing.play_selection",
     "PoseChoice": "cassandra_ros.mapping.sensor_poses",
     "Recorder": "cassandra_ros.nodes.recorder",
     "RecorderOptions": "cassandra_ros.recording.recording_options",

@@ -11,7 +11,7 @@ import pytest
 from cassandra_ros.cli.options import without_empty
 from cassandra_ros.cli.player import make_parser, read_options, read_selection
 from cassandra_ros.playing.play_options import PlayerOptions
-from cassandra_ros.playing.selection import PlaySelection
+from cassandra_ros.playing.play_selection import PlaySelection
 
 HIT = "/cmd_vel: linear.x > 0.5"
 PAIR = ("/cmd_vel", "linear.x > 0.5")

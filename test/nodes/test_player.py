@@ -151,7 +151,7 @@ def test_steered_by_services(roscore, player, rosCas):
         assert call("pause_playback", data=False)["message"] == "Playback is now resumed"
         assert read(26) == list(range(14, 40))
         await_true(lambda: call("status")["state"] == "ended")
-        assert "only what is paused" in call("step")["message"]
+        assert "only a paused replay" in call("step")["message"]
         assert call("seek", text="39")["success"]
         assert read(1) == [39]
         status = call("status")

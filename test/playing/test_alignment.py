@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from playing.robots import SEC, T0, Robot, played, texts
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.playing.extent import Extent
+from cassandra_ros.playing.play_selection import PlaySelection
+from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.robot_alignment import source_names, valid_name
-from cassandra_ros.playing.selection import PlaySelection
-from cassandra_ros.playing.stream import Stream
+from cassandra_ros.playing.stored_ranges import StoredRange
 
 DAY = 86_400
 
 
 @pytest.fixture(scope="module")
 def fleet(fresh):
-    """Two robots on two days, and a recorder that nobody gave a node; r2 with two runs."""
+    """Two robots on two days, and a recorder without a nodeID; r2 with two runs."""
     with fresh() as rosCas:
         for writer, node, begin, name in (
             (1, "r1", 0, "a"),
@@ -126,8 +126,8 @@ SOURCES = st.sets(st.tuples(st.sampled_from(["", "r1", "r-1", "r_1", "ä"]), st.
 
 @given(SOURCES, st.sampled_from(["", "run", "node"]))
 def test_who_is_told_apart_has_an_own_name(sources, align):
-    extents = [Extent(None, node, writer, writer, writer) for node, writer in sources]
-    names = source_names(extents, {1: "lab 1", 2: "lab_1"}, align)
+    stored_ranges = [StoredRange(None, node, writer, writer, writer) for node, writer in sources]
+    names = source_names(stored_ranges, {1: "lab 1", 2: "lab_1"}, align)
     assert set(names) == set(sources)
     for one in sources:
         for two in sources:

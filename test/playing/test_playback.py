@@ -16,10 +16,10 @@ from cassandra_ros.playing import playback as playback_module
 from cassandra_ros.playing import read_ahead
 from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.play_options import PlayerOptions
+from cassandra_ros.playing.play_selection import PlaySelection
+from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.playback import Playback
 from cassandra_ros.playing.read_ahead import ReadAhead
-from cassandra_ros.playing.selection import PlaySelection
-from cassandra_ros.playing.stream import Stream
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC
@@ -122,7 +122,7 @@ def test_steered_while_it_is_paused(playing):
     assert run.playback.seek(T0 + 35 * STEP) == T0 + 35 * STEP  # behind the end, kept alive
     run.into.await_count(10)
     assert run.into.numbers[5:] == [35, 36, 37, 38, 39]
-    with pytest.raises(InvalidOption, match="only what is paused"):
+    with pytest.raises(InvalidOption, match="only a paused replay"):
         run.playback.step(1)
 
 
@@ -153,7 +153,7 @@ def test_time_does_not_run_ahead_of_what_is_late(playing):
 
 
 def test_another_rate_holds_from_now_on(playing):
-    """What waits is due at once; what is late is not hurried after."""
+    """A waiting message becomes due at once; a replay that is late does not catch up."""
     run = playing(rate=1e-6)
     run.into.await_count(1)
     run.playback.set_rate(1e6)
@@ -251,7 +251,7 @@ def test_nothing_to_play_says_why(playing, store):
 
 
 def test_a_store_that_is_away_for_a_while(store, monkeypatch):
-    """Reading goes on behind the last message, also between equal times."""
+    """Reading goes on after the last message, also between messages of equal times."""
     monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.01)
     stream = Stream(store.catalog, BOTH)
     every = list(stream.messages(T0))
@@ -280,7 +280,7 @@ def test_a_store_that_is_away_for_a_while(store, monkeypatch):
 
 
 def test_what_is_latched_may_be_away_or_gone(rosCas, monkeypatch):
-    """As for other messages: the store is waited for, what cannot be read is left out."""
+    """As for other messages: the replay waits for the store and leaves unreadable ones out."""
     monkeypatch.setattr(playback_module, "RETRY_SEC", 0.01)
     with Robot(rosCas, 1, "r1") as robot:
         for topic in ("/a", "/b"):

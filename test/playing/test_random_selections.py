@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 from playing.robots import SEC, T0, Robot, text_of
 
 from cassandra_ros.errors import InvalidOption, MessageNotFound
-from cassandra_ros.playing.selection import PlaySelection
-from cassandra_ros.playing.stream import Stream
+from cassandra_ros.playing.play_selection import PlaySelection
+from cassandra_ros.playing.play_stream import Stream
 
 RUNS = {1: ("r1", 0), 2: ("r1", 7), 3: ("r2", 100), 4: ("", 103)}
 """Writer id -> nodeID and second of the beginning."""
 TOPICS = ("/a", "/b", "/map")
 
 
-class Sent(NamedTuple):
+class SentMessage(NamedTuple):
     """A message: sorts as the store orders."""
 
     t: int
@@ -47,7 +47,7 @@ def recordings(fresh):
                     text = rand.choice("klmnopq")
                     robot.send(topic, begin + half / 2, text, caller, latched=topic == "/map")
                     t = T0 + (2 * begin + half) * SEC // 2
-                    sent.append(Sent(t, node, writer, count, topic, caller, text))
+                    sent.append(SentMessage(t, node, writer, count, topic, caller, text))
         yield rosCas, sorted(sent)
 
 

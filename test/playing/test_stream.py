@@ -20,8 +20,8 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.overview.latched_messages import latched_before
-from cassandra_ros.playing.selection import Names, PlaySelection
-from cassandra_ros.playing.stream import Stream
+from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames
+from cassandra_ros.playing.play_stream import Stream
 
 
 def before(store, *args, **options):
@@ -102,7 +102,7 @@ def test_what_is_chosen(filled, selection, expected):
         (PlaySelection(nodeID="r3"), MessageNotFound, "of node 'r3'"),
         (PlaySelection(start="soon"), InvalidOption, "start 'soon' is no time to play"),
         (PlaySelection(start=-1), InvalidOption, "start -1 is no time to play"),
-        (PlaySelection(start=90_000), InvalidOption, "90000 s, lies behind all"),
+        (PlaySelection(start=90_000), InvalidOption, "90000 s, lies after all"),
         (PlaySelection(start=T0 - 1), InvalidOption, "lies before all"),
         (PlaySelection(end=T0 - 1), InvalidOption, "lies before all"),
         (PlaySelection(start=5, end=4), InvalidOption, "before the start"),
@@ -133,11 +133,15 @@ def test_a_topic_that_cannot_be_read_here_is_left_out(cassandra, keyspace, rosCa
 
 
 def test_names():
-    names = Names("/p", {"/a": "/b", "p/c": "d"})
+    names = PublishedNames("/p", {"/a": "/b", "p/c": "d"})
     assert [names.of(topic) for topic in ("/a", "c", "/e")] == ["/b", "/d", "/p/e"]
     assert names.of("/a", "r1") == "/r1/b"
     assert names.of("/e", "r1") == "/p/r1/e"
-    assert [Names(prefix).of("/x") for prefix in ("p_", "/p/", "/")] == ["/p_/x", "/p/x", "/x"]
+    assert [PublishedNames(prefix).of("/x") for prefix in ("p_", "/p/", "/")] == [
+        "/p_/x",
+        "/p/x",
+        "/x",
+    ]
 
 
 def test_channels_come_from_the_connections(filled):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import When, iso_time
-from cassandra_ros.playing.times import check_length, read_when, resolve_times
+from cassandra_ros.playing.play_times import check_length, read_when, resolve_times
 from cassandra_ros.read import TimeRange
 
 SEC = 10**9

@@ -20,9 +20,9 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.playing import read_ahead
+from cassandra_ros.playing.play_selection import PlaySelection
+from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.read_ahead import ReadAhead
-from cassandra_ros.playing.selection import PlaySelection
-from cassandra_ros.playing.stream import Stream
 from cassandra_ros.read import TimeRange
 from cassandra_ros.topics.hit_windows import joined, merge_windows
 
@@ -161,7 +161,7 @@ def test_long_windows_are_played_in_pieces(filled, monkeypatch):
         filled.catalog, PlaySelection(around="/battery: data > 'a'", before=0.5, after=0.5)
     )
     wanted = played(Stream(filled.catalog, PlaySelection()))
-    monkeypatch.setattr("cassandra_ros.playing.stream.PIECE_NS", 3 * SEC)
+    monkeypatch.setattr("cassandra_ros.playing.play_stream.PIECE_NS", 3 * SEC)
     assert played(whole) == wanted
     assert len({p.window.low for p in whole.messages()}) == 1
     assert len({p.window.high for p in whole.messages()}) > 20

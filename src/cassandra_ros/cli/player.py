@@ -47,7 +47,7 @@ from cassandra_ros.printable import shown, shown_lines
 if TYPE_CHECKING:
     from cassandra_ros.nodes.player import PlayerState
     from cassandra_ros.playing.play_options import PlayerOptions
-    from cassandra_ros.playing.selection import PlaySelection
+    from cassandra_ros.playing.play_selection import PlaySelection
 
 PROGRAM = "player"
 SHOW_SEC = 0.1
@@ -171,7 +171,7 @@ def _add_names(group: argparse._ArgumentGroup) -> None:
 
 def read_selection(options: argparse.Namespace) -> PlaySelection:
     """Return the selection of messages that the options describe."""
-    from cassandra_ros.playing.selection import PlaySelection
+    from cassandra_ros.playing.play_selection import PlaySelection
 
     around = options.around
     return PlaySelection(

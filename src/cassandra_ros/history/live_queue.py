@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Live messages that wait while the past is read: bounded, and never lost silently.
+"""A bounded queue of the live messages that wait while stored messages are read.
 
-When there is no room left and a recorder writes the topic, all that waits is forgotten: it is in
-the store, and read from there. Where nobody writes it, and once the past is done, the publisher's
-thread waits for room, as it waits for a callback of rospy; the publisher's own queue then decides.
+When the queue is full and a recorder writes the topic, all waiting messages are dropped: they are
+read from the store instead. When no recorder writes the topic, and after the stored messages have
+all been read, the publisher's thread waits for room, as it waits for a callback of rospy. Then the
+publisher's own queue decides which messages are dropped.
 """
 
 from __future__ import annotations
@@ -21,17 +22,17 @@ from cassandra_ros.history.alignment import Mark, digest_of
 _log = logging.getLogger(__name__)
 
 OVERHEAD_BYTES = 300
-"""What a message that waits takes beside its bytes, about."""
+"""Approximate memory of a waiting message in addition to its bytes, bytes."""
 
 MAX_CONNECTIONS = 4096
-"""Connections remembered by their header object; publishers come and go for days."""
+"""Maximum number of connections whose header is remembered: publishers come and go for days."""
 
 TOO_OFTEN = 5
-"""After it was full so often a person is told."""
+"""Number of times that the queue has been emptied for lack of room when a warning is logged."""
 
 
 class Publisher(NamedTuple):
-    """Who published a message, as its connection header says; the same in store and live."""
+    """The publisher of a message according to its connection header, live or stored."""
 
     callerid: str
     type: str
@@ -39,7 +40,7 @@ class Publisher(NamedTuple):
 
 
 class LiveMessage:
-    """A message as it came over a connection."""
+    """A message as it was received over a connection."""
 
     __slots__ = ("_digest", "header", "publisher", "repeated", "t", "wanted", "wire")
 
@@ -48,38 +49,45 @@ class LiveMessage:
     ) -> None:
         self.t, self.publisher, self.header, self.wire = t, publisher, header, wire
         self.repeated = repeated
-        """The first of a latching publisher's connection: it may have been sent long before."""
+        """Whether it is the first message of a connection to a latching publisher.
+
+        Such a message may have been published long before.
+        """
         self.wanted = True
+        """Whether it is handed out; False where the same message was handed out from the store."""
         self._digest: Optional[bytes] = None
 
     @property
     def mark(self) -> Mark:
-        """What it is compared by."""
+        """Time and digest by which it is compared with stored messages."""
         if self._digest is None:
             self._digest = digest_of(self.wire)
         return Mark(self.t, self._digest)
 
 
-class Owed(NamedTuple):
-    """Messages of a publisher that were forgotten: the first one, and how many."""
+class DroppedMessages(NamedTuple):
+    """The messages of one publisher that were dropped for lack of room."""
 
     first: Mark
     number: int
+    """Number of dropped messages."""
 
 
-class Waiting(NamedTuple):
-    """The messages of a publisher that wait, and since when (monotonic seconds)."""
+class WaitingMessages(NamedTuple):
+    """The waiting messages of one publisher."""
 
     messages: List[LiveMessage]
     since: float
+    """Time at which the first message of the publisher arrived, monotonic clock, s."""
 
 
 class LiveQueue:
-    """Takes messages from the threads of publishers; one thread takes them out.
+    """A queue that is filled by the publishers' threads and emptied by one thread.
 
     Args:
-        bound: Of the bytes that wait.
-        clock: Tells the time of reception, ns; raises ClockNotSet while nobody knows it.
+        bound: Maximum size of the waiting messages, bytes.
+        clock: Returns the time of reception, ns; raises ClockNotSet before the first /clock
+            message.
     """
 
     def __init__(self, bound: int, clock: Callable[[], int]) -> None:
@@ -91,16 +99,16 @@ class LiveQueue:
         self._connections: Dict[int, Mapping[str, str]] = {}
         self._since: Dict[Publisher, float] = {}
         self.recorded = False
-        """Whether the store gets what comes: then it may be forgotten here."""
+        """Whether a recorder stores the topic, so that waiting messages may be dropped here."""
         self.epoch = 0
-        """How often it was forgotten."""
+        """Number of times that the waiting messages were dropped."""
         self.began_ns = self.now_ns()
-        """From then on nothing is missing that came."""
-        self.owed: Dict[Publisher, Owed] = {}
-        """What was forgotten."""
+        """Time from which on the queue has every received message, ns; 0 = time not known yet."""
+        self.dropped: Dict[Publisher, DroppedMessages] = {}
+        """Dropped messages by publisher."""
 
     def now_ns(self) -> int:
-        """Tell the time; 0 while nobody knows it."""
+        """Return the time, ns; 0 while simulated time is not known."""
         try:
             return self._clock()
         except ClockNotSet:
@@ -111,7 +119,10 @@ class LiveQueue:
         self.recorded = recorded
 
     def begin(self) -> bool:
-        """Say whether the time is known; from then on what came before it has it, too."""
+        """Return whether the time is known.
+
+        Once it is, messages that were received earlier get it as their time of reception.
+        """
         with self._changed:
             if not self.began_ns:
                 self.began_ns = self.now_ns()
@@ -120,7 +131,7 @@ class LiveQueue:
             return self.began_ns > 0
 
     def put(self, header: Mapping[str, str], wire: bytes) -> None:
-        """Take a message; its header is the same object for all of a connection."""
+        """Append a message; ``header`` is the same object for all messages of a connection."""
         with self._changed:
             nbytes = len(wire) + OVERHEAD_BYTES
             if self._messages and self._bytes + nbytes > self._bound:
@@ -128,7 +139,7 @@ class LiveQueue:
             if self._closed:
                 return
             first = id(header) not in self._connections
-            if first:  # kept, lest another header comes to lie there
+            if first:  # held here so that no other header can get the same id
                 if len(self._connections) >= MAX_CONNECTIONS:
                     self._connections.pop(next(iter(self._connections)))
                 self._connections[id(header)] = header
@@ -145,25 +156,25 @@ class LiveQueue:
             return
         if not self._joined:
             _log.warning(
-                "the live messages that wait for the past to be read fill the buffer, and nobody "
-                "records them: their publishers must wait"
+                "live messages fill the buffer while stored messages are read, and no recorder "
+                "stores them: their publishers must wait"
             )
         self._changed.wait_for(lambda: self._closed or not self._over(nbytes))
 
     def _over(self, nbytes: int) -> bool:
-        if self.recorded and not self._joined:  # meanwhile somebody does
+        if self.recorded and not self._joined:  # a recorder may have started since the last check
             self._forget()
         return bool(self._messages) and self._bytes + nbytes > self._bound
 
     def _forget(self) -> None:
         for message in self._messages:
             if not message.repeated:
-                owed = self.owed.get(message.publisher) or Owed(message.mark, 0)
-                self.owed[message.publisher] = owed._replace(number=owed.number + 1)
+                dropped = self.dropped.get(message.publisher) or DroppedMessages(message.mark, 0)
+                self.dropped[message.publisher] = dropped._replace(number=dropped.number + 1)
         self.epoch += 1
         _log.log(
             logging.INFO if self.epoch == 1 else logging.DEBUG,
-            "%d live messages that waited while the past is read are read from the store",
+            "%d waiting live messages are dropped here and will be read from the store",
             len(self._messages),
         )
         if self.epoch == TOO_OFTEN:
@@ -178,30 +189,30 @@ class LiveQueue:
         self._bytes = 0
         self.began_ns = self.now_ns()
 
-    def waiting(self) -> Dict[Publisher, Waiting]:
-        """Return what waits, by publisher, in order."""
-        found: Dict[Publisher, Waiting] = {}
+    def waiting(self) -> Dict[Publisher, WaitingMessages]:
+        """Return the waiting messages by publisher, in order of reception."""
+        waiting: Dict[Publisher, WaitingMessages] = {}
         with self._changed:
             for message in self._messages:
                 who = message.publisher
-                if who not in found:
-                    found[who] = Waiting([], self._since[who])
-                found[who].messages.append(message)
-        return found
+                if who not in waiting:
+                    waiting[who] = WaitingMessages([], self._since[who])
+                waiting[who].messages.append(message)
+        return waiting
 
     def join(self, epoch: int) -> bool:
-        """Forget nothing from now on; False where something was since that epoch."""
+        """Drop nothing from now on; return False if messages were dropped since ``epoch``."""
         with self._changed:
             self._joined = self.epoch == epoch
             return self._joined
 
     def first(self) -> Optional[LiveMessage]:
-        """Return the oldest, which stays."""
+        """Return the oldest message without taking it; None if the queue is empty."""
         with self._changed:
             return self._messages[0] if self._messages else None
 
     def take(self, timeout_sec: float) -> Optional[LiveMessage]:
-        """Take the oldest; None where none comes in time, or it is closed."""
+        """Take the oldest message; None after the timeout or when the queue is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._messages or self._closed, timeout_sec)
             if self._closed or not self._messages:
@@ -212,12 +223,12 @@ class LiveQueue:
             return message
 
     def wait(self, seconds: float) -> None:
-        """Return after so long, or when it is closed."""
+        """Wait for ``seconds``, or until the queue is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed, seconds)
 
     def close(self) -> None:
-        """Drop what waits, and take nothing any more."""
+        """Drop the waiting messages and accept no more."""
         with self._changed:
             self._closed = True
             self._messages.clear()
@@ -225,5 +236,5 @@ class LiveQueue:
 
     @property
     def closed(self) -> bool:
-        """Whether it was closed."""
+        """Whether the queue was closed."""
         return self._closed

@@ -15,9 +15,9 @@ from cassandra_ros.arguments import check_integer, check_node, check_ros_name, c
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.connection.address import from_environment
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidKey, InvalidOption
-from cassandra_ros.history.join import Heard, History
 from cassandra_ros.history.live_queue import LiveQueue
-from cassandra_ros.history.past import Past
+from cassandra_ros.history.stored_past import StoredPast
+from cassandra_ros.history.topic_history import History, HistoryMessage
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import Time, When, time_or_length, to_ns
@@ -106,7 +106,7 @@ class HistorySubscriber:
         self.failed = 0
         """How often the callback has raised, or a message was none of data_class."""
         try:
-            past = Past(self._rosCas.catalog, self.resolved_name, node, run)
+            past = StoredPast(self._rosCas.catalog, self.resolved_name, node, run)
         except CassandraRosError:
             self._close_own()
             raise
@@ -171,7 +171,7 @@ class HistorySubscriber:
         if self._own:
             self._rosCas.close()
 
-    def _deliver(self, heard: Heard) -> None:
+    def _deliver(self, heard: HistoryMessage) -> None:
         msg = self._message(heard)
         if msg is None:
             return
@@ -184,7 +184,7 @@ class HistorySubscriber:
             self.failed += 1
             _log.exception("bad callback of %s: %r", self.resolved_name, self._callback)
 
-    def _message(self, heard: Heard) -> Any:
+    def _message(self, heard: HistoryMessage) -> Any:
         if self.data_class is rospy.AnyMsg:
             msg = rospy.AnyMsg()
             msg._buff = heard.wire

@@ -18,7 +18,7 @@ from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidName, TypeMismatch
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.nodes.publishing import ANY, AnyPublication, MessageKind, advertise
-from cassandra_ros.playing.stream import Channel, Played
+from cassandra_ros.playing.play_stream import Channel, PlayedMessage
 
 _log = logging.getLogger(__name__)
 
@@ -110,7 +110,7 @@ class Outlets:
         for publication in self._publications.values():
             publication.forget_latched()
 
-    def publish(self, played: Played) -> None:
+    def publish(self, played: PlayedMessage) -> None:
         """Publish a message, on its topic as it was advertised."""
         row = played.row
         key = (played.topic, row.table.name, row.conn, row.node)
@@ -126,7 +126,7 @@ class Outlets:
             publication.await_room(self._stopping.is_set, STALLED_SEC)
 
     def _way(
-        self, played: Played, key: Hashable
+        self, played: PlayedMessage, key: Hashable
     ) -> tuple[Optional[AnyPublication], Optional[Hashable]]:
         """Find where the messages of a connection go, and by whom they are latched."""
         publication, row = self._publications.get(played.topic), played.row
@@ -138,7 +138,7 @@ class Outlets:
             _log.warning("messages of topic %s are not latched again: %s", played.topic, exc)
             return publication, None
 
-    def skipped(self, played: Played, error: CassandraRosError) -> None:
+    def skipped(self, played: PlayedMessage, error: CassandraRosError) -> None:
         """Count a message that cannot be read."""
         self._left_out[played.topic] += 1
         self._say((played.topic, "unreadable"), "a message is left out: %s", error)

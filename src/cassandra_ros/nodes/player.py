@@ -21,10 +21,10 @@ from cassandra_ros.nodes.outlets import Outlets, PlayedTopic
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.subscription import subscribe
 from cassandra_ros.playing.play_options import PlayerOptions
+from cassandra_ros.playing.play_selection import PlaySelection
+from cassandra_ros.playing.play_stream import PlayedMessage, Stream
+from cassandra_ros.playing.play_times import PlayTime, read_when
 from cassandra_ros.playing.playback import ENDED, Playback
-from cassandra_ros.playing.selection import PlaySelection
-from cassandra_ros.playing.stream import Played, Stream
-from cassandra_ros.playing.times import PlayTime, read_when
 from cassandra_ros.recording.message_buffer import starts_with_header
 
 _log = logging.getLogger(__name__)
@@ -275,12 +275,12 @@ class Player:
         if self._outlets is not None:
             self._outlets.clock(t)
 
-    def publish(self, played: Played) -> None:
+    def publish(self, played: PlayedMessage) -> None:
         """Publish a message; for the playback."""
         if self._outlets is not None:
             self._outlets.publish(played)
 
-    def _skipped(self, played: Played, error: CassandraRosError) -> None:
+    def _skipped(self, played: PlayedMessage, error: CassandraRosError) -> None:
         if self._outlets is not None:
             self._outlets.skipped(played, error)
 

@@ -26,7 +26,7 @@ from cassandra_ros.nodes.node import (
 )
 from cassandra_ros.nodes.player import Player, PlayerState
 from cassandra_ros.playing.play_options import PlayerOptions
-from cassandra_ros.playing.selection import PlaySelection
+from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.srv import (
     PlayerStatus,
     PlayerStatusRequest,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The clock of a replay: which stored time it is now, at which rate it goes, why it stands."""
+"""The clock of a replay: its time, its rate, and the reasons for which it stands."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ from typing import Callable, NamedTuple, Optional
 from cassandra_ros.errors import InvalidOption
 
 MAX_RATE = 1e6
+"""Maximum factor of speed."""
 
 
 class _State(NamedTuple):
     at: int
-    """Reading of the monotonic clock, ns, at which it was ``t``."""
+    """Reading of the monotonic clock at which the time of the replay was ``t``, ns."""
     t: int
     rate: float
     holds: frozenset[str]
-    """Why it stands; empty = it runs."""
+    """Reasons for which the clock stands; empty = it runs."""
 
 
 class Pace:
-    """Maps the monotonic clock to the time of a replay. Thread-safe; nobody waits in here.
+    """The clock of a replay, driven by the monotonic clock. Thread-safe; no method waits.
 
     Args:
-        t: Where it begins, ns. It stands there until its first ``release``.
+        t: First time, ns. The clock stands there until ``BEGIN`` is released.
         rate: Factor of speed.
-        clock: Reads a monotonic clock, ns.
+        clock: Returns the monotonic clock, ns.
     """
 
     BEGIN = "begin"
-    """The hold under which it begins."""
+    """Reason for which a new clock stands."""
 
     def __init__(
         self, t: int, rate: float = 1.0, clock: Callable[[], int] = time.monotonic_ns
@@ -44,7 +45,7 @@ class Pace:
 
     @property
     def rate(self) -> float:
-        """Factor of speed: 2.0 goes twice as fast as was recorded."""
+        """Factor of speed: 2.0 is twice as fast as recorded."""
         return self._state.rate
 
     def now(self) -> int:
@@ -52,36 +53,40 @@ class Pace:
         return self._at(self._state, self._clock())
 
     def holds(self, reason: str) -> bool:
-        """Say whether it stands for this reason, perhaps beside others."""
+        """Return whether the clock stands for this reason, alone or among others."""
         return reason in self._state.holds
 
     @property
     def stands(self) -> bool:
-        """Whether it stands."""
+        """Whether the clock stands."""
         return bool(self._state.holds)
 
     def due_in(self, t: int) -> Optional[float]:
-        """Return in how many seconds it will be ``t``, at most 0 when it is; None = it stands."""
+        """Return the wall time until ``t``, s; 0 or less after ``t``, None if the clock stands."""
         state, clock = self._state, self._clock()
         if state.holds:
             return None
         return (state.at - clock + (t - state.t) / state.rate) / 1e9
 
     def jump(self, t: int) -> None:
-        """Let it be ``t`` now; what stands goes on standing."""
+        """Set the time to ``t``; a clock that stands goes on standing."""
         with self._lock:
             self._state = self._state._replace(at=self._clock(), t=t)
 
     def set_rate(self, rate: float) -> None:
-        """Go on from now at another rate; InvalidOption: it is not above 0 and up to MAX_RATE."""
+        """Change the rate from now on.
+
+        Raises:
+            InvalidOption: The rate is not above 0 and at most MAX_RATE.
+        """
         self._change(rate=check_rate(rate))
 
     def hold(self, reason: str) -> None:
-        """Stand from now on, until every reason is released."""
+        """Stop the clock until every reason is released."""
         self._change(add=reason)
 
     def release(self, reason: str) -> None:
-        """Take a reason back; one that there is not is no mistake."""
+        """Remove a reason; one for which the clock does not stand is ignored."""
         self._change(remove=reason)
 
     def _change(
@@ -101,7 +106,7 @@ class Pace:
 
 
 def check_rate(rate: float) -> float:
-    """Return a factor of speed, above 0 and up to MAX_RATE, or raise InvalidOption."""
+    """Return a factor of speed, above 0 and at most MAX_RATE, or raise InvalidOption."""
     number = isinstance(rate, (int, float)) and not isinstance(rate, bool)
     if number and math.isfinite(rate) and 0 < rate <= MAX_RATE:
         return float(rate)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a stream is played."""
+"""Options of a replay."""
 
 from __future__ import annotations
 
@@ -13,34 +13,38 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.playing.pace import check_rate
 
 BUDGET_BYTES = 64 * 1024 * 1024
+"""Default size of the messages read ahead, bytes."""
 MAX_HZ = 10_000.0
+"""Maximum rate of /clock messages, Hz."""
 MAX_QUEUE = 2**31 - 1
+"""Maximum number of messages queued for a subscriber."""
 
 
 @dataclass(frozen=True)
 class PlayerOptions:
-    """How a stream is played. The defaults are those of ``rosbag play``.
+    """The options of a replay. The defaults are those of ``rosbag play``.
 
     Attributes:
         rate: Factor of speed, above 0.
-        immediate: Do not wait between messages; but for subscribers that take them more slowly.
+        immediate: Do not wait between messages, except for slow subscribers.
         paused: Begin paused.
-        loop: Begin anew at the end.
+        loop: Begin again after the end.
         keep_alive: Stay at the end, for late subscribers of latched topics and for seeks.
-        skip_empty: Jump over stretches without a message that are longer, s; None = none.
-        pause_topics: Pause before each message of these topics, by their stored names or those
-            under which they go out.
-        queue: How many messages may wait for each subscriber of a topic; 0 = any number.
-        clock_hz: Publish the time of the replay on /clock so often, Hz of wall time; 0 = never.
-        delay: How long subscribers may take to connect before the first message, s.
+        skip_empty: Skip time ranges without a message that are longer than this, s; None = never.
+        pause_topics: Topics, by stored or published name, before each of whose messages the replay
+            pauses.
+        queue: Maximum number of messages queued for each subscriber of a topic; 0 = no limit.
+        clock_hz: Rate at which the time is published on /clock, Hz of wall time; 0 = never.
+        delay: Time for subscribers to connect before the first message, s.
         wait_for_subscribers: Begin when every topic has a subscriber.
-        rate_control_topic: Wait while the last stamp on this topic lags behind; '' = none.
-        rate_control_max_delay: By more than this, s of the replay.
-        read_ahead: How many bytes are read ahead.
+        rate_control_topic: Topic for whose stamps the replay waits; '' = none.
+        rate_control_max_delay: Maximum difference between the time of the replay and the last
+            stamp on that topic, s of the replay.
+        read_ahead: Size of the messages that are read ahead, bytes.
 
     Raises:
-        InvalidOption: A number lies outside of its range.
-        InvalidName: rate_control_topic cannot be a topic.
+        InvalidOption: A number lies outside its range.
+        InvalidName: rate_control_topic is not a valid name.
     """
 
     rate: float = 1.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Around what windows are played, and in how long pieces."""
+"""The option ``around``: only windows around certain messages are played."""
 
 from __future__ import annotations
 
@@ -8,27 +8,35 @@ from typing import NamedTuple, Optional
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.playing.times import check_length
+from cassandra_ros.playing.play_times import check_length
 from cassandra_ros.topics.row_finder import Where
 
 PIECE_NS = 60 * SECOND_NS
-"""A window that is longer is given in pieces: its hits need not all be known to begin with it."""
+"""Maximum length of a piece of a window, ns.
+
+Longer windows are played in pieces, so that playing can begin before all hits are known.
+"""
 
 
-class Around(NamedTuple):
-    """What windows are made around."""
+class WindowRule(NamedTuple):
+    """The messages around which windows are played (hits), and the lengths of a window."""
 
     topic: str
     condition: Where
     before: int
-    """How far a window reaches before a hit, ns."""
+    """Length of a window before a hit, ns."""
     after: int
+    """Length of a window after a hit, ns."""
 
     @classmethod
-    def of(cls, around: object, before: object, after: object) -> Optional[Around]:
-        """Read the options around, 'TOPIC: condition' or a pair, before and after, seconds.
+    def of(cls, around: object, before: object, after: object) -> Optional[WindowRule]:
+        """Read the options around ('TOPIC: condition' or a pair), before and after (seconds).
 
-        None where around is not given; InvalidOption where one of them is none.
+        Returns:
+            None if ``around`` is not given.
+
+        Raises:
+            InvalidOption: One of the options cannot be read.
         """
         reach = check_length("before", before), check_length("after", after)
         if around is None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Plays a stream at its pace: one thread hands out messages, others steer it."""
+"""Playing of a stream at its pace: one thread publishes messages, other threads control it."""
 
 from __future__ import annotations
 
@@ -19,58 +19,60 @@ from cassandra_ros.errors import (
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.play_options import PlayerOptions
-from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, ReadAhead, Skipped
-from cassandra_ros.playing.stream import Played
+from cassandra_ros.playing.play_stream import PlayedMessage
+from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, OnSkip, ReadAhead
 from cassandra_ros.read import TimeRange
 
 _log = logging.getLogger(__name__)
 
 STALL_SEC = 0.2
-"""How long what is read ahead may be empty until the clock of the replay stands."""
+"""Time without a message from the store after which the clock of the replay is stopped, s."""
 SAY_SEC = 2.0
-"""And until that is said."""
+"""Time without a message from the store after which a warning is logged, s."""
 WAKE_SEC = 0.5
+"""Maximum time between two checks of whether a message is due, s."""
 COMMAND_SEC = 10.0
-"""How long a command waits for being carried out."""
+"""Maximum time that a command waits until it is carried out, s."""
 
 PAUSED, DELAYED, STALLED, ENDED, AT_ONCE = "paused", "delayed", "stalled", "ended", "at once"
 
 
 class PlayedStream(Protocol):
-    """What is played: a Stream."""
+    """The stream that is played, see Stream."""
 
     start_ns: int
     end_ns: int
 
-    def latched(self, t: int) -> Sequence[Played]:
-        """List what is published first where playing begins at a time."""
+    def latched(self, t: int) -> Sequence[PlayedMessage]:
+        """Return the messages that are published first when playing begins at ``t``, ns."""
 
-    def messages(self, t: Optional[int] = None) -> Iterator[Played]:
-        """Walk through the messages from a time on."""
+    def messages(self, t: Optional[int] = None) -> Iterator[PlayedMessage]:
+        """Yield the messages from ``t`` on, ns."""
 
 
 class Output(Protocol):
-    """Where the messages go. Called on the thread that plays."""
+    """The receiver of the messages. Its methods are called on the thread that plays."""
 
     def begin(self, t: int) -> None:
-        """Forget what was latched: playing begins at a time, or begins again there."""
+        """Forget latched messages: playing begins at ``t``, ns, or jumps there."""
 
     def clock(self, t: int) -> None:
-        """Say the time, for the message that follows was not waited for."""
+        """Publish the time, ns: the clock jumps to that of the next message."""
 
-    def publish(self, played: Played) -> None:
+    def publish(self, played: PlayedMessage) -> None:
         """Publish a message."""
 
 
 class Playback:
-    """One replay. ``run`` plays it; everything else may be called from other threads.
+    """One replay. ``run`` plays it; all other methods may be called from other threads.
 
     Args:
-        stream: What is played.
-        output: Where it goes.
-        options: How.
-        lags: Says of a time of the replay whether who consumes it lags behind, so that it waits.
-        skipped: Called with a message that cannot be read, and why; on another thread.
+        stream: The stream that is played.
+        output: The receiver of the messages.
+        options: Options of the replay.
+        lags: Returns whether the consumer is too far behind a time of the replay, ns; the replay
+            then waits.
+        skipped: Called on another thread with each message that cannot be read, and the error.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class Playback:
         output: Output,
         options: PlayerOptions,
         lags: Callable[[int], bool],
-        skipped: Skipped,
+        skipped: OnSkip,
     ) -> None:
         self._stream, self._output, self._options = stream, output, options
         self._lags, self._skipped = lags, skipped
@@ -89,7 +91,7 @@ class Playback:
         if options.paused:
             self.pace.hold(PAUSED)
         self._pauses_for_topics = bool(options.pause_topics)
-        """Whether it pauses before messages of the topics that are given for that."""
+        """Whether the replay pauses before messages of the option pause_topics."""
         self._changed = threading.Condition()
         self._steps = 0
         self._goto: Optional[int] = stream.start_ns
@@ -104,19 +106,17 @@ class Playback:
         self._again = False
         self._skip_ns = None if options.skip_empty is None else int(options.skip_empty * 1e9)
 
-    # ---------------------------------------------------------------- what steers
-
     def now(self) -> int:
-        """Return the time of the replay, ns: that of the next message where that is late."""
+        """Return the time of the replay, ns; at most that of the next message, if that is late."""
         return min(self.pace.now(), self._horizon)
 
     def clock_time(self) -> Optional[int]:
-        """Return ``now``; None until the first message says when the replay begins."""
+        """Return ``now``; None until the first message has given the start of the replay."""
         return self.now() if self._known else None
 
     @property
     def state(self) -> str:
-        """What it does: 'waiting', 'running', 'paused', 'delayed' or 'ended'."""
+        """State of the replay: 'waiting', 'running', 'paused', 'delayed' or 'ended'."""
         if self._finished or self._at_end:
             return ENDED
         if self.pace.holds(PAUSED):
@@ -127,15 +127,15 @@ class Playback:
 
     @property
     def read_ahead_bytes(self) -> int:
-        """How many bytes are read and not yet played."""
+        """Size of the messages that are read and not yet played, bytes."""
         return 0 if self._reader is None else self._reader.held_bytes
 
     def pause(self) -> bool:
-        """Stand still; return whether it did not before."""
+        """Pause; return whether it was not paused before."""
         return self._set(PAUSED, True)
 
     def resume(self) -> bool:
-        """Go on; return whether it stood."""
+        """End the pause; return whether it was paused."""
         return self._set(PAUSED, False)
 
     def toggle_pause_topics(self) -> bool:
@@ -144,32 +144,32 @@ class Playback:
         return self._pauses_for_topics
 
     def set_rate(self, rate: float) -> None:
-        """Go on faster or slower; InvalidOption: it is no rate."""
+        """Change the factor of speed, or raise InvalidOption."""
         with self._changed:
-            self.pace.jump(self.now())  # what is late is not hurried after
+            self.pace.jump(self.now())  # a replay that is late does not catch up
             self.pace.set_rate(rate)
             self._changed.notify_all()
 
     def step(self, count: int) -> None:
-        """Publish the next messages while it is paused, and wait until they are.
+        """Publish the next ``count`` messages of a paused replay, and wait until that is done.
 
         Raises:
-            InvalidOption: It is not paused, or so many messages do not follow.
+            InvalidOption: The replay is not paused, or fewer messages follow.
         """
         with self._changed:
             if not self.pace.holds(PAUSED) or self._finished:
-                raise InvalidOption(f"only what is paused can be stepped; it is {self.state}")
+                raise InvalidOption(f"only a paused replay can be stepped; it is {self.state}")
             self._steps += count
             self._changed.notify_all()
             self._changed.wait_for(self._has_stepped, COMMAND_SEC)
             left, self._steps = self._steps, 0
         if left:
             raise InvalidOption(
-                f"{count - left} of {count} messages were published: no other follows"
+                f"{count - left} of {count} messages were published: then the replay ended"
             )
 
     def seek(self, t: int) -> int:
-        """Go on at another time, ns; return it, or the start or end where it lies outside."""
+        """Go on at the time ``t``, ns; return it, moved to the start or end if it lies outside."""
         t = max(self._stream.start_ns, min(t, self._stream.end_ns))
         with self._changed:
             if self._finished:
@@ -180,7 +180,7 @@ class Playback:
         return t
 
     def stop(self) -> None:
-        """Let ``run`` return behind the message that is being published."""
+        """Let ``run`` return after the message that is being published."""
         with self._changed:
             self._stopped = True
             if self._early is not None:
@@ -188,7 +188,7 @@ class Playback:
             self._changed.notify_all()
 
     def wake(self) -> None:
-        """Look again whether the consumer lags behind."""
+        """Check again whether the consumer is too far behind."""
         with self._changed:
             self._changed.notify_all()
 
@@ -203,37 +203,39 @@ class Playback:
     def _has_stepped(self) -> bool:
         return not self._steps or self._finished or self._at_end
 
-    # ---------------------------------------------------------------- what plays
-
     def prepare(self) -> None:
-        """Begin to read, for a ``run`` that follows: it need not wait for the store then."""
+        """Begin to read before ``run`` is called, so that it need not wait for the store."""
         self._reader = self._early = self._read(self._stream.start_ns)
 
     def run(self) -> None:
         """Play until the end, or until it is stopped.
 
         Raises:
-            MessageNotFound: There is nothing to play.
-            CassandraRosError: The store does not give what is to be played.
+            MessageNotFound: The stream has no message.
+            CassandraRosError: The messages cannot be read from the store.
         """
         try:
             while True:
-                begun = time.monotonic()
+                started = time.monotonic()
                 if not self._pass() or not self._goes_on():
                     return
-                if time.monotonic() < begun + 0.01:
-                    time.sleep(0.01)  # a loop of a single message
+                if time.monotonic() < started + 0.01:
+                    time.sleep(0.01)  # in a loop of a single message
         finally:
             with self._changed:
                 self._finished = True
                 self._changed.notify_all()
 
     def _pass(self) -> bool:
-        """Play from the time that is asked for until the end, a seek or a stop; False: stopped."""
+        """Play from the start or the seek until the end, a seek or a stop.
+
+        Returns:
+            False after a stop.
+        """
         with self._changed:
             t = self._stream.start_ns if self._goto is None else self._goto
             self._at_end = False
-            self.pace.hold(Pace.BEGIN)  # until the first message is there
+            self.pace.hold(Pace.BEGIN)  # until the first message has been read
             self.pace.jump(t)
             self._horizon = t
             self._known = t != self._stream.start_ns
@@ -247,7 +249,8 @@ class Playback:
         try:
             first = self._latched(t)
             if again:
-                self._output.clock(t)  # before what is latched: who sees time go back forgets
+                # Before latched messages: subscribers clear their data when time goes back.
+                self._output.clock(t)
             self._output.begin(t)
             for played in first:
                 self._output.publish(played)
@@ -255,18 +258,18 @@ class Playback:
                 if self._goto == t:
                     self._goto = None
                     self._changed.notify_all()
-            found = self._play(reader, t == self._stream.start_ns)
-            if not (found or first or self._is_broken()) and t == self._stream.start_ns:
+            has_played = self._play(reader, t == self._stream.start_ns)
+            if not (has_played or first or self._is_broken()) and t == self._stream.start_ns:
                 raise MessageNotFound(
-                    "there is nothing to play: no message that is asked for was received from "
+                    "there is nothing to play: no message of the selection was received from "
                     f"{iso_time(t)} to {iso_time(self._stream.end_ns)}"
                 )
             return not self._stopped
         finally:
             reader.close()
 
-    def _latched(self, t: int) -> List[Played]:
-        """Read what is published first; as who reads ahead, wait for a store that is away."""
+    def _latched(self, t: int) -> List[PlayedMessage]:
+        """Read the latched messages; wait, like the reading thread, while the store is down."""
         ends = time.monotonic() + GIVE_UP_SEC
         while True:
             try:
@@ -281,7 +284,7 @@ class Playback:
                 if self._stopped or self._goto not in (None, t):
                     return []
 
-    def _is_readable(self, played: Played) -> bool:
+    def _is_readable(self, played: PlayedMessage) -> bool:
         try:
             played.row.keep_wire()
         except (CorruptMessage, MessageNotFound) as exc:
@@ -294,15 +297,15 @@ class Playback:
         return ReadAhead(self._stream.messages, t, budget, self._changed, self._skipped)
 
     def _play(self, reader: ReadAhead, fresh: bool) -> bool:
-        """Play what a reader gives; return whether there was any."""
-        found = False
+        """Play the messages of a reader; return whether it had any."""
+        has_played = False
         while True:
             played = self._next(reader)
             if played is None:
-                return found
-            if fresh and not found:
+                return has_played
+            if fresh and not has_played:
                 self._jump(played.t)  # as rosbag: time begins with the first message
-            found, self._horizon = True, played.t
+            has_played, self._horizon = True, played.t
             self._known = True
             if not self._await(played):
                 return True
@@ -318,7 +321,7 @@ class Playback:
                 self._changed.notify_all()
 
     def _goes_on(self) -> bool:
-        """Say, at the end of a pass, whether there is another; wait for one that is asked for."""
+        """Return at the end of a pass whether another follows; with keep_alive wait for a seek."""
         with self._changed:
             if self._goto is not None or self._stopped:
                 return not self._stopped
@@ -330,17 +333,17 @@ class Playback:
             self.pace.jump(self.now())
             self._horizon = 2**63
             self._known = True
-            self._at_end = True  # time goes on, as with rosbag: others may live by it
+            self._at_end = True  # time goes on, as with rosbag: other nodes may use it
             self._changed.notify_all()
             self._changed.wait_for(self._is_broken)
             return not self._stopped
 
     def _is_broken(self) -> bool:
-        """Say whether something else than the next message is asked for."""
+        """Return whether a stop or a seek was requested."""
         return self._stopped or self._goto is not None
 
-    def _next(self, reader: ReadAhead) -> Optional[Played]:
-        """Return the next message, None at the end, or when something else is asked for."""
+    def _next(self, reader: ReadAhead) -> Optional[PlayedMessage]:
+        """Return the next message; None at the end, or after a stop or a seek."""
         since = time.monotonic()
         said = False
         with self._changed:
@@ -362,8 +365,8 @@ class Playback:
             self.pace.release(Pace.BEGIN)
             return reader.take()
 
-    def _await(self, played: Played) -> bool:
-        """Wait until a message may go out; False: something else is asked for."""
+    def _await(self, played: PlayedMessage) -> bool:
+        """Wait until a message may be published; return False after a stop or a seek."""
         due, pauses = False, self._pauses(played)
         with self._changed:
             while not self._is_broken():
@@ -386,8 +389,8 @@ class Playback:
             self.pace.release(DELAYED)
         return False
 
-    def _await_time(self, played: Played) -> bool:
-        """Wait until it is a message's time, or until something changes; say whether it is."""
+    def _await_time(self, played: PlayedMessage) -> bool:
+        """Wait until a message is due or something changes; return whether it is due."""
         t, window, now = played.t, played.window, self.pace.now()
         if self._options.immediate:
             self._jump(t)
@@ -408,6 +411,6 @@ class Playback:
         self.pace.jump(t)
         self._output.clock(t)
 
-    def _pauses(self, played: Played) -> bool:
+    def _pauses(self, played: PlayedMessage) -> bool:
         topics = self._options.pause_topics
         return bool(topics) and (played.topic in topics or played.row.topic in topics)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Reads a stream ahead of its time, on a thread of its own, within a budget of bytes."""
+"""Reading of a stream ahead of its playing, on its own thread, within a budget of bytes."""
 
 from __future__ import annotations
 
@@ -17,53 +17,60 @@ from cassandra_ros.errors import (
     MessageNotFound,
     StoreUnavailable,
 )
-from cassandra_ros.playing.stream import Played
+from cassandra_ros.playing.play_stream import PlayedMessage
 
 _log = logging.getLogger(__name__)
 
 
 ITEM_BYTES = 1000
-"""What a message takes besides its bytes: a row without its columns, measured."""
+"""Measured memory of a message in addition to its bytes: a row without columns, bytes."""
 REFILL_BYTES = 1024 * 1024
-"""When so much was taken reading goes on: in small steps, for it slows down what is published."""
-LARGE_BYTES = 256 * 1024
-LARGE_SEC = 0.004
-"""How long the reading of a large message waits for the sending of another, where there is time."""
-RETRY_SEC = 1.0
-GIVE_UP_SEC = 60.0
-"""How long a store that does not answer is asked again."""
+"""Room in the full budget at which reading goes on, bytes.
 
-Open = Callable[[int], Iterator[Played]]
-"""Begins to read at a time, ns."""
-Skipped = Callable[[Played, CassandraRosError], None]
-"""Called with a message that cannot be read, and why."""
+It is small because reading many messages at once would delay publishing.
+"""
+LARGE_BYTES = 256 * 1024
+"""Size from which a message is large, bytes."""
+LARGE_SEC = 0.004
+"""Pause of the reading thread after a large message while another one is being sent, s."""
+RETRY_SEC = 1.0
+"""Interval between two requests to a store that does not answer, s."""
+GIVE_UP_SEC = 60.0
+"""How long requests to a store that does not answer are repeated, s."""
+
+OpenStream = Callable[[int], Iterator[PlayedMessage]]
+"""Function that yields the messages from a time on, ns."""
+OnSkip = Callable[[PlayedMessage, CassandraRosError], None]
+"""Function that is called with a message that cannot be read, and the error."""
 
 
 class ReadAhead:
-    """The messages from one time on. A seek takes a new one.
+    """A queue of messages from one time on, filled by a thread. A seek makes a new one.
 
     Args:
-        begin: Begins to read.
-        t: Where, ns.
-        budget_bytes: How much may be read and not taken; one message always may.
-        changed: Notified when something came that is waited for; its lock guards all.
-        skipped: Called, on the reading thread, for what cannot be read.
+        begin: Yields the messages from a time on.
+        t: First time, ns.
+        budget_bytes: Maximum size of the messages that are read and not taken, bytes. One message
+            may always be read.
+        changed: Condition that is notified when an awaited message comes; its lock guards the
+            queue.
+        skipped: Called on the reading thread for each message that cannot be read.
     """
 
     def __init__(
         self,
-        begin: Open,
+        begin: OpenStream,
         t: int,
         budget_bytes: int,
         changed: threading.Condition,
-        skipped: Skipped,
+        skipped: OnSkip,
     ) -> None:
         self._begin = begin
         self._budget = budget_bytes
         self._refill = min(REFILL_BYTES, budget_bytes // 2)
         self._changed = changed
         self._skipped = skipped
-        self._items: deque[tuple[Played, int]] = deque()
+        self._items: deque[tuple[PlayedMessage, int]] = deque()
         self._held = 0
         self._full = False
         self._room = threading.Event()
@@ -75,22 +82,26 @@ class ReadAhead:
 
     @property
     def held_bytes(self) -> int:
-        """How many bytes are read and not taken."""
+        """Size of the messages that are read and not taken, bytes."""
         return self._held
 
     def await_next(self, timeout_sec: float) -> bool:
-        """Wait, under the lock of ``changed``, for ``take``; False: it was woken, or waited."""
+        """Wait until ``take`` has an answer; the caller holds the lock of ``changed``.
+
+        Returns:
+            False if the wait ended without one: by a notification or after ``timeout_sec``.
+        """
         if not (self._items or self._ended):
             self._wanted = True
             self._changed.wait(timeout_sec)
             self._wanted = False
         return bool(self._items or self._ended)
 
-    def take(self) -> Optional[Played]:
-        """Return the next message, after ``await_next`` and under its lock; None = there is none.
+    def take(self) -> Optional[PlayedMessage]:
+        """Return the next message, after ``await_next`` and under its lock; None = the end.
 
         Raises:
-            CassandraRosError: What ended the reading.
+            CassandraRosError: The error that ended the reading.
         """
         if self._items:
             played, size = self._items.popleft()
@@ -104,7 +115,7 @@ class ReadAhead:
         return None
 
     def close(self) -> None:
-        """Read no more. Does not wait for a store that is slow."""
+        """End the reading, without waiting for a slow store."""
         self._closed.set()
         self._room.set()
 
@@ -112,17 +123,17 @@ class ReadAhead:
         error: Optional[BaseException] = None
         try:
             self._read(t)
-        except BaseException as exc:  # noqa: BLE001 - raised by who takes
+        except BaseException as exc:  # noqa: BLE001 - raised again in take()
             error = exc
         with self._changed:
             self._error, self._ended = error, True
             self._changed.notify_all()
 
     def _read(self, t: int) -> None:
-        """Read to the end; begin again behind the last message where the store was away."""
-        ends = 0.0  # when it is given up
-        # Messages that are read of those that come again from t on. By their places, for what was
-        # latched in a gap has the time at which the window behind it begins, as others may.
+        """Read to the end; after an outage of the store go on after the last message."""
+        ends = 0.0  # when the retries end, monotonic clock, s
+        # Positions of the read messages that would come again from t on. Times would not do:
+        # messages latched in a gap have the time at which the next window begins.
         same: set[tuple[int, str, int, str]] = set()
         while not self._closed.is_set():
             rows = self._begin(t)
@@ -132,7 +143,7 @@ class ReadAhead:
                         continue
                     if not self._put(played):
                         return
-                    # What was latched in a gap comes only to who begins before its window.
+                    # Messages latched in a gap come only when reading begins before their window.
                     if t < played.t and played.t != played.window.low:
                         same.clear()
                         t = played.t
@@ -151,10 +162,10 @@ class ReadAhead:
                 if close is not None:
                     close()
 
-    def _put(self, played: Played) -> bool:
-        """Keep a message; wait while the budget is used up. False: nobody wants it any more."""
+    def _put(self, played: PlayedMessage) -> bool:
+        """Append a message and wait while the budget is used up; return False after close()."""
         try:
-            # Decoded here, not when it is due; the columns may take several times as much.
+            # Decoded here instead of when it is due; columns may take several times the memory.
             size = len(played.row.keep_wire()) + ITEM_BYTES
         except (CorruptMessage, MessageNotFound) as exc:
             self._skipped(played, exc)
@@ -170,6 +181,6 @@ class ReadAhead:
         if self._full and not self._closed.is_set():  # ``close`` may have come before ``clear``
             self._room.wait()
             if size >= LARGE_BYTES:
-                # What was taken for this is being sent: it needs the machine now.
+                # The message taken to make room is being sent: leave the processor to it.
                 self._closed.wait(LARGE_SEC)
         return not self._closed.is_set()

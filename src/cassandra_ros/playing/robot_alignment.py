@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Runs of different days as if at once, and a prefix for each robot."""
+"""Alignment of runs of different days to one start, and a name prefix for each robot."""
 
 from __future__ import annotations
 
@@ -10,51 +10,51 @@ from typing import Dict, List, Mapping, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.overview.latched_messages import Source
-from cassandra_ros.playing.extent import Extent
-from cassandra_ros.playing.part import Part
+from cassandra_ros.playing.play_source import PlaySource
+from cassandra_ros.playing.stored_ranges import StoredRange
 
 
 def check_alignment(align: object) -> str:
-    """Return 'run', 'node', or '' for none, or raise InvalidOption."""
+    """Return 'run', 'node', or '' for no alignment, or raise InvalidOption."""
     known = {False: "", True: "run", "": "", "run": "run", "node": "node"}
     if isinstance(align, (bool, str)) and align in known:
         return known[align]
     raise InvalidOption(f"align_start {align!r:.80} is neither 'run' nor 'node'")
 
 
-def split_parts(part: Part, align: str) -> List[Part]:
-    """Divide a part into those that are to begin at once: its runs, or its nodes."""
-    groups: Dict[Source, List[Extent]] = {}
-    for extent in part.extents:
-        writer = 0 if align == "node" and extent.node else extent.writer
-        groups.setdefault((extent.node, writer), []).append(extent)
+def split_sources(source: PlaySource, align: str) -> List[PlaySource]:
+    """Divide a source into sources that are aligned with each other: its runs or its robots."""
+    groups: Dict[Source, List[StoredRange]] = {}
+    for stored_range in source.stored_ranges:
+        writer = 0 if align == "node" and stored_range.node else stored_range.writer
+        groups.setdefault((stored_range.node, writer), []).append(stored_range)
     return [
         replace(
-            part,
+            source,
             node=node,
-            writers=part.writers if align == "node" and node else frozenset([writer]),
-            extents=tuple(extents),
+            writers=source.writers if align == "node" and node else frozenset([writer]),
+            stored_ranges=tuple(stored_ranges),
         )
-        for (node, writer), extents in sorted(groups.items())
+        for (node, writer), stored_ranges in sorted(groups.items())
     ]
 
 
-def aligned(parts: Sequence[Part]) -> List[Part]:
-    """Shift parts so that the first chosen message of each lies where the earliest one does."""
-    start = min(part.begin for part in parts)
-    return [replace(part, shift=start - part.begin) for part in parts]
+def aligned(sources: Sequence[PlaySource]) -> List[PlaySource]:
+    """Shift sources so that their first selected messages have the time of the earliest one."""
+    start = min(source.begin for source in sources)
+    return [replace(source, shift=start - source.begin) for source in sources]
 
 
 def source_names(
-    extents: Sequence[Extent], run_names: Mapping[int, str], align: str
+    stored_ranges: Sequence[StoredRange], run_names: Mapping[int, str], align: str
 ) -> Dict[Source, str]:
-    """Give each source the name that stands before its topics, a valid one in ROS.
+    """Return for each robot and writer a valid ROS name to stand before its topics.
 
-    That is its nodeID, or the run's name, or run_<writer id>. Where several runs of a node are
-    aligned with each other, each has its own: nodeID and run. Two that would be equal are numbered.
+    It is the nodeID, else the run's name, else run_<writer id>. When several runs of one robot are
+    aligned with each other, it is nodeID and run. Names that would be equal are numbered.
     """
     firsts: Dict[Source, int] = {}
-    for e in extents:
+    for e in stored_ranges:
         source = (e.node, e.writer)
         firsts[source] = min(e.first, firsts.get(source, e.first))
     given: Dict[Source, str] = {}
@@ -64,7 +64,7 @@ def source_names(
         runs_of_node = {w for n, w in firsts if n == node}
         told_apart = not node or (align == "run" and len(runs_of_node) > 1)
         text = f"{node}_{run}" if node and told_apart else node or run
-        # Whoever has the same name by right: all runs of one node that are not told apart.
+        # All runs of one robot share its name unless they are aligned with each other.
         owner = (node, str(writer) if told_apart else "")
         name, number = valid_name(text), 1
         while taken.setdefault(name, owner) != owner:
@@ -75,6 +75,6 @@ def source_names(
 
 
 def valid_name(text: str) -> str:
-    """Make any text a name that may stand between two slashes in ROS: /<name>/topic."""
+    """Return a text as a name that is valid between two slashes in ROS: /<name>/topic."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return name if name[:1].isalpha() else f"node_{name}"

@@ -1,10 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The past of a topic and then its live messages: each once, in order, while it is recorded.
+"""The stored messages of a topic, then its live ones: each once, in order, while it is recorded.
 
-Live messages wait from the first moment on. What was stored clearly before them is given first.
-Then the end of what is stored is compared with them until each publisher's place is found, and
-everything before it had time to be stored; a recorder is some tenths of a second behind.
+Live messages wait in a queue from the start. Stored messages that are clearly older are yielded
+first. Then the newest stored messages are compared with the waiting ones until, for each publisher,
+the stored message is found that equals its first live one, and until everything before it has had
+time to be stored: a recorder stores a message some tenths of a second after it received it.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from typing import (
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
 from cassandra_ros.history.alignment import Live, Mark, digest_of, first_live
-from cassandra_ros.history.live_queue import LiveQueue, Publisher, Waiting
-from cassandra_ros.history.past import Past
+from cassandra_ros.history.live_queue import LiveQueue, Publisher, WaitingMessages
+from cassandra_ros.history.stored_past import StoredPast
 from cassandra_ros.keys import SECOND_NS, split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import iso_time
@@ -39,71 +40,77 @@ from cassandra_ros.topics.stored_row import Place, StoredRow
 _log = logging.getLogger(__name__)
 
 WINDOW_NS = 2 * SECOND_NS
-"""What was received so long before us is old, unless a clock is wrong."""
-REACH_NS, FAR_NS = 5 * SECOND_NS, 60 * SECOND_NS
-"""How far behind its first live message a publisher's place is looked for; at last, with a clock
-that is ahead of ours."""
+"""Age before the first live message above which a row is yielded without comparing it, ns."""
+REACH_NS = 5 * SECOND_NS
+"""How far after its first live message a publisher's stored messages are compared with it, ns."""
+FAR_NS = 60 * SECOND_NS
+"""The same after half of the patience, in case the recorder's clock is ahead of ours, ns."""
 POLL_SEC = 0.1
+"""Interval at which the end of the stored messages is read again, s."""
 SETTLE_SEC = 1.0
-"""How long what is still on its way into the store is waited for when all places are found."""
+"""How long to wait, once all bounds are found, for messages that are still being stored, s."""
 PATIENCE_SEC = 10.0
-"""How long a message that came live is looked for in the store while its topic is written."""
+"""How long a live message is searched for in the store while a writer writes the topic, s."""
 DOUBT_SEC = 3.0
-"""And while nobody is seen to, but some recording has not ended: its table may be being made."""
+"""The same while no writer is seen but some recording runs, which may be making the table, s."""
 MOST_SEC = 60.0
-"""Then we go live in any case."""
+"""Maximum time of the search, s. After it the live messages are yielded in any case."""
 LOOK_SEC = 2.0
+"""Interval between two checks whether a writer writes the topic, s."""
 LATE_SEC = (5.0, 65.0)
-"""How long after going live it is looked for rows that were stored late: a request that failed is
-sent again, for 60 s by default, while those after it are stored."""
+"""Times after going live at which rows that were stored late are searched for, s.
+
+A request that failed is sent again, for 60 s by default, while later messages are stored.
+"""
 KEPT_NS = 10 * SECOND_NS
-"""So far back it is known which rows were given."""
+"""Time range before the newest row in which the yielded rows are remembered, ns."""
 ROOM = 10_000
-"""So many rows more than those may be remembered."""
+"""Maximum number of rows remembered beyond that time range."""
 
 _Arrival = Tuple[int, str, int, str]
 
 
-class Heard(NamedTuple):
-    """A message of the past or of now."""
+class HistoryMessage(NamedTuple):
+    """A stored or a live message."""
 
     t: int
-    """When it was received, ns."""
+    """Time of reception, ns."""
     header: Mapping[str, str]
-    """The fields of its connection's header."""
+    """Fields of its connection header."""
     wire: bytes
     stored: bool
+    """Whether it was read from the store."""
 
 
-class _Stream(NamedTuple):
-    """What one writer stored of one publisher."""
+class _WriterStream(NamedTuple):
+    """The messages of one publisher that one writer stored."""
 
     publisher: Publisher
     node: str
     writer: int
 
 
-class _Seen(NamedTuple):
-    """A row at the end of what is stored."""
+class _StoredMark(NamedTuple):
+    """One of the newest stored rows, to be compared with live messages."""
 
     arrival: _Arrival
-    stream: _Stream
+    stream: _WriterStream
     mark: Mark
 
 
 class History:
-    """Yields the past of a topic from a time on, then what comes live; see the module.
+    """The stored messages of a topic from a time on, then its live messages; see the module.
 
     Args:
-        past: What is stored.
-        queue: What comes live; it was filled before this begins to read.
-        since: Tells from the time, ns, since when stored messages are given, ns.
-        connected: Says whether the publishers that exist are connected to the queue.
+        past: The stored messages.
+        queue: The live messages; it must be filled already when the reading of the past begins.
+        since: Returns, for the present time, ns, the time from which stored messages are read, ns.
+        connected: Returns whether all present publishers are connected to the queue.
     """
 
     def __init__(
         self,
-        past: Past,
+        past: StoredPast,
         queue: LiveQueue,
         since: Callable[[int], int],
         connected: Callable[[], bool],
@@ -112,13 +119,13 @@ class History:
         self._since, self._low = since, 0
         self._done: Dict[Place, int] = {}
         self._floor, self._room = 0, ROOM
-        """From this time on all rows that were given are in _done, ns; when to make room there."""
-        self._over: Dict[_Stream, _Arrival] = {}
+        """All yielded rows from the time _floor on, ns, are in _done; _room is its maximum size."""
+        self._over: Dict[_WriterStream, _Arrival] = {}
         self._heard: Dict[Publisher, Live] = {}
         self._late_sec: List[float] = []
-        self._seen: Dict[Place, _Seen] = {}
+        self._seen: Dict[Place, _StoredMark] = {}
         self._newest = 0
-        self._last: Dict[_Stream, Mark] = {}
+        self._last: Dict[_WriterStream, Mark] = {}
         self._counted: Dict[Publisher, int] = {}
         self._looked = -LOOK_SEC
         self._written = self._doubtful = False
@@ -126,46 +133,48 @@ class History:
         self._found = False
         self._epoch, self._begun_sec, self._ready_sec = -1, -1.0, -1.0
         self.live = False
-        """Whether the past is done."""
+        """Whether all stored messages were yielded."""
         self.lost = 0
-        """Messages that are known to be missing."""
+        """Number of messages known to be missing."""
 
-    def messages(self) -> Iterator[Heard]:
-        """Yield message by message until the queue is closed."""
+    def messages(self) -> Iterator[HistoryMessage]:
+        """Yield the messages until the queue is closed."""
         try:
             yield from self._all_past()
         except CassandraRosError as exc:
             if not self._queue.closed:
                 _log.error(
-                    "the stored messages cannot be read on from %s, so there may be a gap up to "
-                    "the first live one: %s", iso_time(self._newest), exc,
-                )  # fmt: skip
+                    "the stored messages after %s cannot be read, so there may be a gap up to "
+                    "the first live one: %s",
+                    iso_time(self._newest),
+                    exc,
+                )
                 self._queue.join(self._queue.epoch)
         self.live = True
         self._seen.clear()
         while not self._queue.closed:
             message = self._queue.take(1.0)
             if message is not None and message.wanted:
-                yield Heard(message.t, message.header, message.wire, False)
+                yield HistoryMessage(message.t, message.header, message.wire, False)
             if self._late_sec and time.monotonic() > self._late_sec[0]:
                 del self._late_sec[0]
                 yield from self._late()
             elif not self._late_sec and self._done:
                 self._forget()
 
-    # ---------------------------------------------------------------- the past
-
-    def _all_past(self) -> Iterator[Heard]:
-        while not self._queue.begin():  # under simulated time, until there is one
+    def _all_past(self) -> Iterator[HistoryMessage]:
+        while not self._queue.begin():  # simulated time begins with the first /clock message
             self._queue.wait(POLL_SEC)
             if self._queue.closed:
                 return
         self._low = self._floor = self._since(self._queue.began_ns)
         reason = ""
         if not self._past.exists() and not self._past.may_be_written():
-            reason = "nothing is stored of it, and nothing is recorded"
+            reason = "no message of it is stored, and no recording is running"
         elif self._low > self._queue.now_ns():
-            reason = f"{iso_time(self._low)}, since when stored messages are wanted, is to come"
+            reason = (
+                f"stored messages are to begin at {iso_time(self._low)}, which is in the future"
+            )
         if reason:
             _log.warning("topic %s: live messages only: %s", self._past.topic, reason)
             self._queue.join(self._queue.epoch)
@@ -184,25 +193,26 @@ class History:
                 return
 
     def _warn_of_losses(self) -> None:
-        found = self._past.losses(self._low)
-        if found:
+        losses = self._past.losses(self._low)
+        if losses:
             _log.warning(
-                "topic %s: %d messages or more were not recorded between %s and %s (%s), so the "
-                "past lacks them; cassandra_bag info lists them",
-                self._past.topic, sum(loss.count for loss in found),
-                iso_time(min(loss.first_ns for loss in found)),
-                iso_time(max(loss.last_ns for loss in found)),
-                ", ".join(sorted({loss.kind.value for loss in found})),
-            )  # fmt: skip
+                "topic %s: at least %d messages were not recorded between %s and %s (%s), so they "
+                "are missing here; cassandra_bag info lists them",
+                self._past.topic,
+                sum(loss.count for loss in losses),
+                iso_time(min(loss.first_ns for loss in losses)),
+                iso_time(max(loss.last_ns for loss in losses)),
+                ", ".join(sorted({loss.kind.value for loss in losses})),
+            )
 
     def _begin(self) -> None:
-        """Take note of it where live messages were forgotten."""
+        """Start the search for the bounds again if live messages were dropped."""
         if self._epoch != self._queue.epoch:
             self._epoch = self._queue.epoch
             self._begun_sec = self._ready_sec = -1.0
 
-    def _old(self) -> Iterator[Heard]:
-        """Give what was stored clearly before the live messages."""
+    def _old(self) -> Iterator[HistoryMessage]:
+        """Yield the rows that are clearly older than the live messages."""
         high = self._queue.began_ns - WINDOW_NS
         heads = {who: w.messages[0].mark for who, w in self._queue.waiting().items()}
         last = None
@@ -220,14 +230,14 @@ class History:
             self._low = max(self._low, last - WINDOW_NS)
 
     def _make_room(self, last: int) -> None:
-        """Remember the last given rows alone: of a past of days they would not fit into memory."""
+        """Forget all yielded rows but the last ones: those of days would not fit into memory."""
         if len(self._done) > self._room:
             self._floor = max(self._floor, last - KEPT_NS)
             self._done = {p: t for p, t in self._done.items() if t >= self._floor}
             self._room = 2 * len(self._done) + ROOM
 
     def _is_head(self, row: StoredRow, heads: Mapping[Publisher, Mark]) -> bool:
-        """Say whether an old row is the first live message: the recorder's clock is behind ours."""
+        """Return whether a row is a first live message: the recorder's clock may be behind ours."""
         if not heads:
             return False
         head = heads.get(_publisher(row.connection))
@@ -247,7 +257,7 @@ class History:
             _log.error("a stored message is left out: %s", exc)
             return None
 
-    def _give(self, row: StoredRow) -> Iterator[Heard]:
+    def _give(self, row: StoredRow) -> Iterator[HistoryMessage]:
         wire = self._wire(row)
         if wire is None:
             return
@@ -255,16 +265,16 @@ class History:
         self._newest = max(self._newest, row.received)
         self._seen.pop(row.place, None)
         stream = _stream(row)
-        owed = self._queue.owed.get(stream.publisher)
+        dropped = self._queue.dropped.get(stream.publisher)
         mark = self._last[stream] = Mark(row.received, digest_of(wire))
         if stream.publisher in self._counted:
             self._counted[stream.publisher] += 1
-        elif owed is not None and mark.digest == owed.first.digest:
+        elif dropped is not None and mark.digest == dropped.first.digest:
             self._counted[stream.publisher] = 1
-        yield Heard(row.received, _fields(row.connection), wire, True)
+        yield HistoryMessage(row.received, _fields(row.connection), wire, True)
 
     def _look(self) -> None:
-        """See from time to time whether somebody writes the topic."""
+        """Check, every LOOK_SEC, whether a writer writes the topic."""
         now = time.monotonic()
         if now - self._looked >= LOOK_SEC:
             self._looked = now
@@ -272,10 +282,8 @@ class History:
             self._doubtful = self._written or self._past.may_be_written()
             self._queue.note_recorded(self._written)
 
-    # ---------------------------------------------------------------- the place
-
-    def _bounds(self) -> Optional[Dict[_Stream, _Arrival]]:
-        """Find for each stream the first row that is not given; None while that is not known."""
+    def _bounds(self) -> Optional[Dict[_WriterStream, _Arrival]]:
+        """Return for each stream the first row that comes live instead; None = not known yet."""
         self._look()
         now = time.monotonic()
         if self._begun_sec < 0:
@@ -284,10 +292,10 @@ class History:
         waiting = self._queue.waiting()
         if self._queue.epoch != self._epoch:
             return None
-        streams: Dict[_Stream, List[_Seen]] = {}
+        streams: Dict[_WriterStream, List[_StoredMark]] = {}
         for seen in sorted(self._seen.values()):
             streams.setdefault(seen.stream, []).append(seen)
-        bounds = {stream: _behind(rows[-1].arrival) for stream, rows in streams.items()}
+        bounds = {stream: _just_after(rows[-1].arrival) for stream, rows in streams.items()}
         unseen: Dict[Publisher, float] = {}
         for who, live in waiting.items():
             places = self._places(who, live, streams)
@@ -298,7 +306,7 @@ class History:
         return bounds if self._is_ready(unseen.values()) else None
 
     def _read_end(self, reach_ns: int) -> None:
-        """Take note of the rows among which the live messages begin."""
+        """Remember the newest rows: the first live messages are among them."""
         firsts = {who: w.messages[0].t for who, w in self._queue.waiting().items()}
         high = max([self._queue.began_ns, *firsts.values()]) + reach_ns
         for row in self._past.rows(self._low, high):
@@ -310,16 +318,19 @@ class History:
             wire = self._wire(row)
             if wire is not None:
                 mark = Mark(row.received, digest_of(wire))
-                self._seen[row.place] = _Seen(row.arrival, stream, mark)
+                self._seen[row.place] = _StoredMark(row.arrival, stream, mark)
 
     def _places(
-        self, who: Publisher, live: Waiting, streams: Mapping[_Stream, List[_Seen]]
-    ) -> Dict[_Stream, _Arrival]:
-        """Find a publisher's live messages in what each writer stored of it."""
+        self,
+        who: Publisher,
+        live: WaitingMessages,
+        streams: Mapping[_WriterStream, List[_StoredMark]],
+    ) -> Dict[_WriterStream, _Arrival]:
+        """Find a publisher's first live message among the rows of each writer that stored it."""
         marks = [message.mark for message in live.messages]
         sure = _is_stamped(live.messages[0].header.get("message_definition", ""))
         repeated = live.messages[0].repeated
-        found: Dict[_Stream, _Arrival] = {}
+        found: Dict[_WriterStream, _Arrival] = {}
         mine = {s for s in (*streams, *self._last) if s.publisher == who}
         for stream in mine:
             rows = streams.get(stream, [])
@@ -328,9 +339,9 @@ class History:
             if repeated:
                 before = stored[:place][-1:] or [self._last.get(stream, Mark(0, b""))]
                 if before[0].digest == marks[0].digest and (stored or stream in self._last):
-                    # Latched: it was sent before we came, and is stored.
+                    # Latched: it was published before we subscribed and is stored already.
                     live.messages[0].wanted = False
-                    found[stream] = _behind(rows[-1].arrival) if rows else (0, "", 0, "")
+                    found[stream] = _just_after(rows[-1].arrival) if rows else (0, "", 0, "")
             if place is not None:
                 found[stream] = rows[place].arrival
         return found
@@ -340,7 +351,11 @@ class History:
         return PATIENCE_SEC if self._written else DOUBT_SEC if self._doubtful else 0.0
 
     def _is_ready(self, unseen: Iterable[float]) -> bool:
-        """Say whether the places are found, or will not be, and what is before them is stored."""
+        """Return whether the search may end.
+
+        It ends when each publisher's first live message was found or searched for long enough,
+        and the messages before it have had time to be stored.
+        """
         now = time.monotonic()
         if now - self._begun_sec > MOST_SEC:
             return True
@@ -352,10 +367,8 @@ class History:
             self._ready_sec = now
         return now - self._ready_sec >= (SETTLE_SEC if self._doubtful else 0.0)
 
-    # ---------------------------------------------------------------- over to now
-
-    def _go_over(self, bounds: Mapping[_Stream, _Arrival]) -> None:
-        """Take note of what comes live and may come from the store, too, and later."""
+    def _go_over(self, bounds: Mapping[_WriterStream, _Arrival]) -> None:
+        """Remember the live messages that may also be read from the store later."""
         self._over = dict(bounds)
         last = max((bound[0] for bound in bounds.values()), default=0) + REACH_NS
         for who, live in self._queue.waiting().items():
@@ -366,43 +379,47 @@ class History:
             self._late_sec = [time.monotonic() + seconds for seconds in LATE_SEC]
 
     def _is_heard(self, row: StoredRow) -> bool:
-        """Say whether a row that has only just been stored came live, too."""
+        """Return whether a row that was stored only now was also received live."""
         live = self._heard.get(_publisher(row.connection))
         wire = None if live is None else self._wire(row)
         return (
             live is not None and wire is not None and live.has(Mark(row.received, digest_of(wire)))
         )
 
-    def _late(self) -> Iterator[Heard]:
-        """Give what was still on its way into the store when the past was done."""
+    def _late(self) -> Iterator[HistoryMessage]:
+        """Yield rows before the bounds that were stored after the past had been read."""
         low = max(self._floor, self._queue.began_ns - KEPT_NS)
-        found: List[int] = []
+        times: List[int] = []
         try:
             for row in self._past.rows(low, max(b[0] for b in self._over.values())):
                 bound = self._over.get(_stream(row))
                 if bound is None or row.arrival >= bound or row.place in self._done:
                     continue
                 if not self._is_heard(row):
-                    found.append(row.received)
+                    times.append(row.received)
                     yield from self._give(row)
         except CassandraRosError as exc:
             _log.warning(
-                "topic %s: it cannot be looked for messages that were stored late: %s",
-                self._past.topic, exc,
-            )  # fmt: skip
-        if found:
+                "topic %s: messages that were stored late cannot be searched for: %s",
+                self._past.topic,
+                exc,
+            )
+        if times:
             _log.warning(
                 "topic %s: %d messages of %s to %s were stored late, so they came out of order, "
                 "after live ones",
-                self._past.topic, len(found), iso_time(min(found)), iso_time(max(found)),
-            )  # fmt: skip
+                self._past.topic,
+                len(times),
+                iso_time(min(times)),
+                iso_time(max(times)),
+            )
 
     def _forget(self) -> None:
-        for each in (self._over, self._heard, self._done, self._last, self._counted):
-            each.clear()
+        for rows in (self._over, self._heard, self._done, self._last, self._counted):
+            rows.clear()
 
-    def _rest(self, bounds: Mapping[_Stream, _Arrival]) -> Iterator[Heard]:
-        """Give the stored rows before the bounds, and among them what other publishers sent."""
+    def _rest(self, bounds: Mapping[_WriterStream, _Arrival]) -> Iterator[HistoryMessage]:
+        """Yield the rows before the bounds, merged by time with other publishers' live messages."""
         left: Counter[Publisher] = Count(
             seen.stream.publisher
             for seen in self._seen.values()
@@ -416,63 +433,69 @@ class History:
             if bound is None or row.arrival >= bound or row.place in self._done:
                 continue
             if row.place not in self._seen and self._is_heard(row):
-                continue  # stored since the place was found
+                continue  # stored after the bound had been found
             yield from self._live_before(row.received, left)
             if row.place in self._seen:
                 left[stream.publisher] -= 1
             yield from self._give(row)
 
-    def _live_before(self, t: int, left: Counter[Publisher]) -> Iterator[Heard]:
+    def _live_before(self, t: int, left: Counter[Publisher]) -> Iterator[HistoryMessage]:
         while True:
             message = self._queue.first()
             if message is None or message.t >= t or left[message.publisher] > 0:
                 return
             self._queue.take(0.0)
             if message.wanted:
-                yield Heard(message.t, message.header, message.wire, False)
+                yield HistoryMessage(message.t, message.header, message.wire, False)
 
     def _account(self) -> None:
-        """Say what is known to be missing, and where a gap may be."""
+        """Log which messages are missing and where a gap may be."""
         missing = {
-            who: owed.number - self._counted.get(who, 0) for who, owed in self._queue.owed.items()
+            who: dropped.number - self._counted.get(who, 0)
+            for who, dropped in self._queue.dropped.items()
         }
         for who, count in missing.items():
             if count > 0:
                 self.lost += count
                 _log.error(
-                    "%d messages of %s are lost: they came from %s on while the past was read, "
-                    "there was no room for them, and no recorder stored them",
-                    count, who.callerid or "a publisher", iso_time(self._queue.owed[who].first.t),
-                )  # fmt: skip
+                    "%d messages of %s are lost: they came from %s on while stored messages were "
+                    "read, the buffer had no room for them, and no recorder stored them",
+                    count,
+                    who.callerid or "a publisher",
+                    iso_time(self._queue.dropped[who].first.t),
+                )
         if self._newest and not self._doubtful:
-            self._warn_of_gap("nobody is recording it")
+            self._warn_of_gap("no recorder is recording it")
         elif self._newest and self._unseen:
             names = ", ".join(who.callerid or "a publisher" for who in self._unseen)
-            self._warn_of_gap(f"what {names} sends is not seen to be recorded")
+            self._warn_of_gap(f"no messages of {names} are seen to be recorded")
         elif self._newest and not (self._found or self._written):
-            self._warn_of_gap("nobody is seen to record it now")
+            self._warn_of_gap("no recorder is seen to record it now")
 
     def _warn_of_gap(self, reason: str) -> None:
         _log.warning(
             "topic %s: %s, so what was sent between the last stored message (%s) and the first "
             "live one (not before %s) may be missing",
-            self._past.topic, reason, iso_time(self._newest), iso_time(self._queue.began_ns),
-        )  # fmt: skip
+            self._past.topic,
+            reason,
+            iso_time(self._newest),
+            iso_time(self._queue.began_ns),
+        )
 
 
-def _behind(arrival: _Arrival) -> _Arrival:
-    """Return the place directly behind a row."""
+def _just_after(arrival: _Arrival) -> _Arrival:
+    """Return the smallest position after that of a row."""
     return (*arrival[:3], arrival[3] + "\0")
 
 
 @lru_cache(maxsize=256)
 def _fields(connection: Connection) -> Mapping[str, str]:
-    found = connection.fields.items()
-    return {name: value.decode("utf-8", "surrogateescape") for name, value in found}
+    fields = connection.fields.items()
+    return {name: value.decode("utf-8", "surrogateescape") for name, value in fields}
 
 
-def _stream(row: StoredRow) -> _Stream:
-    return _Stream(_publisher(row.connection), row.node, split_seq(row.seq)[0])
+def _stream(row: StoredRow) -> _WriterStream:
+    return _WriterStream(_publisher(row.connection), row.node, split_seq(row.seq)[0])
 
 
 @lru_cache(maxsize=1024)
@@ -482,5 +505,5 @@ def _publisher(connection: Connection) -> Publisher:
 
 @lru_cache(maxsize=256)
 def _is_stamped(definition_text: str) -> bool:
-    """Say whether messages of a type begin with a Header: no two of them are equal."""
+    """Return whether messages of a type begin with a Header, so that no two of them are equal."""
     return starts_with_header(definition_text)

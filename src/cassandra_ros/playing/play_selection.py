@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is to be played, and under which names it goes out."""
+"""The selection of messages to be played, and the names under which they are published."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import List, Mapping, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_ros_name, check_topics
 from cassandra_ros.errors import DefinitionError, TopicNotFound
-from cassandra_ros.playing.times import PlayTime
+from cassandra_ros.playing.play_times import PlayTime
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.patterns import compiled, matching
 from cassandra_ros.topics.row_finder import Where
@@ -18,36 +18,38 @@ from cassandra_ros.topics.row_finder import Where
 _log = logging.getLogger(__name__)
 
 AlignStart = Union[bool, str]
-"""True or 'run', 'node', False = not aligned."""
+"""Alignment of runs: True or 'run', 'node'; False = not aligned."""
 
 
 @dataclass(frozen=True)
 class PlaySelection:
-    """What is to be played.
+    """The selection of messages to be played.
 
-    Times are by reception. A number below 10**9 is seconds from the first message of what is
-    chosen (rosbag: of the bag, whatever topics are chosen); everything else is a time of the
-    calendar, see playing/times.py.
+    Times are times of reception. A number below 10**9 is seconds from the first selected message
+    (in rosbag from the first message of the bag); everything else is a date, see
+    playing/play_times.py.
 
     Attributes:
-        topics: Their names; None = all.
-        regex: The names are regular expressions, which match whole names.
-        exclude: Topics whose whole name matches this regular expression are left out; '' = none.
-        start, end: First and last time, both included; None = open.
-        duration: Seconds from the start on, instead of end; None = to the end.
-        nodeID: Only messages of this node; None = of all.
-        run: Only messages of this run: its name, or its writer id; None = of all.
-        where: Topic -> condition: of these topics only the messages that satisfy it.
-        prefix: What stands before the names under which topics go out.
-        remap: Stored topic, or it with the prefix -> the name under which it goes out instead.
-        around: 'TOPIC: condition', or (topic, condition): only what lies around the messages of
-            that topic that satisfy it.
-        before, after: How far around, seconds, at least 0.
-        align_start: Play runs of different days as if at once: the first chosen message of each
-            lies where the earliest one does. True or 'run': each run; 'node': each nodeID, and
-            each run without one. Times of the calendar choose messages by their reception;
-            others, and around, mean the common time line.
-        node_prefix: Put nodeID, or the run where nobody said one, before the name: /<node>/topic.
+        topics: Names of the topics; None = all.
+        regex: Whether the names are regular expressions, which must match whole names.
+        exclude: Regular expression; topics whose whole name matches it are left out. '' = none.
+        start, end: First and last time, both included; None = not limited.
+        duration: Length from the start on, s, instead of end; None = to the end.
+        nodeID: nodeID of the robot whose messages are played; None = all robots.
+        run: Name or writer id of the run whose messages are played; None = all runs.
+        where: Condition by topic: only messages that satisfy the condition of their topic are
+            played.
+        prefix: Text before the names under which topics are published.
+        remap: New name by stored topic, or by stored topic with the prefix.
+        around: 'TOPIC: condition', or (topic, condition): only messages near those of that topic
+            that satisfy the condition are played.
+        before, after: Time range around such a message, s, minimum 0.
+        align_start: Play runs of different days at the same time: the first selected message of
+            each is moved to the time of the earliest one. True or 'run' moves each run; 'node'
+            each nodeID, and each run without one. Dates select messages by their time of
+            reception; other times, and around, are on the common time line.
+        node_prefix: Publish as /<node>/topic, with the nodeID, or the run's name if there is no
+            nodeID.
     """
 
     topics: Optional[Sequence[str]] = None
@@ -69,24 +71,24 @@ class PlaySelection:
 
 
 def chosen_topics(catalog: Catalog, selection: PlaySelection) -> List[str]:
-    """List the names of the topics that are played, sorted.
+    """Return the names of the topics that are played, sorted.
 
     Raises:
-        TopicNotFound: A topic is not stored, or nothing is left of what is.
-        InvalidOption: An expression is none.
+        TopicNotFound: A topic is not stored, or no topic is left.
+        InvalidOption: A regular expression cannot be read.
     """
-    wanted, names = check_topics(selection.topics), set()
-    if selection.regex and wanted is not None:
-        every = {topic.name for topic in catalog.all(None)}
-        names = matching("topic", wanted, every, f"keyspace {catalog.keyspace.name}")
-    elif wanted is not None:
-        names = {catalog.get(name).name for name in wanted}
+    given, names = check_topics(selection.topics), set()
+    if selection.regex and given is not None:
+        stored = {topic.name for topic in catalog.all(None)}
+        names = matching("topic", given, stored, f"keyspace {catalog.keyspace.name}")
+    elif given is not None:
+        names = {catalog.get(name).name for name in given}
     else:
         names = {topic.name for topic in catalog.all(None)}
     if selection.exclude:
         pattern = compiled("exclude", selection.exclude)
         names = {name for name in names if not pattern.fullmatch(name)}
-    if selection.regex or wanted is None:  # others were asked for by name
+    if selection.regex or given is None:  # a topic given by name raises its error later
         names = {name for name in names if _is_readable(catalog, name)}
     if not names:
         raise TopicNotFound(
@@ -105,13 +107,13 @@ def _is_readable(catalog: Catalog, topic: str) -> bool:
     return True
 
 
-class Names:
-    """Gives stored topics the names under which they go out.
+class PublishedNames:
+    """The names under which stored topics are published.
 
-    A name that is remapped is taken as it stands, without the prefix.
+    A topic that is remapped gets exactly the new name, without the prefix.
 
     Raises:
-        InvalidName: Prefix or a new name cannot be one in ROS.
+        InvalidName: The prefix or a new name is not a valid name in ROS.
     """
 
     def __init__(self, prefix: str = "", remap: Optional[Mapping[str, str]] = None) -> None:
@@ -124,7 +126,7 @@ class Names:
         self._known: dict[Tuple[str, str], str] = {}
 
     def of(self, topic: str, source: str = "") -> str:
-        """Return the name of a stored topic; source: the name of a robot to stand before it."""
+        """Return the published name of a stored topic; ``source`` is a robot's name before it."""
         key = (topic, source)
         name = self._known.get(key)
         if name is None:

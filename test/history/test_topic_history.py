@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From a real store over to live messages that are handed in by the test: no ROS."""
+"""Stored messages from a real store, then live messages that the test hands in: no ROS."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from rosgraph_msgs.msg import Log
 from std_msgs.msg import Header, String, UInt32
 
 from cassandra_ros.errors import ClockNotSet, RunNotFound, StoreUnavailable
-from cassandra_ros.history import join, live_queue
-from cassandra_ros.history.join import History
+from cassandra_ros.history import live_queue, topic_history
 from cassandra_ros.history.live_queue import LiveQueue
-from cassandra_ros.history.past import Past
+from cassandra_ros.history.stored_past import StoredPast
+from cassandra_ros.history.topic_history import History
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.tables.registry import Loss, LossKind, Run
@@ -45,11 +45,11 @@ def numbered(n):
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
     for name, seconds in {"SETTLE": 0.15, "PATIENCE": 0.6, "DOUBT": 0.3, "POLL": 0.02}.items():
-        monkeypatch.setattr(join, f"{name}_SEC", seconds)
+        monkeypatch.setattr(topic_history, f"{name}_SEC", seconds)
 
 
 class Stage:
-    """A recorder and a subscriber that hear the same publishers, at times that the test says."""
+    """A recorder and a subscriber that hear the same publishers; the test sets the times."""
 
     def __init__(self, store, topic=TOPIC):
         self.store, self.topic = store, topic
@@ -74,7 +74,7 @@ class Stage:
             writer.flush()
 
     def end(self):
-        """The recorders end."""
+        """End the recorders."""
         for writer in self.writers.values():
             writer.close()
         self.writers = {}
@@ -82,7 +82,7 @@ class Stage:
     def subscribe(self, t, bound=10**6, since=0, connected=lambda: True):
         self.now = t
         self.queue = LiveQueue(bound, lambda: self.now)
-        past = Past(self.store.catalog, self.topic)
+        past = StoredPast(self.store.catalog, self.topic)
         self.history = History(past, self.queue, lambda now: since, connected)
 
     def live(self, header, wire, t):
@@ -99,7 +99,7 @@ class Stage:
         self.thread.start()
 
     def result(self, count, name=None):
-        """Return what came when so many have come, and a moment nothing more."""
+        """Return the messages once ``count`` came and no more followed for a moment."""
         deadline = time.monotonic() + 180
         while len(self.heard) < count or not self.history.live:
             assert time.monotonic() < deadline, (len(self.heard), count)
@@ -144,7 +144,7 @@ def test_stored_ones_up_to_the_first_live_one(stage):
 
 
 def test_a_recorder_that_is_behind_is_waited_for(stage, monkeypatch):
-    monkeypatch.setattr(join, "PATIENCE_SEC", 50.0)
+    monkeypatch.setattr(topic_history, "PATIENCE_SEC", 50.0)
     stage.subscribe(stage.begin + 3000 * MS)
     talk(stage, fields(), range(250), range(300, 350))
     stage.listen()
@@ -155,8 +155,8 @@ def test_a_recorder_that_is_behind_is_waited_for(stage, monkeypatch):
 
 
 def test_what_is_on_its_way_into_the_store_is_waited_for(stage, monkeypatch):
-    """Rows are seen in another order than they were sent in."""
-    monkeypatch.setattr(join, "SETTLE_SEC", 50.0)
+    """Rows become visible in another order than that in which they were sent."""
+    monkeypatch.setattr(topic_history, "SETTLE_SEC", 50.0)
     stage.subscribe(stage.begin + 3000 * MS)
     talk(stage, fields(), [*range(295), *range(300, 320)], range(300, 350))
     looks, read_end = [], stage.history._read_end
@@ -169,14 +169,14 @@ def test_what_is_on_its_way_into_the_store_is_waited_for(stage, monkeypatch):
     talk(stage, fields(), range(295, 300), ())
     before = len(looks)
     await_true(lambda: len(looks) > before + 1)  # one that began since has ended
-    monkeypatch.setattr(join, "SETTLE_SEC", 0.0)
+    monkeypatch.setattr(topic_history, "SETTLE_SEC", 0.0)
     assert stage.result(350) == list(map(numbered, range(350)))
 
 
 def test_what_is_stored_after_the_first_live_one_came(stage, monkeypatch, caplog):
-    """A batch that failed is sent again when the past is done: its rows come late, each once."""
+    """A batch that failed is sent again after the past was read: its rows come late, each once."""
     caplog.set_level(logging.WARNING, "cassandra_ros")
-    monkeypatch.setattr(join, "LATE_SEC", (1e9, 1e9))
+    monkeypatch.setattr(topic_history, "LATE_SEC", (1e9, 1e9))
     stage.subscribe(stage.begin + 3000 * MS)
     talk(stage, fields(), [*range(280), *range(285, 295), *range(305, 320)], range(300, 350))
     stage.listen()
@@ -209,7 +209,7 @@ def test_what_is_stored_while_the_place_is_found(stage, monkeypatch):
 
 
 def test_memory_of_a_long_past(stage, monkeypatch):
-    monkeypatch.setattr(join, "ROOM", 50)
+    monkeypatch.setattr(topic_history, "ROOM", 50)
     stage.subscribe(stage.begin + 300_000 * MS)
     talk(stage, fields(), range(1500), range(1499, 1501), 200 * MS)
     most = 0
@@ -299,11 +299,11 @@ def test_a_recorder_that_ended_before(stage, caplog):
     stage.live(fields(), numbered(7), stage.now)  # the same number again
     stage.listen()
     assert stage.result(21) == [*map(numbered, range(20)), numbered(7)]
-    assert "nobody is recording it" in caplog.text
+    assert "no recorder is recording it" in caplog.text
 
 
 def test_a_recorder_that_was_killed_before(stage, caplog):
-    """Nothing comes live: its run has not ended, and nothing shows that it lives."""
+    """No live message comes: the run has not ended, and no report shows that its writer runs."""
     talk(stage, fields(), range(20), ())
     for writer in stage.writers.values():
         writer.close = lambda: None
@@ -311,11 +311,11 @@ def test_a_recorder_that_was_killed_before(stage, caplog):
     stage.history._past.is_written = lambda now: False
     stage.listen()
     assert stage.result(20) == list(map(numbered, range(20)))
-    assert "nobody is seen to record it now" in caplog.text
+    assert "no recorder is seen to record it now" in caplog.text
 
 
 def test_two_recorders_of_which_one_died(stage):
-    """The past has both, as it has for any reader."""
+    """The past has the messages of both, as for any reader."""
     stage.subscribe(stage.begin + 900 * MS)
     for n in range(50):
         stage.stored(fields(), numbered(n), stage.begin + n * 10 * MS, writer=1)
@@ -371,7 +371,7 @@ def test_what_was_forgotten_and_never_stored_is_told(stage, caplog):
     talk(stage, header, range(300), ())
     stage.subscribe(stage.begin + 3000 * MS, bound=40_000)
     stage.history._look()
-    for n in range(300, 700):  # the recorder has died, and nobody knows it yet
+    for n in range(300, 700):  # the recorder has died, and the directory does not show it yet
         stage.live(header, numbered(n), stage.begin + n * 10 * MS)
     stage.listen()
     got = [struct.unpack("<I", wire)[0] for wire in stage.result(307)]
@@ -381,7 +381,7 @@ def test_what_was_forgotten_and_never_stored_is_told(stage, caplog):
     assert f"{got[300] - 300} messages of /talker are lost" in caplog.text
 
 
-def test_publishers_wait_where_nobody_records(stage, caplog):
+def test_publishers_wait_where_no_recorder_runs(stage, caplog):
     talk(stage, fields(), range(100), ())
     stage.end()
     stage.subscribe(stage.begin + 60_000 * MS, bound=20_000)
@@ -401,15 +401,15 @@ def test_publishers_wait_where_nobody_records(stage, caplog):
     assert stage.history.lost == 0
 
 
-def test_a_topic_that_nobody_stored(stage, caplog):
+def test_a_topic_that_is_not_stored(stage, caplog):
     stage.subscribe(stage.begin)
     stage.live(fields(), b"a", stage.now)
     stage.listen()
     assert stage.result(1) == [b"a"]
-    assert "nothing is stored of it" in caplog.text
+    assert "no message of it is stored" in caplog.text
 
 
-def test_a_keyspace_that_nobody_made(connect, new_keyspace):
+def test_a_keyspace_that_does_not_exist(connect, new_keyspace):
     with connect(keyspace=new_keyspace) as store:
         made = Stage(store)
         made.subscribe(made.begin)
@@ -425,7 +425,7 @@ def test_a_beginning_that_is_to_come(stage, caplog):
     stage.live(fields(), b"a", stage.now)
     stage.listen()
     assert stage.result(1) == [b"a"]
-    assert "is to come" in caplog.text
+    assert "which is in the future" in caplog.text
 
 
 def test_only_what_was_received_since_then(stage):
@@ -446,7 +446,7 @@ def test_simulated_time_that_has_not_begun(stage):
 
     stage.queue = LiveQueue(10**6, now)
     stage.history = History(
-        Past(stage.store.catalog, TOPIC), stage.queue, lambda now: 0, lambda: True
+        StoredPast(stage.store.catalog, TOPIC), stage.queue, lambda now: 0, lambda: True
     )
     for n in range(300, 320):
         stage.queue.put(fields(), numbered(n))
@@ -462,7 +462,7 @@ def test_simulated_time_that_has_not_begun(stage):
 def test_a_store_that_fails_meanwhile(stage, caplog, monkeypatch):
     stage.subscribe(stage.begin + 3000 * MS)
     talk(stage, fields(), range(350), range(300, 400))
-    rows = Past.rows
+    rows = StoredPast.rows
 
     def broken(self, low, high=None):
         for count, row in enumerate(rows(self, low, high)):
@@ -470,7 +470,7 @@ def test_a_store_that_fails_meanwhile(stage, caplog, monkeypatch):
                 raise StoreUnavailable("it went away")
             yield row
 
-    monkeypatch.setattr(Past, "rows", broken)
+    monkeypatch.setattr(StoredPast, "rows", broken)
     stage.listen()
     assert stage.result(150) == list(map(numbered, [*range(50), *range(300, 400)]))
     assert "there may be a gap" in caplog.text
@@ -485,7 +485,7 @@ def test_what_was_not_recorded_is_told(stage, caplog):
     talk(stage, fields(), range(350), range(300, 400))
     stage.listen()
     assert stage.result(350) == list(map(numbered, range(50, 400)))
-    assert "3 messages or more were not recorded" in caplog.text
+    assert "at least 3 messages were not recorded" in caplog.text
     assert "(buffer full)" in caplog.text
 
 
@@ -495,20 +495,20 @@ def test_one_run_of_two(stage):
         stage.stored(fields(), numbered(n), stage.begin + n * 10 * MS + MS, writer=2)
     stage.flush()
     stage.subscribe(stage.begin + 3000 * MS)
-    past = Past(stage.store.catalog, TOPIC, run=2)
+    past = StoredPast(stage.store.catalog, TOPIC, run=2)
     assert past.is_written(stage.begin)
     stage.history = History(past, stage.queue, lambda now: 0, lambda: True)
     talk(stage, fields(), (), range(300, 400))
     stage.listen()
     assert stage.result(400) == list(map(numbered, range(400)))
     with pytest.raises(RunNotFound):
-        Past(stage.store.catalog, TOPIC, run="nobody")
+        StoredPast(stage.store.catalog, TOPIC, run="nobody")
 
 
 def test_a_simulation_whose_clock_begins_at_0_reads_nothing_of_today(stage):
     stage.stored(fields(), numbered(0), stage.begin)
     stage.flush()
-    past = Past(stage.store.catalog, TOPIC)
+    past = StoredPast(stage.store.catalog, TOPIC)
     assert list(past.rows(5 * 10**9, 6 * 10**9)) == []
     assert [row.wire for row in past.rows(5 * 10**9)] == [numbered(0)]
 

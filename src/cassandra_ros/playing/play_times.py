@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From when to when is played: times from the beginning, as rosbag's, or of the calendar."""
+"""Start and end of what is played: seconds from the first message, as in rosbag, or dates."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from cassandra_ros.messages.stamps import (
 from cassandra_ros.read import TimeRange
 
 PlayTime = Union[None, Time, Length]
-"""A time, or a length from the first message: a text or number below 10**9 is seconds. None =
-open."""
+"""A date, or a length from the first message: a text or number below 10**9 is seconds. None =
+not limited."""
 
 _NUMBER = re.compile(r"\s*([0-9]{1,40}(?:\.[0-9]*)?|\.[0-9]+)\s*")
 
 
 def read_when(name: str, value: PlayTime) -> Optional[When]:
-    """Read a time of an option; None = it is not given.
+    """Read the time of an option; None = the option is not given.
 
     Args:
-        name: The option, for errors.
-        value: A number below 10**9: seconds from the first message; any other time as a key is; a
-            genpy.Duration or timedelta: from the first message. As text, which people type as for
-            rosbag: below 10**9 seconds from the first message, below 10**12 or with a point
-            seconds since 1970, above nanoseconds since 1970; or ISO 8601.
+        name: Name of the option, for errors.
+        value: Seconds from the first message as a number below 10**9; a genpy.Duration or
+            timedelta from the first message; any other value is a time as for a key. As text, as
+            for rosbag: below 10**9 seconds from the first message; below 10**12 or with a decimal
+            point seconds since 1970; above nanoseconds since 1970; or ISO 8601.
 
     Raises:
-        InvalidOption: It is none of these, negative, or beyond 2106.
+        InvalidOption: The value cannot be read, is negative, or is after 2106.
     """
     if value is None:
         return None
@@ -64,7 +64,7 @@ def read_when(name: str, value: PlayTime) -> Optional[When]:
 
 
 def check_length(name: str, seconds: object) -> Optional[int]:
-    """Return the ns of an option in seconds, None = not given, or raise InvalidOption."""
+    """Return an option given in seconds as ns, None if it is not given, or raise InvalidOption."""
     if seconds is None:
         return None
     try:
@@ -81,15 +81,15 @@ def _number(text: str) -> Optional[Decimal]:
 def resolve_times(
     known: TimeRange, start: Optional[When], end: Optional[When], duration_ns: Optional[int]
 ) -> TimeRange:
-    """Say what is played of messages that reach from known.low to known.high.
+    """Return the time range that is played of the messages in the time range ``known``.
 
     Returns:
-        From the start on, or from the first message where none is given, to the end or for the
-        duration, or to the last message.
+        It begins at the start, or at the first message if no start is given. It ends at the end,
+        after the duration, or at the last message.
 
     Raises:
-        InvalidOption: The start lies before the first message or behind the last one, the end
-            before the first one or before the start.
+        InvalidOption: The start lies before the first message or after the last one, or the end
+            before the first message or before the start.
     """
     low, high = known
     if start is not None:
@@ -97,7 +97,7 @@ def resolve_times(
         if low < known.low:
             raise InvalidOption(f"the start, {iso_time(low)}, lies before {_reach(known)}")
         if low > known.high:
-            raise InvalidOption(f"the start, {_shown(known, start)}, lies behind {_reach(known)}")
+            raise InvalidOption(f"the start, {_shown(known, start)}, lies after {_reach(known)}")
     if end is not None:
         high = _placed(known, end)
         if high < known.low:
@@ -122,6 +122,6 @@ def _shown(known: TimeRange, when: When) -> str:
 def _reach(known: TimeRange) -> str:
     seconds = (known.high - known.low) / SECOND_NS
     return (
-        f"all that is chosen, which reaches from {iso_time(known.low)} to {iso_time(known.high)} "
-        f"({seconds:g} s)"
+        f"all selected messages, which were received from {iso_time(known.low)} to "
+        f"{iso_time(known.high)} ({seconds:g} s)"
     )

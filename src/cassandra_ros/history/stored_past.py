@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is stored of one topic while somebody may be writing it."""
+"""The stored messages of one topic, which a recorder may be writing at the same time."""
 
 from __future__ import annotations
 
@@ -14,22 +14,25 @@ from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import StoredRow
 
 FRESH_SEC = 25.0
-"""A writer says every 10 s that it lives, while it writes."""
+"""Maximum age of a bucket's last report for its writer to count as running, s.
+
+A writer reports on its open buckets every 10 s.
+"""
 _LOOK_BACK_NS = 86_400 * SECOND_NS
-"""No bucket is longer."""
+"""Maximum length of a bucket, ns: how far from now the open buckets are searched for."""
 
 
-class Past:
-    """The stored messages of a topic, by the time of reception.
+class StoredPast:
+    """The stored messages of a topic in the order of reception.
 
     Args:
-        catalog: Where it is stored.
-        topic: Its name.
-        node: Only messages of this nodeID; None = of all.
-        run: Only messages of this run, by name or writer id; None = of all.
+        catalog: Catalog of the open keyspace.
+        topic: Name of the topic.
+        node: nodeID of the robot whose messages are read; None = all robots.
+        run: Name or writer id of the run whose messages are read; None = all runs.
 
     Raises:
-        RunNotFound: There is no such run.
+        RunNotFound: The keyspace has no such run.
     """
 
     def __init__(
@@ -46,18 +49,22 @@ class Past:
         self._run = run
 
     def exists(self) -> bool:
-        """Say whether the topic is stored at all."""
+        """Return whether the keyspace has the topic."""
         return self._catalog.exists(self.topic)
 
     def losses(self, low: int) -> List[Loss]:
-        """List what was not recorded of the topic since a time, ns."""
+        """List the losses of the topic from the time ``low`` on, ns."""
         return self._catalog.losses([self.topic], low, None, self._node, self._run)
 
     def rows(self, low: int, high: Optional[int] = None) -> Iterator[StoredRow]:
-        """Yield what was received in [low, high], ns; nothing of a topic that is not stored."""
+        """Yield the rows received from ``low`` to ``high``, ns, both included; None = no end.
+
+        A topic that is not stored has no rows.
+        """
         if high is not None and high < low:
             return
-        # As stamps: an int near 0, a simulation's time, might be refused as seconds.
+        # Stamps instead of integers: readMessages takes an integer near 0 (simulated time) for
+        # seconds.
         first, last = Stamp.from_ns(low), None if high is None else Stamp.from_ns(high)
         try:
             yield from self._catalog.read(
@@ -67,7 +74,7 @@ class Past:
             return
 
     def is_written(self, now_ns: int) -> bool:
-        """Say whether somebody has written the topic just now."""
+        """Return whether a writer has an open bucket of the topic and reported on it recently."""
         try:
             tables = self._catalog.get(self.topic).tables
         except TopicNotFound:
@@ -91,6 +98,6 @@ class Past:
         return False
 
     def may_be_written(self) -> bool:
-        """Say whether a recording has begun in the keyspace that has not ended."""
+        """Return whether the keyspace has a recording that has not ended."""
         runs = self._catalog.keyspace.registry.runs()
         return any(run.kind == "recording" and run.ended is None for run in runs)

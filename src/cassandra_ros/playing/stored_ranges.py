@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""From when to when the runs of a keyspace have messages of some topics."""
+"""Time ranges in which the runs of a keyspace have messages of some topics."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.topic_table import TopicTable
 
 
-class Extent(NamedTuple):
-    """What one run stored of one table: from when to when, by reception, ns."""
+class StoredRange(NamedTuple):
+    """The time range in which one run has messages in one table."""
 
     table: TopicTable
     node: str
     writer: int
-    """Its writer id; 0 where rows do not tell (key format hash)."""
+    """Writer id; 0 if rows do not have it (key format hash)."""
     first: int
+    """Time of reception of the first message, ns."""
     last: int
+    """Time of reception of the last message, ns."""
 
 
-def extents(
+def stored_ranges(
     keyspace: Keyspace,
     tables: Sequence[TopicTable],
     nodes: Nodes = None,
     writers: Optional[FrozenSet[int]] = None,
-) -> List[Extent]:
-    """List from when to when each run has messages of each table; of most no row is read."""
-    found: List[Extent] = []
+) -> List[StoredRange]:
+    """Return the time range of each run in each table; most of them without reading a row."""
+    found: List[StoredRange] = []
     for table in tables:
         own = table.named or table.metadata.own_time
         listed = _by_keys(keyspace, table, nodes) if own else _by_buckets(keyspace, table, nodes)
@@ -42,34 +44,34 @@ def extents(
     return found
 
 
-def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[Extent]:
+def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[StoredRange]:
     ends, ttl = (-(2**63), 2**63 - 1), table.metadata.ttl
     by_run: Dict[Tuple[str, int], List[BucketRow]] = {}
     for row in keyspace.directory.buckets(table.name, *ends, nodes, ttl):
         by_run.setdefault((row.node, row.writer), []).append(row)
-    found: List[Extent] = []
+    found: List[StoredRange] = []
     for (node, writer), rows in by_run.items():
         rows.sort(key=lambda row: row.bucket)
         first, last = (_filled(keyspace, table, each) for each in (rows, rows[::-1]))
         if first is not None and last is not None:
-            found.append(Extent(table, node, writer, first.t_min, last.t_max))
+            found.append(StoredRange(table, node, writer, first.t_min, last.t_max))
     return found
 
 
 def _filled(
     keyspace: Keyspace, table: TopicTable, rows: Sequence[BucketRow]
 ) -> Optional[BucketRow]:
-    """Return the first of some buckets that is not empty; those before it and it are counted."""
+    """Return the first bucket that is not empty; count its rows and those of the ones before."""
     settled = (settle(keyspace.directory, table, [row])[0] for row in rows)
     return next((row for row in settled if row.rows), None)
 
 
-def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[Extent]:
-    """Look at all keys: those of such topics do not lie by the time of reception."""
-    found: Dict[Tuple[str, int], Extent] = {}
+def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[StoredRange]:
+    """Read all keys: those of such topics are not in the order of reception."""
+    found: Dict[Tuple[str, int], StoredRange] = {}
     rows = keyspace.rows.read([table], Read(whose=Whose(nodes), columns=lambda table: ()))
     for row in rows:
         run, t = (row.node, split_seq(row.seq)[0]), row.received
-        known = found.get(run, Extent(table, *run, t, t))
+        known = found.get(run, StoredRange(table, *run, t, t))
         found[run] = known._replace(first=min(known.first, t), last=max(known.last, t))
     return list(found.values())

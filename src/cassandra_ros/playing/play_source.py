@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Rows of one source of a stream: of everybody, of one node, or of one run."""
+"""The messages of one source of a stream: of all robots, of one robot, or of one run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cassandra_ros.overview.latched_messages import (
     publisher_of,
     tests_of,
 )
-from cassandra_ros.playing.extent import Extent
+from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.row_finder import Filter, Where
@@ -25,59 +25,65 @@ from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
 Writers = Optional[FrozenSet[int]]
+"""Writer ids; None = all, {0} = rows without a writer id."""
 
 
 @dataclass(frozen=True)
-class Part:
-    """What one source has of the chosen topics; its times are shifted onto those of the replay.
+class PlaySource:
+    """The messages of the selected topics that one source has.
 
-    Stretches that its methods take, and times that they return, are the replay's.
+    Its times are shifted to the time line of the replay: the time ranges that its methods take
+    and the times that they return are on that time line.
     """
 
     catalog: Catalog
     topics: Sequence[str]
     node: Optional[str]
-    """None = of all nodes."""
+    """nodeID of the robot; None = all robots."""
     writers: Writers
-    """Writer ids; None = all, {0} = rows that name none."""
     where: Conditions
-    extents: Sequence[Extent]
-    """From when to when it has messages, by their times of reception."""
+    stored_ranges: Sequence[StoredRange]
+    """Time ranges of reception in which it has messages."""
     chosen: TimeRange = TimeRange(0, MAX_NS)
-    """Only messages that were received in it."""
+    """Time range of reception; messages outside are left out."""
     begin: int = 0
-    """When its first chosen message was received, ns; ``begun`` finds it."""
+    """Time of reception of its first selected message, ns; set by ``with_first_times``."""
     shift: int = 0
-    """What is added to times of reception, ns."""
+    """Difference that is added to times of reception, ns."""
 
     @property
     def known(self) -> TimeRange:
-        """From its first chosen message to its last one, which may satisfy no condition."""
-        high = min(self.chosen.high, max(extent.last for extent in self.extents))
+        """Time range from its first selected message to its last message.
+
+        The last message need not satisfy the condition of its topic.
+        """
+        high = min(self.chosen.high, max(stored_range.last for stored_range in self.stored_ranges))
         return TimeRange(self.begin + self.shift, high + self.shift)
 
     def first(self) -> Optional[int]:
-        """Return when its first chosen message was received, None where there is none."""
-        first = min(extent.first for extent in self.extents)
+        """Return the time of reception of its first selected message, ns; None = no message."""
+        first = min(stored_range.first for stored_range in self.stored_ranges)
         if not self.where and self.chosen.low <= first <= self.chosen.high:
             return first
         row = next(self._stored(self.chosen), None)
         return None if row is None else row.received
 
     def rows(self, time_range: TimeRange) -> Iterator[Tuple[int, StoredRow]]:
-        """Walk lazily through its rows in a stretch: time and row."""
+        """Yield its rows in a time range, each with its time."""
         inner = self._received(time_range)
         return ((row.received + self.shift, row) for row in self._stored(inner))
 
-    def noted(self, time_range: TimeRange, sent: Sent) -> Iterator[Tuple[int, StoredRow]]:
-        """Walk through the rows as ``rows`` does, and note which latched ones are played."""
+    def rows_noting_latched(
+        self, time_range: TimeRange, sent: LatchedRecord
+    ) -> Iterator[Tuple[int, StoredRow]]:
+        """Yield the rows as ``rows`` does, and record in ``sent`` the latched ones."""
         for t, row in self.rows(time_range):
             if self._finder.is_latched(row):
                 sent.played(row)
             yield t, row
 
     def _received(self, time_range: TimeRange) -> TimeRange:
-        """Return the times of reception that a stretch means."""
+        """Return the times of reception of a time range of the replay."""
         low, high = time_range.low - self.shift, time_range.high - self.shift
         return TimeRange(max(0, low, self.chosen.low), min(high, self.chosen.high))
 
@@ -94,7 +100,7 @@ class Part:
         )
 
     def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
-        """Walk lazily through the times of the messages of a topic that satisfy a condition."""
+        """Yield the times of the messages of a topic that satisfy a condition, ns."""
         inner, found = self._received(time_range), self.catalog.get(topic)
         if inner.low > inner.high:
             return iter(())
@@ -110,7 +116,7 @@ class Part:
 
     @cached_property
     def _tables(self) -> List[TopicTable]:
-        return list({e.table.name: e.table for e in self.extents}.values())
+        return list({e.table.name: e.table for e in self.stored_ranges}.values())
 
     @cached_property
     def _finder(self) -> LatchedFinder:
@@ -119,12 +125,12 @@ class Part:
         return LatchedFinder(self.catalog.keyspace, self._tables, nodes, self.writers, tests)
 
     def latched(
-        self, window: TimeRange, sent: Optional[Sent] = None
+        self, window: TimeRange, sent: Optional[LatchedRecord] = None
     ) -> List[Tuple[int, StoredRow]]:
-        """List what was latched before a window, in the order of reception: time and row."""
+        """Return the messages latched before a window, in order of reception: time and row."""
         low, high = window.low - self.shift, window.high - self.shift
-        if low <= min(extent.first for extent in self.extents):
-            return []  # nothing was there yet
+        if low <= min(stored_range.first for stored_range in self.stored_ranges):
+            return []  # the source has no earlier message
         if sent is None:
             found = self._finder.before(low, high)
         else:
@@ -132,22 +138,22 @@ class Part:
         return [(row.received + self.shift, row) for row in found]
 
 
-def begun(parts: Iterable[Part]) -> List[Part]:
-    """Find when the first chosen message of each part was received; those without are left out."""
-    firsts = ((part, part.first()) for part in parts)
-    return [replace(part, begin=first) for part, first in firsts if first is not None]
+def with_first_times(sources: Iterable[PlaySource]) -> List[PlaySource]:
+    """Set the time of the first selected message of each source; leave out sources without one."""
+    firsts = ((source, source.first()) for source in sources)
+    return [replace(source, begin=first) for source, first in firsts if first is not None]
 
 
-class Sent:
-    """What of latched messages was played already, of one part: only what is newer is new."""
+class LatchedRecord:
+    """The latched messages of one source that were played already."""
 
     def __init__(self) -> None:
         self._last: dict[Tuple[str, Publisher], Tuple[int, str, int, str]] = {}
         self._looked: dict[Source, int] = {}
-        """Until when each run's latched messages are played, as far as they are known here."""
+        """For each robot and writer the time up to which latched messages were searched for, ns."""
 
     def changes(self, finder: LatchedFinder, low: int, high: int) -> List[StoredRow]:
-        """List what was latched before low and not played, and note it as played."""
+        """Return the messages latched before ``low`` and not played yet; record them as played."""
         if not finder.latches:
             return []
         sources = finder.sources(low, high)
@@ -163,5 +169,5 @@ class Sent:
         return last is None or last < row.arrival
 
     def played(self, row: StoredRow) -> None:
-        """Note a message as played."""
+        """Record a message as played."""
         self._last[row.table.name, publisher_of(row)] = row.arrival

@@ -1,0 +1,278 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""All messages of a selection as one stream, in the order of reception."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import replace
+from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+
+from cassandra_ros.arguments import check_nodes
+from cassandra_ros.errors import InvalidOption, MessageNotFound
+from cassandra_ros.keys import MAX_NS, split_seq
+from cassandra_ros.messages.stamps import When, iso_time
+from cassandra_ros.overview.latched_messages import Source, is_latched
+from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
+from cassandra_ros.playing.play_source import LatchedRecord, PlaySource, with_first_times
+from cassandra_ros.playing.play_times import check_length, read_when, resolve_times
+from cassandra_ros.playing.play_windows import PIECE_NS, WindowRule
+from cassandra_ros.playing.robot_alignment import (
+    aligned,
+    check_alignment,
+    source_names,
+    split_sources,
+    valid_name,
+)
+from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
+from cassandra_ros.read import TimeRange
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.hit_windows import Piece, joined, merge_windows
+from cassandra_ros.topics.stored_row import StoredRow
+
+_Timed = Tuple[int, StoredRow]
+"""Time on the replay's time line, ns, and row."""
+
+
+class PlayedMessage(NamedTuple):
+    """A stored message with its time and name in a replay."""
+
+    t: int
+    """Time on the replay's time line, ns."""
+    row: StoredRow
+    topic: str
+    """Name under which it is published."""
+    window: TimeRange
+    """Window of the replay's time line that contains it.
+
+    If it begins at another time than the window of the message before, the time between the two
+    windows is skipped. The end of a long window may grow from message to message.
+    """
+
+
+class Channel(NamedTuple):
+    """A topic that is advertised before the first message, by name, type and md5sum."""
+
+    topic: str
+    """Name under which it is published."""
+    type: str
+    md5sum: str
+    definition: str
+    """Text of the message definition, as stored."""
+    latched: bool
+    """Whether at least one publisher latched it."""
+
+
+class Stream:
+    """The messages of a selection in one order: by time, node, counter and table.
+
+    Attributes:
+        selection: The selection, as given.
+        topics: Names of the stored topics that are played, sorted.
+        start_ns, end_ns: First and last time of the replay's time line, both included, ns. The
+            time line is that of the times of reception; with align_start, that of the earliest
+            run. With ``around`` the start is the start of the first window; the last window may
+            end before the end.
+
+    Raises:
+        TopicNotFound, RunNotFound: A topic or the run is not stored.
+        MessageNotFound: Topics, nodeID, run, times or conditions leave no message.
+        InvalidOption: A time cannot be read, lies before or after all selected messages, or the
+            end lies before the start; or two options exclude each other.
+        InvalidName, InvalidQuery: A name or a condition cannot be read.
+    """
+
+    def __init__(self, catalog: Catalog, selection: PlaySelection) -> None:
+        self._catalog = catalog
+        self.selection = selection
+        self._names = PublishedNames(selection.prefix, selection.remap)
+        self._align = check_alignment(selection.align_start)
+        start, end = read_when("start", selection.start), read_when("end", selection.end)
+        if end is not None and selection.duration is not None:
+            raise InvalidOption("an end and a duration were given: give one of them")
+        length = check_length("duration", selection.duration)
+        self._around = WindowRule.of(selection.around, selection.before, selection.after)
+        self.topics = chosen_topics(catalog, selection)
+        self._stored_ranges = self._find_stored_ranges()
+        self._play_sources = self._find_sources(start, end)
+        if self._align:
+            # Dates have selected the messages already; they have no place on a common time line.
+            start, end = (when if when and when.relative else None for when in (start, end))
+        self._time_range = resolve_times(_known(self._play_sources), start, end, length)
+        self.start_ns, self.end_ns = self._time_range
+        if self._around is not None:
+            self.start_ns = self._first_window(self._around)
+        self._robot_names = self._source_names() if selection.node_prefix else {}
+
+    def _find_stored_ranges(self) -> List[StoredRange]:
+        asked = self.selection
+        self._writers = self._catalog.keyspace.runs.writers(asked.run)
+        tables, nodes = self._catalog.tables(self.topics), check_nodes(asked.nodeID)
+        found = stored_ranges(self._catalog.keyspace, tables, nodes, self._writers)
+        if found:
+            return found
+        node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
+        run = "" if asked.run is None else f" of run {asked.run!r}"
+        topics = ", ".join(self.topics)
+        raise MessageNotFound(
+            f"there is no message{node}{run} on {topics:.500}; cassandra_bag info lists what "
+            "is stored"
+        )
+
+    def _find_sources(self, start: Optional[When], end: Optional[When]) -> List[PlaySource]:
+        asked = self.selection
+        whole = PlaySource(
+            self._catalog,
+            self.topics,
+            asked.nodeID,
+            self._writers,
+            asked.where,
+            self._stored_ranges,
+        )
+        if not self._align:
+            return self._with_messages([whole])
+        first, last = (None if when is None or when.relative else when for when in (start, end))
+        resolve_times(_known(self._with_messages([whole])), first, last, None)  # checked as for all
+        chosen = TimeRange(0 if first is None else first.ns, MAX_NS if last is None else last.ns)
+        return aligned(
+            self._with_messages(split_sources(replace(whole, chosen=chosen), self._align))
+        )
+
+    def _with_messages(self, sources: Sequence[PlaySource]) -> List[PlaySource]:
+        found = with_first_times(sources)
+        if found:
+            return found
+        where = "; ".join(
+            f"{topic}: {text}" for topic, text in (self.selection.where or {}).items()
+        )
+        raise MessageNotFound(f"no message of the selection is left: no message satisfies {where}")
+
+    def _source_names(self) -> Dict[Source, str]:
+        run_names = {run.writer: run.name for run in self._catalog.keyspace.registry.runs()}
+        return source_names(self._stored_ranges, run_names, self._align)
+
+    def _name_of(self, topic: str, node: str, writer: int) -> str:
+        if not self.selection.node_prefix:
+            return self._names.of(topic)
+        # A run that began after the stream was made has no name yet.
+        default = valid_name(node or f"run_{writer}")
+        return self._names.of(topic, self._robot_names.get((node, writer), default))
+
+    @property
+    def windows(self) -> List[TimeRange]:
+        """The time ranges of the replay's time line that are played, in order, not overlapping.
+
+        With ``around`` this searches for all hits; messages() finds them while it goes.
+        """
+        return list(joined(self._pieces(self._time_range.low)))
+
+    def _pieces(self, low: int) -> Iterator[Piece]:
+        """Yield the pieces of the windows from a time on, cut off at that time."""
+        bounds, around = self._time_range, self._around
+        low = max(low, bounds.low)
+        if around is None:
+            if low <= bounds.high:
+                yield Piece(low, low, bounds.high)
+            return
+        reach = TimeRange(max(bounds.low, low - around.after), bounds.high)
+        hits = heapq.merge(
+            *(p.hits(around.topic, around.condition, reach) for p in self._play_sources)
+        )
+        for piece in merge_windows(hits, around.before, around.after, bounds, PIECE_NS):
+            if piece.high >= low:
+                yield Piece(max(piece.window, low), max(piece.low, low), piece.high)
+
+    def _first_window(self, around: WindowRule) -> int:
+        first = next(self._pieces(self._time_range.low), None)
+        if first is None:
+            low, high = map(iso_time, self._time_range)
+            raise MessageNotFound(
+                f"no message of {around.topic} satisfies {around.condition!r:.200} between {low} "
+                f"and {high}"
+            )
+        return first.low
+
+    def channels(self) -> List[Channel]:
+        """Return the topics to be advertised, by the stored connections, without reading a row."""
+        by_table: Dict[str, List[StoredRange]] = {}
+        for stored_range in self._stored_ranges:
+            by_table.setdefault(stored_range.table.name, []).append(stored_range)
+        found: Dict[Tuple[str, str, str], Channel] = {}
+        for name, _, connection in self._catalog.keyspace.connections.of_tables(by_table):
+            metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
+            kind = connection.type or metadata.msg_type
+            text = connection.definition_text or metadata.definition
+            for each in by_table[name]:
+                topic = self._name_of(metadata.topic, each.node, each.writer)
+                key = (topic, kind, metadata.md5sum)
+                known = found.get(key, Channel(*key, text, latched))
+                found[key] = known._replace(latched=known.latched or latched)
+        return sorted(found.values())
+
+    def latched(self, t: int) -> List[PlayedMessage]:
+        """Return the latched messages received before ``t``, in order of reception.
+
+        They are published first when playing begins at ``t`` or jumps there: the last message of
+        each publisher, for the runs that have messages in the window played from then on. Their
+        times are their times of reception.
+        """
+        piece = next(self._pieces(t), None)
+        if piece is None:
+            return []
+        window = TimeRange(piece.low, piece.high)
+        rows = _merged([source.latched(window) for source in self._play_sources])
+        return [self._played(t, row, window) for t, row in rows]
+
+    def messages(self, t: Optional[int] = None) -> Iterator[PlayedMessage]:
+        """Yield the messages from ``t`` on, ns, included; None = from the start.
+
+        With ``around``, latched messages that changed in a gap between windows come first in the
+        next window, with the time at which it begins. ``latched`` returns those before the first
+        window.
+
+        Memory: a few pages of rows for all topics of a run together.
+        """
+        low = self.start_ns if t is None else max(t, self.start_ns)
+        sent = [LatchedRecord() for _ in self._play_sources] if self._around else None
+        last: Optional[int] = None
+        for piece in self._pieces(low):
+            window = TimeRange(piece.window, piece.high)
+            reach = TimeRange(piece.low, piece.high)
+            if sent is not None and piece.window != last:
+                changed = [p.latched(reach, s) for p, s in zip(self._play_sources, sent)]
+                if last is not None:
+                    for _, row in _merged(changed):
+                        yield self._played(piece.low, row, window)
+                last = piece.window
+            for at, row in self._rows(reach, sent):
+                yield self._played(at, row, window)
+
+    def _rows(
+        self, time_range: TimeRange, sent: Optional[Sequence[LatchedRecord]]
+    ) -> Iterator[_Timed]:
+        if sent is None:
+            return heapq.merge(
+                *(source.rows(time_range) for source in self._play_sources), key=_order
+            )
+        pairs = zip(self._play_sources, sent)
+        return heapq.merge(
+            *(source.rows_noting_latched(time_range, each) for source, each in pairs), key=_order
+        )
+
+    def _played(self, t: int, row: StoredRow, window: TimeRange) -> PlayedMessage:
+        name = self._name_of(row.topic, row.node, split_seq(row.seq)[0])
+        return PlayedMessage(t, row, name, window)
+
+
+def _known(sources: Sequence[PlaySource]) -> TimeRange:
+    """Return the time range of the replay's time line in which some sources have messages."""
+    return TimeRange(min(p.known.low for p in sources), max(p.known.high for p in sources))
+
+
+def _merged(sources: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:
+    return heapq.merge(*sources, key=_order)
+
+
+def _order(timed: _Timed) -> Tuple[int, str, int, str]:
+    t, row = timed
+    return t, row.node, row.seq, row.table.name
