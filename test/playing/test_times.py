@@ -79,7 +79,7 @@ def test_times_resolve_to_a_part_of_what_is_there_or_are_refused(one, two, start
     low, high = place(start, known.low), place(end, known.high)
     right = known.low <= low <= known.high and low <= high
     if not right:
-        with pytest.raises(InvalidOption, match="lies (before|behind)"):
+        with pytest.raises(InvalidOption, match="lies (before|after)"):
             resolve_times(known, start, end, length)
         return
     found = resolve_times(known, start, end, length)

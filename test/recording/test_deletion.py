@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages are deleted while their topic is recorded: what is told is what is gone."""
+"""Messages are deleted while their topic is recorded: the reported number is the deleted one."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_what_is_told_is_what_is_gone(rosCas, connect, recorded, caplog, form, h
 
 
 def test_what_arrives_between_counting_and_deleting_stays(rosCas, connect, cassandra, keyspace):
-    """A batch that lies in the middle of the stretch reaches the server after it was counted."""
+    """A batch in the middle of the time range reaches the server after the range was counted."""
     with Proxy(cassandra.host, cassandra.port) as proxy:
         with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as far:
             write(rosCas, 7, [0, 1, 2, 10, 11, 12])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Losses become rows: of one topic and kind together where they lie together in time."""
+"""Losses become rows: those of one topic and kind that are near in time are one row."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def test_losses_that_lie_together_are_one_row():
 
 
 def test_threads_that_lose_by_turns_make_one_row():
-    """One drops what has just come, another what has waited longest."""
+    """One thread loses the newest message, another one the oldest."""
     log = LossLog("", 7)
     for new, old in ((10, 5), (11, 6), (12, 4)):
         log.add("/a", FULL, 1, new * SEC, new * SEC, "")
         log.add("/a", FULL, 1, old * SEC, old * SEC, "")
     (loss,) = log.unsaved()
     assert (loss.first_ns, loss.last_ns, loss.count) == (4 * SEC, 12 * SEC, 6)
-    # The store may know it by now, and where it begins is its key there.
+    # The row may be stored by now, and its first time is its key.
     log.add("/a", FULL, 1, 3 * SEC, 3 * SEC, "")
     log.add("/a", FULL, 1, 100 * SEC, 100 * SEC, "")
     log.add("/a", FULL, 1, 13 * SEC, 13 * SEC, "")
@@ -75,14 +75,14 @@ def test_what_has_grown_since_is_saved_again():
     assert (second.first_ns, second.last_ns, second.count) == (0, SEC, 2)  # the same row
     log.saved(second)
     assert log.unsaved() == []
-    # A number that nobody knows.
+    # An unknown number.
     assert log.add("/a", LossKind.UNHEARD, 0, 5, 9, "") == 2
     (loss,) = log.unsaved()
     assert (loss.kind, loss.count, loss.first_ns, loss.last_ns) == (LossKind.UNHEARD, 0, 5, 9)
 
 
 def counted(losses):
-    """Counts of a topic of which five messages came, and what was lost of it."""
+    """Counts of a topic with five received messages and some losses."""
     counts = Counts(LossLog("", 7))
     for _ in range(5):
         counts.received("/a", b"")
@@ -93,7 +93,7 @@ def counted(losses):
 
 @pytest.mark.parametrize("kind", list(LossKind))
 def test_only_what_came_is_stored_or_lost(kind):
-    """What was not read, or not heard, never came: it is not missing among the five."""
+    """Messages that were not read or not heard were not received: the five are complete."""
     counts = counted([(kind, 2, 9, "")])
     never_came = kind in (LossKind.NOT_READ, LossKind.UNHEARD)
     (report,) = counts.reports({"/a": 1})

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recording in format packed: blocks by age, by rate, counted, and lost to nobody."""
+"""A recording in format packed: blocks are closed by age and rate, and no message is lost."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def recording(rosCas, **options):
 
 
 def blocks(cql, rosCas, topic):
-    """The (n, size, t, last) of all blocks of a topic, as the bare driver sees them."""
+    """Return (n, size, t, last) of all blocks of a topic, read with the driver alone."""
     (table,) = rosCas.catalog.keyspace.tables.of_topic(topic)
     query = f'SELECT "_n", "_size", "_t", "_last" FROM {table.qualified}'
     return sorted(map(tuple, cql.execute(query)), key=lambda row: row[2])

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The recorder without ROS: everything that comes in is stored, or counted with a reason."""
+"""A recording without ROS: every received message is stored, or counted with a reason."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import (
     ITEM_BYTES,
     Buffer,
+    BufferedMessage,
     Feed,
-    Item,
-    Source,
+    MessageSource,
     starts_with_header,
 )
 from cassandra_ros.recording.recording import Recording
@@ -48,11 +48,8 @@ def by_topic(reports):
     return {report.topic: report for report in reports}
 
 
-# -------------------------------------------------------------------- buffer
-
-
 def item(n, size=0):
-    return Item(None, n, n, bytes(size))
+    return BufferedMessage(None, n, n, bytes(size))
 
 
 def test_buffer_drops_the_oldest():
@@ -61,7 +58,7 @@ def test_buffer_drops_the_oldest():
     assert [dropped.t for dropped in buffer.put(item(3, 10))] == [0]
     taken = buffer.take(10, 10**6, 0)
     assert [i.t for i in taken] == [1, 2, 3]
-    # What was taken and not released still counts.
+    # A message that was taken and not released still counts.
     assert buffer.put(item(4, 10)) == []
     assert [dropped.t for dropped in buffer.put(item(5, 10))] == [4]
     for one in taken:
@@ -96,13 +93,10 @@ def test_buffer_ends():
     assert buffer.take(10, 10**6, 0) == []
 
 
-# -------------------------------------------------------------------- gaps and rates
-
-
 def gaps(*runs):
     """Gaps after runs of sequence numbers, each over a connection of its own."""
     counts = Counts(LossLog("", 1))
-    source = Source(live_connection("/t", header_of(Imu)))
+    source = MessageSource(live_connection("/t", header_of(Imu)))
     for run in runs:
         feed = Feed({}, source)
         for number in run:
@@ -114,9 +108,9 @@ def gaps(*runs):
 
 @pytest.mark.parametrize("size", [600_000, 500_000])
 def test_messages_that_no_row_takes_are_foreseen(size):
-    source = Source(live_connection("/t", header_of(Image)))
+    source = MessageSource(live_connection("/t", header_of(Image)))
     for n in range(3):
-        source.hold(Item(source, 0, n, bytes(size)))
+        source.hold(BufferedMessage(source, 0, n, bytes(size)))
     assert source.lengths().large == (size == 600_000)
 
 
@@ -143,9 +137,6 @@ def test_only_a_header_that_comes_first_is_read():
 @given(st.text())
 def test_any_definition_text(definition):
     starts_with_header(definition)
-
-
-# -------------------------------------------------------------------- the whole
 
 
 def test_messages_are_stored_as_they_came(rosCas):
@@ -242,7 +233,7 @@ def test_a_clock_that_is_not_set(rosCas):
 
 
 def test_time_that_goes_back_is_told(rosCas, caplog):
-    """Simulated time that begins anew: messages are kept at the times that they have."""
+    """Simulated time starts again: messages keep the times that they have."""
     times = [T0 + 100 * 10**9, T0 + 101 * 10**9, T0, T0 + 10**9]
     ticks = iter(times)
     recorder = Recording(rosCas.catalog, clock=lambda: next(ticks))
@@ -284,7 +275,7 @@ def test_what_is_given_up_is_counted(rosCas):
 
 @pytest.mark.parametrize(("failures", "lost"), [(4, 0), (2**31, 1)])
 def test_only_the_end_gives_up(cassandra, keyspace, monkeypatch, failures, lost):
-    """While it is recorded a request is tried whatever time it takes; the end is finite."""
+    """A request is retried without limit in the recording, and for a limited time after it."""
     monkeypatch.setattr(recording_module, "GIVE_UP_SEC", 0.3)
     with Proxy(cassandra.host, cassandra.port) as proxy:
         failed = proxy.catch(lambda frame: frame.opcode == BATCH, most=failures)
@@ -328,7 +319,7 @@ def test_headers_that_lack_or_lie(rosCas, header):
 @pytest.mark.fault
 @pytest.mark.parametrize("how", sparing(["truncateTopic", "removeTopic"], kept=["removeTopic"]))
 def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace, how):
-    """What was not stored before goes on into the topic's next table: nothing lost, or doubled."""
+    """Messages not stored before go into the topic's next table: none is lost or stored twice."""
     recorder = Recording(rosCas.catalog)
     sent, stop = [], threading.Event()
 
@@ -355,7 +346,7 @@ def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace,
     numbers = {wire: number for number, wire in enumerate(sent)}
     found = [numbers[row.wire] for row in rosCas.getTopic("/text").rows()]
     assert found == sorted(set(found))  # nothing twice
-    # What an older table had acknowledged may be gone, between what had not got there.
+    # Messages that an older table had acknowledged may be gone, between others that are stored.
     assert [n for n in found if n >= ended[-1]] == list(range(ended[-1], len(sent)))
     assert rosCas.getTopic("/text").countTopicData() == len(found)
 
@@ -378,7 +369,7 @@ def test_the_first_second_fixes_the_bucket(rosCas):
     header = header_of(Imu)
     for _ in range(6000):
         recorder.received("/fast", header, imu)
-    # Behind it, or the table of this one would be made first, and count as time that passed.
+    # After it: otherwise the table of this one would be made first, and the time would count.
     recorder.received("/slow", header_of(String), text(0))
     recorder.close()
     lengths = {info.topic: info.bucket_ns for info in rosCas.info()}
@@ -386,11 +377,8 @@ def test_the_first_second_fixes_the_bucket(rosCas):
     assert lengths["/fast"] <= 10 * 10**9
 
 
-# -------------------------------------------------------------------- before the store answers
-
-
 def test_what_comes_before_the_store_answers_is_stored_when_it_does(rosCas):
-    """A buffer that is nearly full of it loses nothing while the tables are made."""
+    """A buffer that is nearly full loses no message while the tables are made."""
     store, ticks = Future(), itertools.count(T0, 10**7)
     recorder = Recording(store, clock=lambda: next(ticks), buffer_bytes=1_000_000)
     headers = {f"/{name}": header_of(String) for name in "abcd"}
@@ -405,7 +393,7 @@ def test_what_comes_before_the_store_answers_is_stored_when_it_does(rosCas):
     assert [(r.received, r.stored, r.lost) for r in reports] == [(600, 600, 0)] * 4
     for topic in headers:
         assert [row.wire for row in rosCas.getTopic(topic).rows()] == [text(n) for n in range(600)]
-    # 25 messages a second: not as many as come out of the buffer in a moment.
+    # The rate is 25 messages per second, not the rate at which they leave the buffer.
     assert {info.bucket_ns for info in rosCas.info()} == {600 * 10**9}
     assert rosCas.losses() == []
 
@@ -429,7 +417,7 @@ def test_what_does_not_fit_before_the_store_answers_is_a_loss(rosCas):
 
 
 def test_a_store_that_never_answers():
-    """What came is lost, with the reason; so is what still comes until the end."""
+    """Messages received before and after are lost, with the reason."""
     store = Future()
     recorder = Recording(store)
     header = header_of(String)
@@ -453,7 +441,7 @@ def test_the_end_waits_for_a_store_that_has_not_answered_yet(rosCas, monkeypatch
     recorder = Recording(store)
     recorder.received("/a", header_of(String), text(0))
     assert not recorder.stop(0.0)
-    recorder.received("/a", header_of(String), text(1))  # behind the end
+    recorder.received("/a", header_of(String), text(1))  # after the end
     if answers:
         store.set_result(rosCas.catalog)
     (report,) = recorder.close()
@@ -469,7 +457,7 @@ def test_a_recording_without_messages_ends_without_a_store():
 
 
 def test_topics_with_a_table_go_on_while_that_of_another_cannot_be_made(cassandra, keyspace):
-    """Only what waits for a table in vain is dropped beyond half of the buffer."""
+    """Beyond half of the buffer only messages of a topic that gets no table are dropped."""
     held = threading.Event()
     with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as store:
         recorder = Recording(store.catalog, buffer_bytes=100_000)
@@ -485,7 +473,7 @@ def test_topics_with_a_table_go_on_while_that_of_another_cannot_be_made(cassandr
         for n in range(50):
             recorder.received("/none", none, text(n))
         await_true(lambda: any(source.told for source in recorder._waiting))
-        for n in range(50, 300):  # of which all together fit into the buffer
+        for n in range(50, 300):  # all together fit into the buffer
             recorder.received("/none", none, text(n))
         recorder.received("/good", good, text(0))
         await_true(lambda: by_topic(recorder.reports())["/good"].stored)

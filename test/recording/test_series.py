@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Runs one after the other, and the newest messages kept for a snapshot."""
+"""Runs one after the other, and snapshots of the newest messages."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.cli.recorder import local_space
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording import run_series as series_module
+from cassandra_ros.recording.free_space import SpaceGuard
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.run_series import Series
-from cassandra_ros.recording.snapshot import ITEM_BYTES, Bound, Ring, Snapshots
-from cassandra_ros.recording.space import SpaceGuard
+from cassandra_ros.recording.run_series import RunSeries
+from cassandra_ros.recording.snapshot import ITEM_BYTES, MessageRing, SnapshotBound, Snapshots
 from cassandra_ros.tables.registry import LossKind
 
 SEC = 10**9
@@ -38,15 +38,12 @@ def text(n):
 def series_of(rosCas, **options):
     ticks = itertools.count(T0, SEC)
     begun = []
-    made = Series(rosCas.catalog, RecorderOptions(**options), lambda: next(ticks), begun.append)
+    made = RunSeries(rosCas.catalog, RecorderOptions(**options), lambda: next(ticks), begun.append)
     return made, begun
 
 
 def stored(rosCas, topic, run):
     return [row.wire for row in rosCas.getTopic(topic).rows(run=run)]
-
-
-# -------------------------------------------------------------------- splits
 
 
 def test_a_split_goes_on_in_a_new_run(rosCas):
@@ -154,7 +151,7 @@ def test_the_limit_holds_while_runs_change(rosCas):
 
 @pytest.fixture
 def refusing(cassandra, keyspace):
-    """A RosCassandra that stores no message for as long as anybody waits."""
+    """A RosCassandra that never stores a message."""
     with Proxy(cassandra.host, cassandra.port) as proxy:
         proxy.catch(lambda frame: frame.opcode == BATCH)
         with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
@@ -218,15 +215,12 @@ def test_no_space_is_a_loss_that_is_told(rosCas):
     assert SpaceGuard(None, 5).refusal() == ""
 
 
-# -------------------------------------------------------------------- snapshots
-
-
 def kept(t, size=0):
     return ("/t", HEADER, bytes(size), t)
 
 
 def test_a_ring_keeps_the_newest():
-    ring = Ring(Bound(seconds=10), 0)
+    ring = MessageRing(SnapshotBound(seconds=10), 0)
     for second in range(100):
         ring.add(kept(second * SEC))
     assert [item[3] // SEC for item in ring.content(())] == list(range(89, 100))
@@ -234,13 +228,13 @@ def test_a_ring_keeps_the_newest():
     ring.forget(105 * SEC)
     assert len(ring) == 5
     assert ring.content(("/other",)) == []
-    ring.add(kept(3 * SEC))  # time went back: what is older now lies in the future
+    ring.add(kept(3 * SEC))  # time went back: older messages now lie in the future
     assert [item[3] for item in ring.content(())] == [3 * SEC]
 
 
-@pytest.mark.parametrize("bound", [Bound(nbytes=1 << 20), Bound(seconds=1e6)])
+@pytest.mark.parametrize("bound", [SnapshotBound(nbytes=1 << 20), SnapshotBound(seconds=1e6)])
 def test_a_ring_stays_within_its_bytes(bound):
-    ring = Ring(bound, 1 << 20)
+    ring = MessageRing(bound, 1 << 20)
     for n in range(100):
         ring.add(kept(n, 100_000))
         assert ring.nbytes <= 1 << 20
@@ -250,8 +244,8 @@ def test_a_ring_stays_within_its_bytes(bound):
 
 def snapshots_of(rosCas, seconds=5.0, **options):
     now = [T0]
-    series = Series(rosCas.catalog, RecorderOptions(**options), lambda: now[0], lambda run: None)
-    bound = Bound(seconds=seconds)
+    series = RunSeries(rosCas.catalog, RecorderOptions(**options), lambda: now[0], lambda run: None)
+    bound = SnapshotBound(seconds=seconds)
     return Snapshots(bound, 0, lambda: now[0], series.filters, series.single), now
 
 
@@ -285,7 +279,7 @@ def test_what_comes_after_is_in_it_too(rosCas):
         snapshots.write("more", {}, after_sec=3600.0)
     with pytest.raises(InvalidOption, match="being written already"):
         snapshots.write("too many", {})
-    assert snapshots.close()  # ends them: what has come is stored
+    assert snapshots.close()  # ends them: received messages are stored
     # All have one stamp: the order is that of arrival.
     assert stored(rosCas, "/t", "event") == [text(n) for n in range(20)]
     assert len(snapshots.reports) == 4
@@ -318,7 +312,7 @@ def test_what_arrives_leaves_room_for_what_was_kept(rosCas):
 
 
 def test_what_was_latched_before_a_snapshot_goes_first():
-    ring = Ring(Bound(seconds=5), 0)
+    ring = MessageRing(SnapshotBound(seconds=5), 0)
     latching = {"topic": "/map", "latching": "1", "callerid": "/m"}
     ring.add(("/map", latching, b"old", 0))
     ring.add(("/map", latching, b"map", 10**9))
@@ -333,7 +327,7 @@ def test_what_was_latched_before_a_snapshot_goes_first():
 
 
 def test_much_that_is_latched_leaves_room_for_what_is_new():
-    ring = Ring(Bound(nbytes=10_000), 0)
+    ring = MessageRing(SnapshotBound(nbytes=10_000), 0)
     for n in range(20):
         ring.add(("/map", {"latching": "1", "callerid": f"/m{n}"}, b"m" * 1000, n))
     for n in range(20, 60):

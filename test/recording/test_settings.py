@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How each topic is recorded: patterns in a file, conditions, rates; and wrong ones."""
+"""Settings of recorded topics: patterns in a file, conditions, rates; valid and invalid ones."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cassandra_ros.recording.dry_run import plan_topics
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.snapshot import Bound, read_bound
+from cassandra_ros.recording.snapshot import SnapshotBound, read_bound
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings, read_settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,15 +75,12 @@ def test_what_is_wrong_is_named(text, said):
 
 
 def test_bounds():
-    assert read_bound("30s") == Bound(seconds=30.0)
-    assert read_bound("5m") == Bound(seconds=300.0)
-    assert read_bound("200MB") == Bound(nbytes=200 << 20)
+    assert read_bound("30s") == SnapshotBound(seconds=30.0)
+    assert read_bound("5m") == SnapshotBound(seconds=300.0)
+    assert read_bound("200MB") == SnapshotBound(nbytes=200 << 20)
     for wrong in ("", "0MB", "MB", "-3s", "soon"):
         with pytest.raises(InvalidOption, match="30s or 200MB"):
             read_bound(wrong)
-
-
-# -------------------------------------------------------------------- filters
 
 
 def passed(filters, times, topic="/t", header=None, wire=b""):
@@ -105,7 +102,7 @@ def test_a_condition_is_that_of_the_query_language():
     header = header_of(Int32)
     wires = {n: message(Int32(n)) for n in range(10)}
     assert [n for n in wires if filters.passes("/n", header, 0, wires[n])] == [6, 8, 9]
-    # Another type on the same topic, to which the condition does not fit: whole, and said.
+    # Another type on the same topic that the condition does not fit: recorded whole, and logged.
     assert filters.passes("/n", header_of(Twist), 0, message(Twist()))
 
 
@@ -140,8 +137,6 @@ def test_a_condition_on_a_field_that_is_not_there(rosCas, caplog):
     assert "did you mean data?" in caplog.text
 
 
-# -------------------------------------------------------------------- tables
-
 TABLES = """
 topics:
 - {pattern: /imu, format: ros, ttl: 3600, key_part: header.stamp, index: [orientation.w]}
@@ -161,10 +156,10 @@ def test_tables_are_made_as_the_settings_say(rosCas, caplog):
     found = [meta[name] for name in ("format", "ttl", "key_part", "indexes")]
     assert found == ["ros", 3600, "header.stamp", ["orientation.w"]]
     assert rosCas.getTopic("/imu").getData(77 * SEC) == imu
-    # A key field that the type lacks: kept by time, and said.
+    # A key field that the type does not have: stored by time, and logged.
     assert "kept by time of reception" in caplog.text
     assert rosCas.getTopic("/text").getMeta["format"] == "binary"
-    # What is stored stays as it is.
+    # Stored messages stay as they are.
     other = settings_of("topics: [{pattern: /imu, ttl: 60, index: [header.seq]}]")
     recorder = Recording(rosCas.catalog, settings=other)
     recorder.received("/imu", header_of(Imu), message(imu))

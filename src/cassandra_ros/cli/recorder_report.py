@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cassandra_ros.recording.dry_run import PlannedTopic
     from cassandra_ros.recording.losses import LossTotal
     from cassandra_ros.recording.recording_options import RecorderOptions
-    from cassandra_ros.recording.status import Rates, Status
+    from cassandra_ros.recording.recording_status import Rates, RecordingStatus
     from cassandra_ros.recording.topic_counts import TopicReport
     from cassandra_ros.tables.registry import LossKind
 
@@ -43,7 +43,7 @@ class StatusLine:
             print((_CLEAR if self._stands else "") + shown_lines(text), flush=True)
         self._stands = False
 
-    def show(self, status: Status, rates: Rates) -> None:
+    def show(self, status: RecordingStatus, rates: Rates) -> None:
         """Update the line."""
         if self._terminal is not None:
             width = shutil.get_terminal_size().columns - 1
@@ -52,7 +52,7 @@ class StatusLine:
             self._stands = True
 
 
-def status_text(status: Status, rates: Rates) -> str:
+def status_text(status: RecordingStatus, rates: Rates) -> str:
     """Return the state of the recording as one line."""
     hertz, nbytes = rates.total
     topics = status.topics

@@ -9,7 +9,7 @@ from typing import Mapping, NamedTuple, Sequence
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from cassandra_ros.recording.status import WAITING, Rates, Status
+from cassandra_ros.recording.recording_status import WAITING, Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
 
 FULL = 0.5
@@ -36,7 +36,7 @@ class Diagnostics:
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
         self._lost: dict[str, int] = {}
 
-    def publish(self, status: Status, rates: Rates) -> None:
+    def publish(self, status: RecordingStatus, rates: Rates) -> None:
         """Publish a status."""
         array = DiagnosticArray()
         array.header.stamp = rospy.Time.now()
@@ -45,7 +45,7 @@ class Diagnostics:
         self._lost = {report.topic: report.lost for report in status.topics}
         self._publisher.publish(array)
 
-    def _of_store(self, status: Status, rates: Rates) -> DiagnosticStatus:
+    def _of_store(self, status: RecordingStatus, rates: Rates) -> DiagnosticStatus:
         fill = status.held_bytes / status.bound_bytes if status.bound_bytes else 0.0
         level, text = DiagnosticStatus.OK, status.state
         if status.run:
@@ -73,7 +73,9 @@ class Diagnostics:
         }
         return self._status(level, "store", text, values)
 
-    def _of_topic(self, report: TopicReport, status: Status, rates: Rates) -> DiagnosticStatus:
+    def _of_topic(
+        self, report: TopicReport, status: RecordingStatus, rates: Rates
+    ) -> DiagnosticStatus:
         hertz, nbytes = rates.of.get(report.topic, (0.0, 0.0))
         level, text = DiagnosticStatus.OK, "recording"
         if report.topic in status.paused:

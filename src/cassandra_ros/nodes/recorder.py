@@ -25,9 +25,15 @@ from cassandra_ros.nodes.run_context import keep_context
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.run_series import Series
+from cassandra_ros.recording.recording_status import (
+    RECORDING,
+    SNAPSHOT,
+    STOPPED,
+    WAITING,
+    RecordingStatus,
+)
+from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.snapshot import Snapshots
-from cassandra_ros.recording.status import RECORDING, SNAPSHOT, STOPPED, WAITING, Status
 from cassandra_ros.recording.store_future import Store, then
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
 from cassandra_ros.tables.registry import LossKind
@@ -73,7 +79,7 @@ class Recorder:
         self._say: Say = _log.info if say is None else say
         self._publisher: Optional[rospy.Publisher] = None
         self._contexts: list[threading.Thread] = []
-        self._series = series = Series(_catalog_of(rosCas), options, now_ns, self._begun)
+        self._series = series = RunSeries(_catalog_of(rosCas), options, now_ns, self._begun)
         bound = options.snapshot
         self._snapshots = (
             None
@@ -211,7 +217,7 @@ class Recorder:
         """Why nothing can be stored, now or any more; '' = it can, or may."""
         return self._series.problem
 
-    def status(self) -> Status:
+    def status(self) -> RecordingStatus:
         """Tell how it goes."""
         current, snapshots = self._series.current, self._snapshots
         subscribed = self._subscriptions.topics
@@ -219,7 +225,7 @@ class Recorder:
         state = STOPPED
         if current is not None:
             state = RECORDING if current.opened else WAITING
-        status = Status(
+        status = RecordingStatus(
             state,
             self.run,
             0 if current is None else current.writer_id,

@@ -25,13 +25,13 @@ from cassandra_ros.nodes.node import (
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
 from cassandra_ros.nodes.recorder_services import serve
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.status import Rates, Status
+from cassandra_ros.recording.recording_status import Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
 
 _log = logging.getLogger(__name__)
 
 TICK_SEC = 1.0
-Show = Callable[[Status, Rates], None]
+Show = Callable[[RecordingStatus, Rates], None]
 
 
 def start_node(argv: Sequence[str]) -> Mapping[str, object]:

@@ -13,7 +13,7 @@ import rospy
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.msg import RecordedTopic
 from cassandra_ros.nodes.recorder import Recorder
-from cassandra_ros.recording.status import Status
+from cassandra_ros.recording.recording_status import RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
 from cassandra_ros.recording.topic_settings import read_label
 from cassandra_ros.srv import (
@@ -126,7 +126,7 @@ def _attempt(work: Callable[[], None]) -> str:
     return ""
 
 
-def _packed(report: TopicReport, status: Status) -> RecordedTopic:
+def _packed(report: TopicReport, status: RecordingStatus) -> RecordedTopic:
     return RecordedTopic(
         topic=report.topic,
         types=list(report.types),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What would be recorded, and how: said before, without writing anything."""
+"""A plan of a recording: which topics, and how. Nothing is written."""
 
 from __future__ import annotations
 
@@ -11,64 +11,66 @@ from cassandra_ros.errors import DefinitionError, InvalidOption, InvalidQuery
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.query.protocols import Table
-from cassandra_ros.recording.tables import differences
+from cassandra_ros.recording.live_row import LiveTable
+from cassandra_ros.recording.table_maker import differences
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings
-from cassandra_ros.recording.unstored import UnstoredTable
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.query_result import Condition
 
 
 @dataclass(frozen=True)
 class PlannedTopic:
-    """How one topic would be recorded."""
+    """The plan for one topic."""
 
     topic: str
     msg_type: str
-    """'' = nobody publishes it yet."""
+    """'' = it has no publisher yet."""
     format: str
     ttl: int
     """Seconds until a message expires; 0 = never."""
     stored: bool
-    """It has a table of this format already."""
+    """Whether the topic has a table of this format already."""
     settings: Sequence[str]
-    """What else holds for it."""
+    """Its other settings, as texts."""
     differences: Sequence[str]
-    """In which ways what is stored is not as the settings want it."""
+    """Differences between the existing table and the settings, as texts."""
     problem: str = ""
-    """Why the topic's condition does not fit its type; '' = it fits, or no condition is set."""
+    """Reason why the condition does not fit the topic's type; '' = it fits, or none is set."""
 
 
 def plan_topics(
     catalog: Catalog, settings: Settings, types: Mapping[str, str]
 ) -> list[PlannedTopic]:
-    """Say how topics would be recorded.
+    """Return the plan for each topic, sorted by name.
 
     Args:
-        types: Topic → its type as the master knows it; '' = it does not.
+        types: Type by topic, as the master knows it; '' = the master does not know it.
     """
     tables = list(catalog.keyspace.schema.tables(fresh=True).values())
     found = []
     for topic, msg_type in sorted(types.items()):
-        wanted = settings.of(topic)
-        fmt = catalog.keyspace.new_tables.format_for(topic, asked=wanted.format)
+        topic_settings = settings.of(topic)
+        fmt = catalog.keyspace.new_tables.format_for(topic, asked=topic_settings.format)
         own = [m for m in tables if m.topic == topic and m.format == fmt]
         found.append(
             PlannedTopic(
                 topic,
                 msg_type,
                 fmt,
-                own[0].ttl if own else wanted.ttl,
+                own[0].ttl if own else topic_settings.ttl,
                 bool(own),
-                _described(wanted),
-                differences(wanted, own[0]) if own else [],
-                _problem(catalog, topic, msg_type, wanted.where) if wanted.where else "",
+                _described(topic_settings),
+                differences(topic_settings, own[0]) if own else [],
+                _problem(catalog, topic, msg_type, topic_settings.where)
+                if topic_settings.where
+                else "",
             )
         )
     return found
 
 
 def _problem(catalog: Catalog, topic: str, msg_type: str, where: str) -> str:
-    """Say why a condition does not fit the fields of a topic; '' = it does, or they are unknown."""
+    """Return why a condition does not fit a topic's fields; '' = it does, or they are unknown."""
     tables = _known_tables(catalog, topic, msg_type)
     try:
         if tables:
@@ -82,17 +84,17 @@ def _known_tables(catalog: Catalog, topic: str, msg_type: str) -> Sequence[Table
     """Return the installed type as a table, else the tables in which the topic is stored."""
     try:
         if msg_type:
-            return [UnstoredTable(api_connection(topic, installed_definition(msg_type), ""))]
-    except DefinitionError:  # not installed: its messages bring the definition
+            return [LiveTable(api_connection(topic, installed_definition(msg_type), ""))]
+    except DefinitionError:  # not installed: the definition comes with the messages
         pass
     return catalog.get(topic).tables if catalog.exists(topic) else ()
 
 
-def _described(wanted: TopicSettings) -> list[str]:
+def _described(topic_settings: TopicSettings) -> list[str]:
     texts: list[Optional[str]] = [
-        f"where {wanted.where}" if wanted.where else None,
-        f"at most {wanted.rate_limit:g} Hz" if wanted.rate_limit else None,
-        f"key {wanted.key_part}" if wanted.key_part else None,
-        f"index on {', '.join(wanted.index)}" if wanted.index else None,
+        f"where {topic_settings.where}" if topic_settings.where else None,
+        f"at most {topic_settings.rate_limit:g} Hz" if topic_settings.rate_limit else None,
+        f"key {topic_settings.key_part}" if topic_settings.key_part else None,
+        f"index on {', '.join(topic_settings.index)}" if topic_settings.index else None,
     ]
     return [text for text in texts if text]

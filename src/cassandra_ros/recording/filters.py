@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which messages are left out on purpose: by a condition on their fields, or above a rate."""
+"""Filters that leave messages out on purpose: by a condition on fields, or by a maximum rate."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.protocols import Row
+from cassandra_ros.recording.live_row import LiveRow, LiveTable
 from cassandra_ros.recording.topic_settings import Settings
-from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
 from cassandra_ros.topics.query_result import Condition
 
 _log = logging.getLogger(__name__)
 
 MAX_HEADERS = 4096
-"""Connections remembered by their header object; publishers come and go for days."""
+"""Maximum number of connections whose header is remembered: publishers come and go for days."""
 
 
 class Filters:
-    """Says of each message whether it is recorded. Thread-safe.
+    """The filters of all topics. Thread-safe.
 
     Args:
         settings: Conditions and rates by topic.
-        node: The nodeID that conditions know as NODE.
+        node: nodeID of the recorded robot, NODE in conditions.
     """
 
     def __init__(self, settings: Settings, node: str = "") -> None:
@@ -38,36 +38,36 @@ class Filters:
         self._mutex = threading.Lock()
 
     def passes(self, topic: str, header: Mapping[str, str], t: int, wire: bytes) -> bool:
-        """Say whether a message is recorded; the condition is looked at first, then the rate.
+        """Return whether a message is recorded; the condition is checked before the rate.
 
         Args:
-            header: Of the connection; the same object for all messages of it.
-            t: Time of arrival, ns.
+            header: Connection header; the same object for all messages of a connection.
+            t: Time of reception, ns.
         """
         try:
-            found = self._topics[topic]
+            topic_filter = self._topics[topic]
         except KeyError:
-            found = self._make(topic)
-        if found is None:
+            topic_filter = self._make(topic)
+        if topic_filter is None:
             return True
         with self._mutex:
-            return found.passes(header, t, wire)
+            return topic_filter.passes(header, t, wire)
 
     def _make(self, topic: str) -> Optional[_TopicFilter]:
         settings = self._settings.of(topic)
-        found = None
+        topic_filter = None
         if settings.where or settings.rate_limit:
             condition = _TopicCondition(topic, settings.where, self._node)
-            found = _TopicFilter(
+            topic_filter = _TopicFilter(
                 condition if settings.where else None,
                 _Throttle(settings.rate_limit) if settings.rate_limit else None,
             )
         with self._mutex:
-            return self._topics.setdefault(topic, found)
+            return self._topics.setdefault(topic, topic_filter)
 
 
 class _Throttle:
-    """Keeps at most so many messages a second; late ones do not lower the rate."""
+    """A maximum rate of messages; messages that come late do not lower the rate."""
 
     def __init__(self, rate_hz: float) -> None:
         self._period = max(1, int(SECOND_NS / rate_hz))
@@ -96,14 +96,15 @@ class _TopicFilter:
 
 
 Test = Callable[[Row], bool]
+"""Function that returns whether a row satisfies a condition."""
 
 
 class _TopicCondition:
-    """A condition on the messages of one topic, whatever their types."""
+    """A condition on the messages of one topic, of one or several types."""
 
     def __init__(self, topic: str, where: str, node: str) -> None:
         self._topic, self._where, self._node = topic, where, node
-        self._by_header: dict[int, tuple[Mapping[str, str], UnstoredTable, Optional[Test]]] = {}
+        self._by_header: dict[int, tuple[Mapping[str, str], LiveTable, Optional[Test]]] = {}
 
     def holds(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
         found = self._by_header.get(id(header))
@@ -112,11 +113,11 @@ class _TopicCondition:
                 self._by_header.pop(next(iter(self._by_header)))
             found = self._by_header[id(header)] = (header, *self._compile(header))
         _, table, test = found
-        return test is None or test(UnstoredRow(table, self._topic, self._node, t, wire, len(wire)))
+        return test is None or test(LiveRow(table, self._topic, self._node, t, wire, len(wire)))
 
-    def _compile(self, header: Mapping[str, str]) -> tuple[UnstoredTable, Optional[Test]]:
+    def _compile(self, header: Mapping[str, str]) -> tuple[LiveTable, Optional[Test]]:
         connection = live_connection(self._topic, header)
-        table = UnstoredTable(connection)
+        table = LiveTable(connection)
         if table.definition is not None:
             try:
                 return table, Condition(self._where).test([table])
@@ -125,7 +126,7 @@ class _TopicCondition:
         else:
             problem = "its definition cannot be used"
         _log.error(
-            "topic %s is recorded whole, for its condition %r cannot be checked: %s",
+            "topic %s is recorded whole, because its condition %r cannot be checked: %s",
             self._topic,
             self._where,
             problem,

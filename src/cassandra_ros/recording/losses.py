@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a run lost: of which topic, why, from when to when, how many; rows for the store."""
+"""The losses of a run by topic, reason and time range, as rows for the store."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from typing import Mapping
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.tables.registry import Loss, LossKind
 
-STRETCH_NS = 60 * SECOND_NS
-"""Losses of a kind that lie further apart are two rows."""
+GAP_NS = 60 * SECOND_NS
+"""Maximum time between two losses of a kind that are stored as one row, ns."""
 
 
 @dataclass(frozen=True)
 class LossTotal:
-    """What was lost of a topic for one reason."""
+    """The messages of a topic that were lost for one reason."""
 
     count: int
     """Number of messages; 0 = the number is not known."""
     first_ns: int
-    """When the first of them came, ns; 0 = not known."""
+    """Time of reception of the first of them, ns; 0 = not known."""
     last_ns: int
-    """When the last of them came, ns."""
+    """Time of reception of the last of them, ns."""
     detail: str = ""
-    """A sentence about the first of them; '' = the kind says it all."""
+    """Explanation of the first loss in addition to the kind; '' = none is needed."""
     varied: bool = False
-    """Others have other details."""
+    """Whether other losses have other explanations."""
 
     def plus(self, later: LossTotal) -> LossTotal:
-        """Return this and later losses of the same topic and kind together."""
+        """Return the sum of this and later losses of the same topic and kind."""
         return LossTotal(
             self.count + later.count,
             min(self.first_ns, later.first_ns),
@@ -43,16 +43,19 @@ class LossTotal:
 
 
 @dataclass
-class _TimeRange:
+class _LossRange:
+    """The losses of a topic and kind that are stored as one row."""
+
     loss: Loss
     saved: bool = False
+    """Whether the row in the store is up to date."""
     told: bool = False
-    """The store may know it: where it begins is its key there."""
+    """Whether the row may exist in the store: then its first time, which is its key, is fixed."""
 
     def takes(self, first_ns: int) -> bool:
-        """Say whether a loss belongs to it that begins then."""
+        """Return whether a loss that begins at ``first_ns`` belongs to this row."""
         begins, ends = self.loss.first_ns, self.loss.last_ns
-        return begins - (0 if self.told else STRETCH_NS) <= first_ns <= ends + STRETCH_NS
+        return begins - (0 if self.told else GAP_NS) <= first_ns <= ends + GAP_NS
 
     def grow(self, messages: int, first_ns: int, last_ns: int) -> None:
         """Take in a further loss."""
@@ -79,70 +82,66 @@ class LossLog:
     """The losses of one run. Thread-safe.
 
     Args:
-        node: The robot or entity that is recorded.
-        writer: The run's writer id.
+        node: nodeID of the recorded robot.
+        writer: Writer id of the run.
     """
 
     def __init__(self, node: str, writer: int) -> None:
         self._node, self._writer = node, writer
-        self._time_ranges: dict[tuple[str, LossKind], list[_TimeRange]] = defaultdict(list)
+        self._loss_ranges: dict[tuple[str, LossKind], list[_LossRange]] = defaultdict(list)
         self._totals: dict[str, dict[LossKind, LossTotal]] = defaultdict(dict)
         self._mutex = threading.Lock()
 
     def add(
         self, topic: str, kind: LossKind, messages: int, first_ns: int, last_ns: int, detail: str
     ) -> int:
-        """Note a loss; return how many messages of the topic are lost by now.
+        """Record a loss; return the number of messages of the topic lost so far.
 
         Args:
-            messages: How many; 0 = nobody knows.
-            first_ns, last_ns: When the first and the last of them came, ns.
-            detail: A sentence about it; '' = the kind says it all.
+            messages: Number of messages; 0 = not known.
+            first_ns, last_ns: Times of reception of the first and the last of them, ns.
+            detail: Explanation in addition to the kind; '' = none is needed.
         """
         with self._mutex:
             totals = self._totals[topic]
             total = LossTotal(messages, first_ns, last_ns, detail)
             totals[kind] = totals[kind].plus(total) if kind in totals else total
-            time_ranges = self._time_ranges[topic, kind]
-            # Not only the last one: several threads lose, of what came at different times.
-            found = next((s for s in reversed(time_ranges) if s.takes(first_ns)), None)
+            ranges = self._loss_ranges[topic, kind]
+            # Not only the last range: several threads report losses, not in the order of time.
+            found = next((s for s in reversed(ranges) if s.takes(first_ns)), None)
             if found is None:
                 new = Loss(topic, self._node, self._writer, kind, first_ns, last_ns, messages)
-                time_ranges.append(_TimeRange(new))
+                ranges.append(_LossRange(new))
             else:
                 found.grow(messages, first_ns, last_ns)
             return sum(each.count for each in totals.values())
 
     def of(self, topic: str) -> Mapping[LossKind, LossTotal]:
-        """Return what was lost of a topic, by kind."""
+        """Return the lost messages of a topic by kind."""
         with self._mutex:
             return dict(self._totals.get(topic, {}))
 
     def last_ns(self, topic: str) -> int:
-        """Return when the last message of a topic came that was lost, ns; -1 = none was."""
+        """Return the time of reception of the last lost message of a topic, ns; -1 = no loss."""
         with self._mutex:
             every = [
-                s.loss for (name, _), own in self._time_ranges.items() if name == topic for s in own
+                s.loss for (name, _), own in self._loss_ranges.items() if name == topic for s in own
             ]
-        # Those that came while the clock was not set have no time.
+        # Messages received while the clock was not set have no time.
         timed = (loss for loss in every if loss.count and loss.kind is not LossKind.NO_CLOCK)
         return max((loss.last_ns for loss in timed), default=-1)
 
     def unsaved(self) -> list[Loss]:
-        """Return what the store does not know yet."""
+        """Return the losses that are not stored yet."""
         with self._mutex:
-            every = [
-                s for time_ranges in self._time_ranges.values() for s in time_ranges if not s.saved
-            ]
-            return [time_range.tell() for time_range in every]
+            every = [s for ranges in self._loss_ranges.values() for s in ranges if not s.saved]
+            return [loss_range.tell() for loss_range in every]
 
     def saved(self, loss: Loss) -> None:
-        """Note that the store knows a loss; one that has grown since stays unsaved."""
+        """Mark a loss as stored; one that has grown since stays unsaved."""
         with self._mutex:
-            time_ranges = self._time_ranges[loss.topic, loss.kind]
-            for time_range in time_ranges:
-                time_range.save(loss)
-            # Only the last ones grow.
-            time_ranges[:-2] = [
-                time_range for time_range in time_ranges[:-2] if not time_range.saved
-            ]
+            ranges = self._loss_ranges[loss.topic, loss.kind]
+            for loss_range in ranges:
+                loss_range.save(loss)
+            # Only the last two ranges can grow.
+            ranges[:-2] = [loss_range for loss_range in ranges[:-2] if not loss_range.saved]

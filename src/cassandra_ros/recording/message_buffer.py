@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages that wait for the store: over which connection each came, and a bound for all."""
+"""The bounded buffer of messages that wait for the store, and the connections they came over."""
 
 from __future__ import annotations
 
@@ -17,59 +17,63 @@ from cassandra_ros.tables.row_table import CHUNK_BYTES
 from cassandra_ros.topics.message_writer import Handle
 
 ITEM_BYTES = 300
-"""What an item takes besides its message: small messages would else fill the memory unseen."""
+"""Memory of a buffered message in addition to its bytes, bytes.
+
+Without it many small messages would take much more memory than the maximum.
+"""
 
 FIRST_SEC = 1.0
-"""How long a topic is watched before its table is made: its rate fixes the bucket length."""
+"""How long a topic is observed before its table is made, s: its rate fixes the bucket length."""
 FIRST_MESSAGES = 5_000
+"""Number of messages after which the table is made earlier."""
 FIRST_BYTES = 8_000_000
+"""Size of messages after which the table is made earlier, bytes."""
 LONGEST_STEP_NS = 60 * SECOND_NS
-"""A longer time between two messages counts as this: a clock may have been set."""
+"""Maximum time counted between two messages, ns: a longer one may be a change of the clock."""
 LONGEST_BUCKET_NS = 600 * SECOND_NS
-"""Live rates may grow: never longer, whatever the first second says."""
+"""Maximum length of a bucket of a live topic, ns: its rate may grow later."""
 
 _HEADERS = ("Header", "std_msgs/Header", "roslib/Header")
 
 
-class Item(NamedTuple):
-    """One message on its way into the store."""
+class BufferedMessage(NamedTuple):
+    """A message that waits for the store."""
 
-    source: Source
-    """Over which it came."""
+    source: MessageSource
     t: int
-    """Time of arrival, ns."""
+    """Time of reception, ns."""
     counter: int
-    """Arrival order over all topics."""
+    """Position in the order of reception over all topics."""
     wire: bytes
 
     @property
     def nbytes(self) -> int:
-        """What it counts for in the buffer."""
+        """Memory that it takes in the buffer, bytes."""
         return len(self.wire) + ITEM_BYTES
 
 
-class Source:
-    """Messages of one topic with one connection header."""
+class MessageSource:
+    """The messages of one topic with the same connection header."""
 
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.topic = connection.topic
-        self.handle: Optional[Handle] = None  # where the messages go, when the table stands
-        self.error = ""  # why they cannot be stored
-        self.waiting: deque[Item] = deque()  # what came before the table stood
+        self.handle: Optional[Handle] = None  # for writing, once the table exists
+        self.error = ""  # reason why its messages cannot be stored
+        self.waiting: deque[BufferedMessage] = deque()  # messages received before the table existed
         self.submitted = False  # whether the table is being made
-        self.told = False  # whether its table was tried in vain, and people know that it waits
-        self.conflicts = 0  # how often another one's schema change came between
+        self.told = False  # whether an attempt to make the table failed and was logged
+        self.conflicts = 0  # number of attempts that ended with a schema conflict
         self.has_header = starts_with_header(connection.definition_text)
-        self.tells_places = tells_places(connection)  # where the robot is
+        self.tells_places = tells_places(connection)  # whether it has poses of the robot
         self._since = 0.0
         self._seen = 0
         self._seen_bytes = 0
-        self._last_ns = 0  # when the last of them came
-        self._span_ns = 0  # time from the first to the last
+        self._last_ns = 0  # time of reception of the last message
+        self._span_ns = 0  # time from the first to the last message
 
-    def hold(self, item: Item) -> None:
-        """Keep a message until the table stands."""
+    def hold(self, item: BufferedMessage) -> None:
+        """Keep a message until the table exists."""
         if not self._seen:
             self._since, self._last_ns = time.monotonic(), item.t
         self._span_ns += min(max(item.t - self._last_ns, 0), LONGEST_STEP_NS)
@@ -101,23 +105,23 @@ class Source:
         return first
 
     def is_ripe(self) -> bool:
-        """Whether enough was seen to fix the bucket length."""
+        """Return whether the rate is known well enough to fix the bucket length."""
         enough = self._seen >= FIRST_MESSAGES or self._seen_bytes >= FIRST_BYTES
         return enough or self._watched() >= FIRST_SEC
 
     def lengths(self) -> Lengths:
-        """Choose how much time buckets and blocks cover, by the rate that was seen."""
-        # What came in a burst is no rate; what came within a second is one.
+        """Return the lengths of buckets and blocks for the observed rate."""
+        # Several messages give a rate from 0.1 s on; one message counts as one per second.
         seconds = max(self._watched(), 0.1 if self._seen > 1 else 1.0)
         rate_hz, bytes_per_sec = self._seen / seconds, self._seen_bytes / seconds
-        # Live blocks are sealed by their age: a longer span would only make readers look further.
+        # Live blocks are closed by their age: a longer block would only make readers search more.
         bucket_ns = bucket_for(rate_hz, bytes_per_sec, LONGEST_BUCKET_NS)
         span_ns = min(span_for(rate_hz, bytes_per_sec), UNKNOWN_SPAN_NS)
         return Lengths(bucket_ns, span_ns, self._seen_bytes > CHUNK_BYTES * self._seen)
 
     def _watched(self) -> float:
-        # What waited for the store, or was kept for a snapshot, is handed on in a moment: of that
-        # only the times of arrival tell the rate.
+        # Messages that waited for the store or come from a snapshot are handed on in a moment: for
+        # them only the times of reception show the rate.
         here = time.monotonic() - self._since if self._seen else 0.0
         return max(here, self._span_ns / SECOND_NS)
 
@@ -126,27 +130,27 @@ class Feed(NamedTuple):
     """One connection of rospy."""
 
     header: Mapping[str, str]
-    """rospy's object, kept alive, for its id names the connection."""
-    source: Source
+    """rospy's object; it is referenced here because its id identifies the connection."""
+    source: MessageSource
 
 
 class Buffer:
-    """First in, first out; when full the oldest is dropped, as in rosbag. Thread-safe.
+    """A queue that drops the oldest message when it is full, as in rosbag. Thread-safe.
 
-    An item counts until it is released, so that also what was taken and still waits for its table
-    is within the bound (0 = none). One message is always accepted, whatever its size.
+    A message counts until it is released, so that a message that was taken and still waits for its
+    table is within the maximum, too (0 = no maximum). One message is always accepted, of any size.
     """
 
     def __init__(self, bound_bytes: int) -> None:
         self._bound = bound_bytes or 2**63
-        self._items: deque[Item] = deque()
+        self._items: deque[BufferedMessage] = deque()
         self.held_bytes = 0
         self._closed = False
         self._changed = threading.Condition()
 
-    def put(self, item: Item) -> list[Item]:
-        """Append an item; return what had to be dropped for it."""
-        dropped: list[Item] = []
+    def put(self, item: BufferedMessage) -> list[BufferedMessage]:
+        """Append a message; return the messages that were dropped for it."""
+        dropped: list[BufferedMessage] = []
         with self._changed:
             self._items.append(item)
             self.held_bytes += item.nbytes
@@ -158,14 +162,19 @@ class Buffer:
         return dropped
 
     def wait_for_room(self, nbytes: int) -> None:
-        """Return when a message of this size fits and much room is left for what arrives."""
+        """Wait until a message of this size fits and most of the buffer is free for live ones."""
         with self._changed:
             while self.held_bytes and self.held_bytes + nbytes + ITEM_BYTES > self._bound // 8:
                 self._changed.wait(0.05)
 
-    def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[Item]:
-        """Take the oldest, at least one, until a bound is met; [] after the timeout or a wake."""
-        taken: list[Item] = []
+    def take(self, most: int, most_bytes: int, timeout_sec: float) -> list[BufferedMessage]:
+        """Take the oldest messages, at least one; [] after the timeout or a ``wake``.
+
+        Args:
+            most: Maximum number of messages.
+            most_bytes: Size from which no further message is taken, bytes.
+        """
+        taken: list[BufferedMessage] = []
         nbytes = 0
         with self._changed:
             if not self._items:
@@ -176,8 +185,8 @@ class Buffer:
                 taken.append(item)
         return taken
 
-    def release(self, item: Item) -> None:
-        """Note that an item that was taken is no longer held in memory."""
+    def release(self, item: BufferedMessage) -> None:
+        """Subtract a taken message, which is no longer held in memory."""
         with self._changed:
             self.held_bytes -= item.nbytes
 
@@ -187,27 +196,27 @@ class Buffer:
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Note that nothing will be put any more."""
+        """Declare that no further message will be put."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     @property
     def closed(self) -> bool:
-        """Whether nothing will be put any more."""
+        """Whether no further message will be put."""
         return self._closed
 
     @property
     def ended(self) -> bool:
-        """Whether it is closed and everything was taken."""
+        """Whether it is closed and all messages were taken."""
         with self._changed:
             return self._closed and not self._items
 
 
 def starts_with_header(definition_text: str) -> bool:
-    """Say whether the first field of a message is a std_msgs/Header.
+    """Return whether the first field of a message is a std_msgs/Header.
 
-    Only the text is looked at, for it may be hostile or broken and still have a sequence number.
+    Only the text is searched: a definition that cannot be parsed may still begin with a Header.
     """
     for line in definition_text.split("\n"):
         code = line.split("#")[0].strip()

@@ -38,16 +38,16 @@ from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.places.run_index import RobotRun, TfVisits, TopicVisits
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.read import Read, Writers
+from cassandra_ros.recording.live_row import LiveRow, LiveTable
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
-from cassandra_ros.recording.unstored import UnstoredRow, UnstoredTable
 from cassandra_ros.tables.place_index import Placed, Visited
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.key_selection import range_between
 from cassandra_ros.transforms.transform_samples import TRANSFORMS_MD5
 
 if TYPE_CHECKING:
-    from cassandra_ros.recording.message_buffer import Source
+    from cassandra_ros.recording.message_buffer import MessageSource
 
 _log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ POSES = (
 
 
 class _Taken(NamedTuple):
-    source: Source
+    source: MessageSource
     t: int
     wire: bytes
 
@@ -95,11 +95,11 @@ class LiveTopic:
         """Take a message; it comes behind those that were taken."""
         connection = taken.source.connection
         table = self._tables.get(connection.md5sum)
-        if not isinstance(table, UnstoredTable):
-            table = self._tables[connection.md5sum] = UnstoredTable(connection)
+        if not isinstance(table, LiveTable):
+            table = self._tables[connection.md5sum] = LiveTable(connection)
         if table.definition is None:
             return
-        row = UnstoredRow(table, self.name, self._node, taken.t, taken.wire, len(taken.wire))
+        row = LiveRow(table, self.name, self._node, taken.t, taken.wire, len(taken.wire))
         at = bisect_right(self._times, taken.t)  # a clock may go back
         self._times.insert(at, taken.t)
         self._rows.insert(at, row)
@@ -176,7 +176,7 @@ class PlaceKeeper:
         self._gave_up = False
         self._thread: Optional[threading.Thread] = None
         self._topics: Dict[str, LiveTopic] = {}
-        self._sources: Dict[str, Source] = {}
+        self._sources: Dict[str, MessageSource] = {}
         """The last connection of each topic: it knows its table."""
         self._first: Dict[str, int] = {}
         """From when on all poses of a topic are noted, ns."""
@@ -190,7 +190,7 @@ class PlaceKeeper:
         self._noted = self._read_to = -1
         """All poses up to here are noted, or were looked at, ns; -1 = none."""
 
-    def take(self, source: Source, t: int, wire: bytes) -> None:
+    def take(self, source: MessageSource, t: int, wire: bytes) -> None:
         """Take a message, in their order, if it tells where the robot is; wait for nothing.
 
         One thread at a time.

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The recorder without ROS: serialised messages in from any thread, rows out by one.
+"""One recording, without ROS: it takes serialised messages from any thread; one thread writes rows.
 
-A callback only stamps, counts and queues, so no publisher waits for the store. One thread writes;
-another makes tables while the messages of their topics wait. What does not fit into the buffer, or
-cannot be stored, is counted by topic and reason.
+A callback only stamps, counts and queues a message, so that no publisher waits for the store. One
+thread writes; another one makes tables while the messages of their topics wait. Messages that do
+not fit into the buffer or cannot be stored are counted by topic and reason.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.places.run_index import RobotRun
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
-from cassandra_ros.recording.message_buffer import Buffer, Feed, Item, Source
+from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, Feed, MessageSource
 from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
-from cassandra_ros.recording.tables import TableMaker, connect
+from cassandra_ros.recording.table_maker import TableMaker, connect
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings
 from cassandra_ros.tables.context_blob import RunContext
@@ -39,16 +39,21 @@ from cassandra_ros.topics.message_writer import Handle, MessageWriter, make_writ
 _log = logging.getLogger(__name__)
 
 DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
+"""Default maximum memory of the messages that wait for the store, bytes."""
 BLOCK_SEC = 0.5
+"""Default maximum time that a message waits for others in a block of format packed, s."""
 BATCH_ITEMS = 256
+"""Maximum number of messages that the writing thread takes at once."""
 BATCH_BYTES = 1024 * 1024
+"""Size of messages at which the writing thread stops taking more at once, bytes."""
 POLL_SEC = 0.05
+"""Maximum time that the writing thread waits for a message, s."""
 GIVE_UP_SEC = 300.0
-"""How long a store that does not answer is waited for when the recording ends."""
+"""Maximum time after the end in which messages are still tried to be stored, s."""
 MAX_FEEDS = 4096
-"""Connections remembered by their header object; publishers come and go for days."""
+"""Maximum number of connections whose header is remembered: publishers come and go for days."""
 LAST_WORD_SEC = 2.0
-"""How long a recorder that drops what waits tries to tell the store so."""
+"""Maximum time in which an abandoned recording tries to store its losses, s."""
 STORE_POLL_SEC = 0.2
 """Interval at which a recording that waits for the store checks whether it is ended, s."""
 NO_STORE_SEC = 2.0
@@ -56,38 +61,39 @@ NO_STORE_SEC = 2.0
 TELL_SEC = 60.0
 """Interval at which it tells so again, s."""
 SAVE_SEC = 2.0
-"""How often losses are written while messages are being lost."""
+"""Interval at which new losses are stored, s."""
 MAX_STEP_BACK_NS = SECOND_NS
-"""A clock that goes back further is warned of."""
+"""Step back of the clock above which a warning is logged, ns."""
 
-_Sources = MutableMapping[Tuple[str, bytes], Source]
-Kept = Tuple[str, Mapping[str, str], bytes, int]
-"""Topic, connection header, serialised message and time of arrival, ns."""
+_Sources = MutableMapping[Tuple[str, bytes], MessageSource]
+StampedMessage = Tuple[str, Mapping[str, str], bytes, int]
+"""Topic, connection header, serialised message and time of reception, ns."""
 
 
 class Recording:
-    """Stores messages as they arrive: one run.
+    """One run: it stores messages as they are received.
 
     Args:
-        store: The catalog of the connected keyspace, or a future of it: what comes before it
-            answers is kept in the buffer.
-        clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
-        format: As addTopic takes it, for topics of which the settings say nothing.
-        settings: How each topic is recorded; None = as ``format`` says.
-        filters: Which messages are left out; None = those that the settings say.
-        node: The robot or entity that is recorded.
-        buffer_bytes: Bound of all messages that wait; the oldest are dropped. 0 = none.
-        block_sec: How long a message waits for others in a block of format packed.
-        limit: Record only so many messages of each topic; 0 = all.
-        name, labels: Of the run in the store.
-        restored: Messages that ``restore`` will bring: they come before those that arrive.
+        store: The catalog of the connected keyspace, or a future of it: until it is connected
+            messages wait in the buffer.
+        clock: Returns the time of reception, ns; raises ClockNotSet while it is unknown.
+        format: Format of topics for which the settings have none, as addTopic takes it.
+        settings: Settings of the topics; None = only ``format``.
+        filters: Filters that leave messages out; None = those of the settings.
+        node: nodeID of the recorded robot.
+        buffer_bytes: Maximum memory of all waiting messages, bytes, above which the oldest are
+            dropped; 0 = no maximum.
+        block_sec: Maximum time that a message waits for others in a block of format packed, s.
+        limit: Maximum number of recorded messages of each topic; 0 = all.
+        name, labels: Name and labels of the run.
+        restored: Number of messages that ``restore`` will add before those that are received.
         places: Note where the robot is, where that is recorded; see PlaceKeeper.
     """
 
     _refusal = ""
-    """Why nothing may be stored for now: what comes is lost; '' = it may."""
+    """Reason why received messages are not stored for now and are lost; '' = they are stored."""
     problem = ""
-    """Why the store will never take this run: all of it is lost; '' = it does, or may."""
+    """Reason why the run cannot be stored at all; '' = it is stored, or may be later."""
     _context: Optional[RunContext] = None
 
     def __init__(
@@ -114,11 +120,11 @@ class Recording:
         self.node, self.name, self._labels = node, name, dict(labels or {})
         self._limit, self._block_sec = limit, block_sec
         self._before: Mapping[str, int] = {}
-        """Messages by topic that count for the limit already."""
+        """Number of messages by topic in earlier runs that count for the limit."""
         self._lock = threading.Lock()
         self._accepting, self._counter, self._latest = True, restored, 0
         self._feeds: dict[int, Feed] = {}
-        # They are held by feeds, queued messages and waiting lists.
+        # Referenced by feeds, queued messages and waiting lists.
         self._sources: _Sources = weakref.WeakValueDictionary()
         self.writer_id = new_writer_id()
         self._losses = LossLog(node, self.writer_id)
@@ -127,12 +133,12 @@ class Recording:
         )
         self._counts = Counts(self._losses)
         self._writers: list[MessageWriter] = []
-        """Empty until the store answers."""
+        """Empty until the run is opened in the store."""
         self._gives_up = math.inf
-        """Until when the store is waited for after the end; monotonic."""
+        """Time at which the recording gives up an unconnected store, monotonic clock, s."""
         self._buffer, self._buffer_bytes = Buffer(buffer_bytes), buffer_bytes
         self._most_waiting, self._waiting_bytes = buffer_bytes // 2 or 2**63, 0
-        self._waiting: list[Source] = []
+        self._waiting: list[MessageSource] = []
         if self._store.done():
             self._open()
         self._tables = TableMaker(self._connect, self._buffer.wake)
@@ -144,13 +150,13 @@ class Recording:
         self._thread_of(self._keep, "recorder-losses")
 
     def _open(self) -> None:
-        """Begin the run in the store; raises what the store raises."""
+        """Start the run in the store; raises what the store raises."""
         self._writers.append(self._make_writer(self.writer_id))
         self._store.result().keyspace.cassandra.outage.tell_waiting(self._waiting_for_long)
 
     @property
     def opened(self) -> bool:
-        """Whether the run has begun in the store: before, what comes waits in memory."""
+        """Whether the run has started in the store; before, messages wait in memory."""
         return bool(self._writers)
 
     @property
@@ -169,23 +175,22 @@ class Recording:
         self._refusal = reason
 
     def expect(self, topic: str) -> None:
-        """Let a topic appear in the reports even if nothing ever comes."""
+        """List a topic in the reports even if no message of it is received."""
         self._counts.expect(topic)
 
     def received(
         self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
     ) -> bool:
-        """Take one serialised message that has just arrived. Never waits for the store.
-
-        The header is the same object for all messages of a connection.
+        """Record one serialised message that was just received. Never waits for the store.
 
         Args:
-            paused: Only count it.
+            header: Connection header; the same object for all messages of a connection.
+            paused: Only count the message.
 
         Returns:
-            Whether it was looked at; False where the recording has ended.
+            False if the recording has ended.
         """
-        # Stamp and counter together: rospy has a thread per publisher, and the order of the
+        # Stamp and counter under one lock: rospy has a thread per publisher, and the order of the
         # stamps must be that of the counters.
         with self._lock:
             if not self._accepting:
@@ -204,8 +209,8 @@ class Recording:
 
     def _take(
         self, topic: str, header: Mapping[str, str], wire: bytes, paused: bool
-    ) -> Sequence[Item]:
-        """Stamp and queue a message; return what is lost by that."""
+    ) -> Sequence[BufferedMessage]:
+        """Stamp and queue a message; return the messages that were dropped for it."""
         feed = self._feed(topic, header)
         self._counts.attribute(topic, wire, feed)
         if paused:
@@ -218,8 +223,8 @@ class Recording:
             return ()
         if t < self._latest - MAX_STEP_BACK_NS:
             _log.warning(
-                "time went back by %.3f s: what comes now is kept at times that lie before what "
-                "was recorded last",
+                "time went back by %.3f s: messages received now get times before those that were "
+                "recorded last",
                 (self._latest - t) / SECOND_NS,
             )
         self._latest = t
@@ -231,14 +236,14 @@ class Recording:
             return ()
         return self._put(feed, t, wire)
 
-    def _put(self, feed: Feed, t: int, wire: bytes) -> Sequence[Item]:
+    def _put(self, feed: Feed, t: int, wire: bytes) -> Sequence[BufferedMessage]:
         counter = self._counter
         self._counter += 1
         self._places.take(feed.source, t, wire)
-        return self._buffer.put(Item(feed.source, t, counter, wire))
+        return self._buffer.put(BufferedMessage(feed.source, t, counter, wire))
 
-    def follow(self, kept: Kept) -> None:
-        """Take a message that was stamped and filtered already; never waits for the store."""
+    def follow(self, kept: StampedMessage) -> None:
+        """Record a message that was stamped and filtered already. Never waits for the store."""
         topic, header, wire, t = kept
         with self._lock:
             if not self._accepting:
@@ -250,12 +255,14 @@ class Recording:
         for item in lost:
             self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
 
-    def restore(self, kept: Sequence[Kept]) -> None:
-        """Take messages that came before the recording began; waits for the store.
+    def restore(self, kept: Sequence[StampedMessage]) -> None:
+        """Record messages that were received before the recording began; waits for the store.
 
-        They must be as many as the constructor was told, in the order of their arrival.
+        Args:
+            kept: The messages in the order of reception, as many as the argument ``restored`` of
+                the constructor.
         """
-        # All at once: what is still to be taken when this is given up is lost, too.
+        # All are counted first: those that are not queued yet when this is given up are lost, too.
         for topic, _, wire, _ in kept:
             self._counts.received(topic, wire)
         for counter, (topic, header, wire, t) in enumerate(kept):
@@ -264,24 +271,24 @@ class Recording:
                 self._counts.attribute(topic, wire, feed)
                 self._places.take(feed.source, t, wire)
             self._buffer.wait_for_room(len(wire))
-            for item in self._buffer.put(Item(feed.source, t, counter, wire)):
+            for item in self._buffer.put(BufferedMessage(feed.source, t, counter, wire)):
                 self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
 
     def unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
-        """Note that publishers of a topic may have sent what never came here.
+        """Record a loss: messages of new publishers of a topic may have been missed.
 
         Args:
-            first_ns, last_ns: When that may have been, ns, both included.
+            first_ns, last_ns: Time range in which they may have been sent, ns, both included.
         """
         self._counts.unheard(topic, (last_ns - first_ns) / SECOND_NS)
         self.lose(topic, LossKind.UNHEARD, 0, first_ns, last_ns)
 
     def lose(self, topic: str, kind: LossKind, messages: int, first_ns: int, last_ns: int) -> None:
-        """Note messages that never came here; 0 = nobody knows how many."""
+        """Record a loss of messages that were not received; 0 = their number is not known."""
         self._counts.lost(topic, messages, kind, first_ns, last=last_ns)
 
     def now(self) -> int:
-        """Tell the time as messages are stamped, ns; the wall clock's while it is unknown."""
+        """Return the time of the clock that stamps messages, ns; the wall time if it is unknown."""
         try:
             return self._clock()
         except ClockNotSet:
@@ -295,20 +302,25 @@ class Recording:
         if feed is None:
             connection = live_connection(topic, header)
             key = (topic, connection.header)
-            source = self._sources.setdefault(key, Source(connection))
+            source = self._sources.setdefault(key, MessageSource(connection))
             if len(self._feeds) >= MAX_FEEDS:
                 self._feeds.pop(next(iter(self._feeds)))
             feed = self._feeds[id(header)] = Feed(header, source)
         return feed
 
     def is_complete(self, topic: str) -> bool:
-        """Say whether a topic has all the messages that the limit allows."""
+        """Return whether a topic has all the messages that the limit allows."""
         if not self._limit:
             return False
         return self._before.get(topic, 0) + self._counts.kept(topic) >= self._limit
 
     def hand_over(self, later: Recording, switch: Callable[[], None]) -> None:
-        """Take no more messages; what comes from now on is the later one's, whom switch names."""
+        """Accept no more messages.
+
+        Args:
+            later: The recording that gets the following messages.
+            switch: Makes ``later`` the current recording.
+        """
         with self._lock:
             self._accepting = False
             if self._limit:
@@ -321,7 +333,7 @@ class Recording:
         self._before = before
 
     def _kept(self) -> dict[str, int]:
-        """Return how many messages of each topic count for the limit by now."""
+        """Return the number of messages of each topic that count for the limit."""
         found = Counter(self._before)
         for report in self.reports():
             found[report.topic] += report.received - report.left_out - report.paused
@@ -329,16 +341,16 @@ class Recording:
 
     @property
     def received_bytes(self) -> int:
-        """Serialised bytes that have come."""
+        """Serialised size of all received messages, bytes."""
         return self._counts.total_bytes
 
     @property
     def held_bytes(self) -> int:
-        """How much waits for the store, in bytes of memory."""
+        """Memory of the messages that wait for the store, bytes."""
         return self._buffer.held_bytes
 
     def count(self, topic: str) -> int:
-        """Return how many messages of a topic arrived."""
+        """Return the number of received messages of a topic."""
         return self._counts.of(topic)
 
     def _run(self) -> None:
@@ -351,9 +363,9 @@ class Recording:
         self._tables.close()
 
     def _await_store(self) -> str:
-        """Open the run as soon as the store answers; return why that cannot be, '' = it is open."""
-        begun = time.monotonic()
-        told = begun + NO_STORE_SEC - TELL_SEC
+        """Open the run as soon as the store answers; return why it cannot be opened, else ''."""
+        started = time.monotonic()
+        told = started + NO_STORE_SEC - TELL_SEC
         while not self.opened:
             if self._is_too_late():
                 return NO_STORE
@@ -373,34 +385,34 @@ class Recording:
                 return self.problem
             if time.monotonic() >= told + TELL_SEC and self._tell_of_waiting("no store yet"):
                 told = time.monotonic()
-        if told > begun:
-            self._tell_of_waiting(f"the store answers after {time.monotonic() - begun:.0f} s")
-        if self._buffer.closed:  # it ended meanwhile
+        if told > started:
+            self._tell_of_waiting(f"the store answers after {time.monotonic() - started:.0f} s")
+        if self._buffer.closed:  # the recording has ended while it waited
             self._hurry()
         return ""
 
     def _is_too_late(self) -> bool:
-        """Say whether the recording has ended and need not wait for the store."""
+        """Return whether the recording has ended and need not wait for the store any longer."""
         if not self._buffer.closed:
             return False
         return not self._buffer.held_bytes or time.monotonic() > self._gives_up
 
     def _tell_of_waiting(self, what: str) -> str:
-        """Tell how many messages wait, where any do; return the text."""
+        """Log how many messages wait, if any do; return the text."""
         text = self._waiting_for_long()
         if text:
             _log.warning("%s: %s", what, text)
         return text
 
     def _lose_all(self, why: str) -> None:
-        """Count what came, and comes, as lost: the run could not be opened."""
+        """Count all messages as lost: the run could not be opened."""
         while not self._buffer.ended:
             for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
                 self._lose(item.source.topic, LossKind.AT_END, why, item.t)
                 self._buffer.release(item)
 
     def _step(self) -> bool:
-        """Move some messages on; return whether all are gone."""
+        """Move some messages on; return whether the recording has ended and no message is left."""
         for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
             self._route(item)
         while self._tables.decided:
@@ -413,19 +425,19 @@ class Recording:
             if not source.submitted and (ending or source.is_ripe()):
                 source.submit()
                 self._tables.make(source)
-        if ending:  # a store that is gone is not waited for much longer
+        if ending:  # a store that does not answer is given up soon
             self._tables.hurry()
         return ending and not self._waiting
 
-    def _route(self, item: Item) -> None:
+    def _route(self, item: BufferedMessage) -> None:
         source = item.source
         if source.handle is None and not source.error:
             if not source.waiting and not source.submitted:
                 self._waiting.append(source)
             source.hold(item)
             self._waiting_bytes += item.nbytes
-            # What waits for tables that cannot be made stays within half of the buffer: topics
-            # with one go on.
+            # Messages that wait for tables use at most half of the buffer, so that topics that
+            # have a table go on.
             while self._is_over(source):
                 old = self._released(source)
                 self._buffer.release(old)
@@ -437,23 +449,23 @@ class Recording:
             self._write(item, source.handle)
         self._buffer.release(item)
 
-    def _is_over(self, source: Source) -> bool:
-        """Say whether the oldest message of a source that waits for its table is to be dropped."""
+    def _is_over(self, source: MessageSource) -> bool:
+        """Return whether the oldest message of a source that waits for its table is dropped."""
         return source.told and self._waiting_bytes > self._most_waiting and len(source.waiting) > 1
 
-    def _released(self, source: Source) -> Item:
+    def _released(self, source: MessageSource) -> BufferedMessage:
         item = source.waiting.popleft()
         self._waiting_bytes -= item.nbytes
         return item
 
-    def _write(self, item: Item, handle: Handle) -> None:
+    def _write(self, item: BufferedMessage, handle: Handle) -> None:
         generation, counter = divmod(item.counter, 1 << COUNTER_BITS)
         source = item.source
         try:
             while len(self._writers) <= generation:
                 self._writers.append(self._make_writer(new_writer_id()))
             writer = self._writers[generation]
-            if generation:  # the counter ran over: another writer, with handles of its own
+            if generation:  # the counter overflowed: another writer with its own handles
                 handle = connect(writer, source.connection, Lengths(), self._settings)
             writer.write(handle, item.t, counter, item.wire)
         except CassandraRosError as exc:
@@ -462,7 +474,7 @@ class Recording:
             _log.exception("a message of topic %s could not be stored", source.topic)
             self._lose(source.topic, LossKind.MISTAKE, _mistake(exc), item.t)
 
-    def _connect(self, source: Source) -> Handle:
+    def _connect(self, source: MessageSource) -> Handle:
         """Make the table of a source, on the thread of the table maker."""
         return connect(self._writers[0], source.connection, source.lengths(), self._settings)
 
@@ -483,7 +495,7 @@ class Recording:
             ttl=self._settings.default.ttl,
             run=run,
             block_sec=self._block_sec,
-            # The buffer is the bound: an outage costs nothing while it lasts.
+            # No time limit: during an outage messages are lost only when the buffer is full.
             give_up_after_sec=math.inf,
             on_loss=self._refused,
         )
@@ -494,11 +506,11 @@ class Recording:
         self._counts.lost(topic, messages, LossKind.REFUSED, first, str(error), last)
 
     def put_context(self, context: RunContext) -> None:
-        """Keep parameters and node graph with the run, in the background."""
+        """Store parameters and node graph with the run, in the background."""
         self._context = context
 
     def _keep(self) -> None:
-        """Write losses and the context, on a thread of its own, until the end."""
+        """Store losses and the context at intervals until the end, on a thread."""
         while not self._ended.wait(SAVE_SEC):
             self._save()
 
@@ -507,7 +519,7 @@ class Recording:
             return
         registry = self._store.result().keyspace.registry
         try:
-            # One at a time: what is older must not be written over what is newer.
+            # One thread at a time: an older loss must not overwrite a newer one.
             with self._saving:
                 if self._context is not None:
                     registry.put_context(self.writer_id, self.node, self._context)
@@ -521,9 +533,13 @@ class Recording:
             _log.warning("losses or parameters of the run cannot be kept: %s", exc)
 
     def stop(self, timeout_sec: Optional[float] = None) -> bool:
-        """Take no more messages and store what is here; say whether all is stored or lost.
+        """Accept no more messages and store the waiting ones.
 
-        It returns after so long in any case (None = never); call again to go on waiting.
+        Args:
+            timeout_sec: Maximum time to wait, s; None = no maximum. Call again to go on waiting.
+
+        Returns:
+            Whether all messages are stored or lost.
         """
         with self._lock:
             self._accepting = False
@@ -538,7 +554,7 @@ class Recording:
             writer.hurry(GIVE_UP_SEC)
 
     def close(self) -> list[TopicReport]:
-        """Stop, close the buckets, note the end of the run; return the final report."""
+        """Stop, close the buckets, store the end of the run; return the final report."""
         self.stop()
         if not self._ended.is_set():
             for writer in self._writers:
@@ -552,7 +568,7 @@ class Recording:
         return self.reports()
 
     def waiting(self) -> tuple[int, int]:
-        """Return how many messages wait for the store, and about how many bytes they take."""
+        """Return the number of messages that wait for the store and their memory, bytes."""
         messages = sum(report.waiting for report in self.reports())
         nbytes = self._buffer.held_bytes + sum(w.pending_bytes for w in list(self._writers))
         return max(messages, 0), nbytes
@@ -566,14 +582,14 @@ class Recording:
             return text
         bound = f"{self._buffer_bytes >> 20} MB wait" if self._buffer_bytes else "memory is full"
         return (
-            f"{text}; they are kept in memory until {bound}, then the oldest are dropped; once the "
-            f"recording ends they are tried for {GIVE_UP_SEC:.0f} s"
+            f"{text}; they are kept in memory until {bound}, then the oldest are dropped; when the "
+            f"recording ends they are retried for {GIVE_UP_SEC:.0f} s"
         )
 
     def abandon(self) -> list[TopicReport]:
-        """Count as lost what is not stored by now, and wait for nothing; return the report."""
+        """Count messages that are not stored by now as lost, without waiting; return the report."""
         self._settle()
-        # The store is told if it answers; the process may end meanwhile.
+        # The losses are stored if the store answers in time; the process may end before.
         self._thread_of(self._save, "recorder-losses").join(LAST_WORD_SEC)
         return self.reports()
 
@@ -582,13 +598,13 @@ class Recording:
         self._counts.settle(self._stored(), self._latest or time.time_ns())
 
     def reports(self) -> list[TopicReport]:
-        """Describe what became of each topic so far."""
+        """Return the report of each topic so far."""
         return self._counts.reports(self._stored())
 
     def _stored(self) -> Counter[str]:
         stored: Counter[str] = Counter()
         for writer in self._writers:
-            stored.update({topic: part.stored for topic, part in writer.stats().items()})
+            stored.update({topic: stats.stored for topic, stats in writer.stats().items()})
         return stored
 
 
@@ -597,7 +613,7 @@ def _mistake(exc: Exception) -> str:
 
 
 def _try_to(work: Callable[[], None]) -> None:
-    # The closing table must come whatever happens: it is where losses are told.
+    # Errors are only logged: the final report, which lists the losses, must be returned.
     try:
         work()
     except CassandraRosError as exc:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is to be recorded, and how: the options of a recorder."""
+"""The options of a recorder."""
 
 from __future__ import annotations
 
@@ -10,76 +10,76 @@ from dataclasses import dataclass, field
 from typing import Callable, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.recording.recording import BLOCK_SEC, DEFAULT_BUFFER_BYTES
-from cassandra_ros.recording.snapshot import Bound
+from cassandra_ros.recording.snapshot import SnapshotBound
 from cassandra_ros.recording.topic_settings import Rule, Settings, TopicSettings
 
 
 @dataclass(frozen=True)
 class RecorderOptions:
-    """What to record, and how; the options of the program ``recorder`` have the same names."""
+    """The options of a recorder; those of the program ``recorder`` have the same names."""
 
     topics: Sequence[str] = ()
-    """Names, or regular expressions."""
+    """Names of the topics, or regular expressions."""
     all: bool = False
-    """Every topic, also one that comes later."""
+    """Whether all topics are recorded, also those that appear later."""
     regex: bool = False
-    """``topics`` are regular expressions, for whole names."""
+    """Whether ``topics`` are regular expressions, which must match whole names."""
     exclude: str = ""
-    """Regular expression of topics that are left out."""
+    """Regular expression of topics that are left out; '' = none."""
     node: str = ""
-    """Also every topic that this node subscribes to, '' = none."""
+    """ROS node whose subscribed topics are recorded, too; '' = none."""
     format: Optional[str] = None
-    """As addTopic takes it."""
+    """Format of new topics, as addTopic takes it."""
     ttl: int = 0
-    """Seconds until a message of a new topic expires; 0 = never."""
+    """Time until a message of a new topic expires, s; 0 = never."""
     where: Sequence[Tuple[str, str]] = ()
-    """Pattern of topic names, and a condition: only messages that satisfy it."""
+    """Patterns of topic names, each with a condition that recorded messages must satisfy."""
     rate_limit: Sequence[Tuple[str, float]] = ()
-    """Pattern of topic names, and most messages a second of such a topic."""
+    """Patterns of topic names, each with the maximum rate of such a topic, Hz."""
     config: Sequence[Rule] = ()
     """Settings by topic, as read_settings reads them; where and rate_limit have precedence."""
     node_id: str = ""
-    """The robot or entity that is recorded."""
+    """nodeID of the recorded robot."""
     output_name: str = ""
-    """Name of the run; '' = by output_prefix."""
+    """Name of the run; '' = made with output_prefix."""
     output_prefix: str = ""
-    """What stands before the date in the name of the run; '' = the date alone."""
+    """Text before the date in the name of the run; '' = the date alone."""
     labels: Mapping[str, str] = field(default_factory=dict)
-    """What is kept with each run."""
+    """Labels of each run."""
     split: bool = False
-    """Go on in a new run when size or duration is reached, instead of ending."""
+    """Whether to go on in a new run, instead of ending, when size or duration is reached."""
     size: int = 0
-    """Serialised bytes of a run; 0 = no bound."""
+    """Maximum serialised size of a run, bytes; 0 = no maximum."""
     duration: float = 0.0
-    """Seconds by the wall clock; 0 = until it is stopped."""
+    """Maximum length of a run by the wall clock, s; 0 = until the recorder is stopped."""
     max_splits: int = 0
-    """Keep only so many runs of this recording; 0 = all."""
+    """Maximum number of runs of this recording that are kept; 0 = all."""
     repeat_latched: bool = False
-    """Begin each further run with what is latched."""
+    """Whether each further run begins with the latched messages."""
     limit: int = 0
-    """Messages of each topic; 0 = all."""
+    """Maximum number of messages of each topic; 0 = all."""
     block_age: float = BLOCK_SEC
-    """Seconds that a message waits for others in a block of format packed."""
+    """Maximum time that a message waits for others in a block of format packed, s."""
     buffsize: int = DEFAULT_BUFFER_BYTES
-    """Most bytes that wait for the store; 0 = no bound."""
-    snapshot: Optional[Bound] = None
-    """Keep the newest messages in memory until somebody asks for them; None = record."""
+    """Maximum memory of the messages that wait for the store, bytes; 0 = no maximum."""
+    snapshot: Optional[SnapshotBound] = None
+    """How many messages are kept in memory until a snapshot is requested; None = record all."""
     publish: bool = False
-    """Say the name of each run on the latched topic begin_write."""
+    """Whether the name of each run is published on the latched topic begin_write."""
     diagnostics: bool = True
-    """Tell on /diagnostics how it goes."""
+    """Whether the status is published on /diagnostics."""
     tcpnodelay: bool = False
-    """Ask publishers to send at once."""
+    """Whether publishers are asked to send without delay (TCP_NODELAY)."""
     free_space: Optional[Callable[[], Optional[int]]] = None
-    """Tells how many bytes are free where the store keeps its data; None = it is not known."""
+    """Returns the free space where the store keeps its data, bytes; None = it is not known."""
     min_space: int = 0
-    """Store nothing while fewer bytes are free there."""
+    """Minimum free space there, bytes; below it no message is stored."""
     places: bool = True
-    """Note where the robot is while it is recorded, so that NEAR finds that quickly."""
+    """Whether the places of the robot are stored while it is recorded, to speed up NEAR."""
 
     @property
     def settings(self) -> Settings:
-        """How each topic is recorded."""
+        """Settings of all topics, from these options."""
         conditions: Sequence[Rule] = [(p, {"where": text}) for p, text in self.where]
         rates: Sequence[Rule] = [(p, {"rate_limit": rate}) for p, rate in self.rate_limit]
         default = TopicSettings(format=self.format, ttl=self.ttl)
@@ -87,20 +87,25 @@ class RecorderOptions:
 
     @property
     def discovers(self) -> bool:
-        """Whether topics are chosen while they appear."""
+        """Whether topics are selected when they appear."""
         return self.all or self.regex
 
     def excludes(self, topic: str) -> bool:
-        """Say whether a topic is left out whatever else is said."""
+        """Return whether the option exclude leaves a topic out."""
         return bool(self.exclude and re.fullmatch(self.exclude, topic))
 
     def chooses(self, topic: str) -> bool:
-        """Say whether a topic that appeared is to be recorded."""
+        """Return whether a topic that appeared is to be recorded."""
         named = self.regex and any(re.fullmatch(name, topic) for name in self.topics)
         return (self.all or named) and not self.excludes(topic)
 
     def run_name(self, number: int, name: str = "") -> str:
-        """Name a run that begins now, the first has number 0; ``name`` goes before the options'."""
+        """Return the name of a run that starts now.
+
+        Args:
+            number: Number of the run in the recording, from 0.
+            name: Name to use instead of that in the options; '' = that of the options.
+        """
         date = time.strftime("%Y-%m-%d-%H-%M-%S")
         name = name or self.output_name or "_".join(filter(None, (self.output_prefix, date)))
         return f"{name}_{number}" if self.split else name

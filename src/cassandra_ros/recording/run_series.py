@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The runs of one recorder: begun, split where they get too large, ended, counted together."""
+"""The runs of one recorder: started, split when they get too large, ended, counted together."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from typing import Callable, Mapping, NamedTuple, Optional, Sequence
 from cassandra_ros.arguments import check_run_name
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.free_space import SpaceGuard
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.space import SpaceGuard
 from cassandra_ros.recording.store_future import Store, failure_of, store_future
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
 
 _log = logging.getLogger(__name__)
 
 MAX_ENDING = 2
-"""Runs that are still being stored; the current one is not split while there are so many."""
+"""Maximum number of ended runs still being stored; with that many the current run is not split."""
 SPACE_SEC = 20.0
-"""How often the free space is looked at; rosbag record does so, too."""
+"""Interval between two checks of the free space, s; that of rosbag record."""
 PATIENCE_SEC = 3.0
-"""How long a store may take in the end before people are told that it does."""
+"""Time at the end after which the user is told that messages still wait for the store, s."""
 RETRY_SEC = 2.0
-"""How long a store that does not answer is left alone before the next run is tried."""
+"""Pause after a failed start of the next run, s."""
 BEGIN_SEC = 1.0
-"""How long the begin of the next run is waited for at a time: the end is not to wait for it."""
+"""Maximum time that one ``poll`` waits for the start of the next run, s."""
 _LAST_RUN = 10**9
-"""Number that no run of a recording reaches: its name is checked before the first run begins."""
+"""Number above that of any run of a recording: with it the name is checked before the start."""
 MAX_LATCHED = 4096
-"""Publishers whose latched message is repeated."""
+"""Maximum number of publishers whose latched message is repeated in each run."""
 
 
-class _Making:
-    """A run that is being begun on a thread of its own, for the store may be away."""
+class _RunStart:
+    """The start of a run on its own thread, because the store may not answer."""
 
     def __init__(self, make: Callable[[], Recording]) -> None:
         self._make = make
@@ -64,36 +64,36 @@ class _Making:
             made.close()
 
     def done(self, timeout_sec: float) -> bool:
-        """Wait for so long; say whether it is made, or has failed."""
+        """Wait at most ``timeout_sec``; return whether the run has started or failed to."""
         self._thread.join(timeout_sec)
         return not self._thread.is_alive()
 
     def drop(self) -> None:
-        """End the run, empty as it is, when it has begun; waits for nothing."""
+        """End the empty run once it has started, without waiting for it."""
         with self._mutex:
             made, self._unwanted = self.made, True
         if made is not None:
             threading.Thread(target=made.close, name="recorder-drop", daemon=True).start()
 
 
-class _Ended(NamedTuple):
-    """A run that is stored, or lost; they sort by when they were recorded."""
+class _EndedRun(NamedTuple):
+    """A run that has ended and whose messages are stored or lost; sorted by its number."""
 
     order: int
     run: Recording
     reports: Sequence[TopicReport]
 
 
-class Series:
-    """Stores what comes in one run after the other.
+class RunSeries:
+    """The runs of one recorder, one after the other.
 
-    ``begin``, ``poll`` and ``end`` are called by one thread at a time, the others by any.
+    ``begin``, ``poll`` and ``end`` are called by one thread at a time, the other methods by any.
 
     Args:
         store: The catalog of the connected keyspace, or a future of it; see Recording.
-        options: How to record.
-        clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
-        begun: Called with each run when it has begun.
+        options: Options of the recorder.
+        clock: Returns the time of reception, ns; raises ClockNotSet while it is unknown.
+        begun: Called with each run when it has started.
     """
 
     def __init__(
@@ -115,24 +115,29 @@ class Series:
         self._number = 0
         self._since = 0.0
         self._retry = 0.0
-        self._making: Optional[_Making] = None
+        self._making: Optional[_RunStart] = None
         self._problem = ""
         self._name, self._labels = "", dict(options.labels)
         self._ending: list[threading.Thread] = []
         self._closing: list[Recording] = []
         """Runs that have ended and are still being stored."""
         self._order = itertools.count()
-        self._kept: list[_Ended] = []
-        """The runs of this recording that have ended and are kept."""
+        self._kept: list[_EndedRun] = []
+        """Runs of this recording that have ended and are not deleted."""
         self._removed: list[Sequence[TopicReport]] = []
         self._latched: dict[tuple[str, str], tuple[Mapping[str, str], bytes]] = {}
         self._latching = threading.Lock()
         self._mutex = threading.RLock()
 
-    # ---------------------------------------------------------------- runs
-
     def begin(self, name: str = "", labels: Optional[Mapping[str, str]] = None) -> Recording:
-        """Begin a run; '' = named as the options say. Raises what the store raises."""
+        """Start the first run.
+
+        Args:
+            name: Name of the run; '' = as the options say.
+
+        Raises:
+            CassandraRosError: The run cannot be started in the store.
+        """
         check_run_name(self._options.run_name(_LAST_RUN, name))
         self._name, self._number = name, 0
         self._labels = {**self._options.labels, **(labels or {})}
@@ -144,7 +149,11 @@ class Series:
         return current
 
     def single(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
-        """Begin a run beside the series, of messages that were kept before."""
+        """Start a run outside the series for a snapshot.
+
+        Args:
+            restored: Number of messages in memory that will be stored in it first.
+        """
         options = self._options
         recording = Recording(
             self._store,
@@ -187,7 +196,7 @@ class Series:
             recording.expect(topic)
 
     def expect(self, topic: str) -> None:
-        """Let a topic appear in the reports even if nothing ever comes."""
+        """List a topic in the reports even if no message of it is received."""
         self._topics.add(topic)
         current = self.current
         if current is not None:
@@ -195,23 +204,21 @@ class Series:
 
     @property
     def problem(self) -> str:
-        """Why nothing can be stored, now or any more; '' = it can, or may."""
+        """Reason why no message can be stored; '' = messages can be stored, as far as known."""
         current = self.current
         return (current and current.problem) or self._problem or failure_of(self._store)
-
-    # ---------------------------------------------------------------- messages
 
     def received(
         self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
     ) -> None:
-        """Take a message that has just arrived; paused: only count it."""
+        """Record a message that was just received; with ``paused`` only count it."""
         if self._options.repeat_latched and header.get("latching") == "1":
             self._keep_latched(topic, header, wire)
         recording = self.current
         while recording is not None and not recording.received(topic, header, wire, paused=paused):
             last, recording = recording, self.current
             if recording is last:
-                return  # it is being ended
+                return  # the run is being ended
 
     def _keep_latched(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         key = (topic, header.get("callerid", ""))
@@ -219,10 +226,12 @@ class Series:
             if key in self._latched or len(self._latched) < MAX_LATCHED:
                 self._latched[key] = header, wire
 
-    # ---------------------------------------------------------------- split and end
-
     def poll(self) -> bool:
-        """Split the current run where it is time; say whether it is complete instead."""
+        """Split the current run if it is large or long enough.
+
+        Returns:
+            Whether the run is complete and, without the option split, the recording must end.
+        """
         options, current = self._options, self.current
         if current is None:
             return False
@@ -238,12 +247,12 @@ class Series:
         return not options.split
 
     def _split(self) -> None:
-        # Not under the mutex: a store that is slow must not keep people from asking how it goes.
+        # Not under the mutex: the status must not wait for a slow store.
         self._ending = [thread for thread in self._ending if thread.is_alive()]
         old, now = self.current, time.monotonic()
         if old is None or not old.opened or len(self._ending) >= MAX_ENDING or now < self._retry:
             return
-        making = self._making = self._making or _Making(self._new)
+        making = self._making = self._making or _RunStart(self._new)
         if not making.done(BEGIN_SEC):
             return
         self._making, new = None, making.made
@@ -276,8 +285,8 @@ class Series:
         with self._mutex:
             self._closing.remove(recording)
             # A run may be stored before one that was recorded earlier.
-            bisect.insort(self._kept, _Ended(order, recording, reports))
-            # The current one is kept, too.
+            bisect.insort(self._kept, _EndedRun(order, recording, reports))
+            # The current run counts, too.
             most = self._options.max_splits - 1
             while self._options.max_splits and len(self._kept) > most:
                 removed.append(self._kept.pop(0))
@@ -287,7 +296,7 @@ class Series:
             self._remove(oldest.run, oldest.reports)
 
     def _remove(self, run: Recording, reports: Sequence[TopicReport]) -> None:
-        """Delete a run: its messages, then what is said of it."""
+        """Delete a run: its messages, then its entry in the list of runs and its losses."""
         try:
             catalog = self._store.result()
             for report in reports:
@@ -300,9 +309,12 @@ class Series:
             _log.error("run %s could not be removed (--max-splits): %s", run.name, exc)
 
     def end(self, give_up: Callable[[], bool] = lambda: False) -> list[TopicReport]:
-        """End the current run when all is stored or lost, or given up; report on it.
+        """End the current run and return its report.
 
-        Runs that were split before are waited for, too.
+        It waits until all messages of this and earlier runs are stored or lost.
+
+        Args:
+            give_up: Returns whether to stop waiting; messages not stored by then are lost.
         """
         making, self._making = self._making, None
         if making is not None:
@@ -310,14 +322,14 @@ class Series:
         recording = self.current
         if recording is None:
             return []
-        # On another thread: it waits for a store that may be away, and hears no signal.
+        # On another thread: this one must react to signals while the store does not answer.
         closing = threading.Thread(target=recording.close, name="recorder-close", daemon=True)
         closing.start()
         tell_at: float = time.monotonic() + PATIENCE_SEC
         while closing.is_alive() or any(thread.is_alive() for thread in self._ending):
             closing.join(0.05) if closing.is_alive() else time.sleep(0.05)
             if give_up():
-                _log.warning("interrupted again: what is not stored yet is lost")
+                _log.warning("interrupted again: messages that are not stored yet are lost")
                 with self._mutex:
                     split = list(self._closing)
                 for run in split:
@@ -333,31 +345,31 @@ class Series:
                         messages,
                         nbytes / 1e6,
                     )
-        # What it had returned, or raised, on that thread.
+        # Returns or raises again what it did on that thread.
         return self._ended(recording, recording.close())
 
     def _ended(self, recording: Recording, reports: list[TopicReport]) -> list[TopicReport]:
         self._problem = recording.problem
         with self._mutex:
-            self._kept.append(_Ended(next(self._order), recording, reports))
+            self._kept.append(_EndedRun(next(self._order), recording, reports))
             self.current = None
         return reports
 
     def is_complete(self, topic: str) -> bool:
-        """Say whether a topic has all the messages that the limit allows."""
+        """Return whether a topic has all the messages that the limit allows."""
         current = self.current
         return current is not None and current.is_complete(topic)
 
     def count(self, topic: str) -> int:
-        """Return how many messages of a topic arrived in the current run."""
+        """Return the number of messages of a topic received in the current run."""
         current = self.current
         return 0 if current is None else current.count(topic)
 
     def reports(self) -> list[TopicReport]:
-        """Describe what became of each topic in all runs together."""
+        """Return a report for each topic over all runs together."""
         with self._mutex:
-            parts = [*self._removed, *(kept.reports for kept in self._kept)]
-            parts += [recording.reports() for recording in self._closing]
+            reports = [*self._removed, *(kept.reports for kept in self._kept)]
+            reports += [recording.reports() for recording in self._closing]
             if self.current is not None:
-                parts.append(self.current.reports())
-            return merge_reports(parts)
+                reports.append(self.current.reports())
+            return merge_reports(reports)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The newest messages in memory, and what is written of them when somebody asks."""
+"""Snapshots: the newest messages are kept in memory and stored as a run on request."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import ITEM_BYTES
-from cassandra_ros.recording.recording import Kept, Recording
+from cassandra_ros.recording.recording import Recording, StampedMessage
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
 from cassandra_ros.recording.topic_settings import read_duration
 from cassandra_ros.tables.registry import LossKind
@@ -25,25 +25,26 @@ from cassandra_ros.tables.registry import LossKind
 _log = logging.getLogger(__name__)
 
 MAX_AT_ONCE = 4
-"""Snapshots that are written at the same time."""
+"""Maximum number of snapshots that are written at the same time."""
 PAUSE_SEC = 0.05
+"""Time that ``close`` waits for a run that is being started, s."""
 
 
 @dataclass(frozen=True)
-class Bound:
-    """How much is kept in memory: the newest seconds, or the newest bytes. One of them is 0."""
+class SnapshotBound:
+    """The maximum of messages kept in memory, by time or by size. One of the two is 0."""
 
     seconds: float = 0.0
     nbytes: int = 0
 
 
-def read_bound(text: str) -> Bound:
-    """Read a bound like 30s, 5m or 200MB; raises InvalidOption where it is none."""
+def read_bound(text: str) -> SnapshotBound:
+    """Read a maximum like 30s, 5m or 200MB, or raise InvalidOption."""
     size = re.fullmatch(r"([0-9]{1,9})\s*MB", text.strip(), re.IGNORECASE)
     if size and int(size[1]):
-        return Bound(nbytes=int(size[1]) << 20)
+        return SnapshotBound(nbytes=int(size[1]) << 20)
     try:
-        return Bound(seconds=read_duration(text.strip()))
+        return SnapshotBound(seconds=read_duration(text.strip()))
     except InvalidOption:
         raise InvalidOption(
             f"{text!r:.80} is neither seconds nor megabytes: give one like 30s or 200MB"
@@ -51,43 +52,45 @@ def read_bound(text: str) -> Bound:
 
 
 MAX_LATCHED = 1000
-"""Publishers whose latched message is kept though it is old."""
+"""Maximum number of publishers whose latched message is kept although it is too old."""
 
 
-class Ring:
-    """The newest messages, the oldest of which go when there are too many. Not thread-safe.
+class MessageRing:
+    """The newest messages; the oldest are dropped when there are too many. Not thread-safe.
 
     Args:
-        bound: What is asked for.
-        most_bytes: A bound in any case; 0 = none.
+        bound: Maximum time or size.
+        most_bytes: Maximum memory in any case, bytes; 0 = no maximum.
     """
 
-    def __init__(self, bound: Bound, most_bytes: int) -> None:
+    def __init__(self, bound: SnapshotBound, most_bytes: int) -> None:
         self._age_ns = int(bound.seconds * SECOND_NS)
         self._most = min(filter(None, (bound.nbytes, most_bytes)), default=2**63)
         self._timed = not bound.nbytes
-        self._items: deque[Kept] = deque()
-        # The last latched message of each publisher that is too old for _items: it still holds.
-        self._latched: dict[tuple[str, str], Kept] = {}
+        self._items: deque[StampedMessage] = deque()
+        # The last latched message of each publisher that is too old for _items: it is still valid.
+        self._latched: dict[tuple[str, str], StampedMessage] = {}
         self._latched_bytes = 0
         self.nbytes = 0
-        """What the messages take in memory."""
+        """Memory of the messages, bytes."""
         self.short = False
-        """Fewer seconds are kept than asked for, for there is no more room."""
+        """Whether fewer seconds than requested are kept, because the memory is full."""
 
     def __len__(self) -> int:
         return len(self._items)
 
     @property
     def seconds(self) -> float:
-        """How long ago the oldest message came before the newest one."""
+        """Time from the oldest to the newest message, s."""
         return (self._items[-1][3] - self._items[0][3]) / SECOND_NS if self._items else 0.0
 
-    def add(self, kept: Kept) -> None:
+    def add(self, kept: StampedMessage) -> None:
         """Append the newest message."""
         t = kept[3]
         if self._items and t < self._items[-1][3] - SECOND_NS:
-            _log.warning("time went back: what the snapshot kept is dropped, it lies in the future")
+            _log.warning(
+                "time went back: the snapshot's messages lie in the future and are dropped"
+            )
             while self._items:
                 self._drop()
         self._items.append(kept)
@@ -97,14 +100,14 @@ class Ring:
             if self._timed and not self.short:
                 self.short = True
                 _log.warning(
-                    "the snapshot keeps fewer seconds than asked for: its bound of %d MB is "
+                    "the snapshot keeps fewer seconds than requested: its maximum of %d MB is "
                     "reached (option -b)",
                     self._most >> 20,
                 )
             self._drop()
 
     def forget(self, now: int) -> None:
-        """Drop what is too old at a time, ns."""
+        """Drop the messages that are too old at the time ``now``, ns."""
         while self._age_ns and self._items and self._items[0][3] < now - self._age_ns:
             self._drop()
 
@@ -129,36 +132,47 @@ class Ring:
             self._latched_bytes -= size
             self.nbytes -= size
 
-    def content(self, topics: Collection[str]) -> list[Kept]:
-        """Return the messages of some topics, none named = of all, in the order of arrival.
+    def content(self, topics: Collection[str]) -> list[StampedMessage]:
+        """Return the messages of some topics in the order of reception.
 
-        What each publisher had latched before goes first, as if it had come at the beginning.
+        The messages that publishers had latched before come first, with the time of the first
+        message.
+
+        Args:
+            topics: Names of topics; empty = all.
         """
         begin = self._items[0][3] if self._items else None
         latched = [(*kept[:3], begin or kept[3]) for kept in self._latched.values()]
         return [kept for kept in (*latched, *self._items) if not topics or kept[0] in topics]
 
 
-class Begin(Protocol):
-    """Begins a run of a snapshot."""
+class BeginRun(Protocol):
+    """Function that starts the run of a snapshot."""
 
     def __call__(self, name: str, labels: Mapping[str, str], restored: int) -> Recording:
-        """Return the run; raises what the store raises."""
+        """Return the run.
+
+        Args:
+            restored: Number of messages in memory that will be stored in it first.
+
+        Raises:
+            CassandraRosError: The run cannot be started in the store.
+        """
 
 
 @dataclass
-class _Writing:
+class _SnapshotRun:
     """A snapshot that is being written."""
 
     topics: Collection[str]
     follows: bool
     recording: Optional[Recording] = None
-    late: deque[Kept] = field(default_factory=deque)
-    """What came before the run had begun."""
+    late: deque[StampedMessage] = field(default_factory=deque)
+    """Messages received before the run had started."""
     abandoned: bool = False
-    """Somebody has reported on it already."""
+    """Whether ``Snapshots.abandon`` has reported on it already."""
 
-    def take(self, kept: Kept) -> None:
+    def take(self, kept: StampedMessage) -> None:
         if not self.follows or (self.topics and kept[0] not in self.topics):
             return
         if self.recording is None:
@@ -182,46 +196,46 @@ class _Writing:
 
 
 class Snapshots:
-    """Keeps the newest messages, and writes them as a run when somebody asks. Thread-safe.
+    """The newest messages in memory, and the snapshots that are written of them. Thread-safe.
 
     Args:
-        bound: How much is kept.
-        most_bytes: A bound in any case; 0 = none.
-        clock: Returns the time of arrival, ns; raises ClockNotSet while it is unknown.
-        filters: Which messages are left out.
-        begin: Begins a run.
+        bound: Maximum time or size of the messages in memory.
+        most_bytes: Maximum memory in any case, bytes; 0 = no maximum.
+        clock: Returns the time of reception, ns; raises ClockNotSet while it is unknown.
+        filters: Filters that leave messages out.
+        begin: Starts a run.
     """
 
     def __init__(
         self,
-        bound: Bound,
+        bound: SnapshotBound,
         most_bytes: int,
         clock: Callable[[], int],
         filters: Filters,
-        begin: Begin,
+        begin: BeginRun,
     ) -> None:
-        self.ring = Ring(bound, most_bytes)
+        self.ring = MessageRing(bound, most_bytes)
         self._clock, self._filters, self._begin = clock, filters, begin
         self._counts = Counts(LossLog("", 0))
-        self._writing: list[_Writing] = []
+        self._writing: list[_SnapshotRun] = []
         self._threads: list[threading.Thread] = []
         self._mutex = threading.Lock()
         self._closing = threading.Event()
         self.reports: list[Sequence[TopicReport]] = []
-        """Of the snapshots that were written."""
+        """Reports of the snapshots that were written."""
 
     def expect(self, topic: str) -> None:
-        """Let a topic appear in the counts even if nothing ever comes."""
+        """List a topic in the counts even if no message of it is received."""
         self._counts.expect(topic)
 
     def counts(self) -> list[TopicReport]:
-        """Describe what came of each topic."""
+        """Return the counts of received messages by topic."""
         return self._counts.reports({})
 
     def received(
         self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
     ) -> None:
-        """Keep a message that has just arrived; paused: only count it."""
+        """Keep a message that was just received; with ``paused`` only count it."""
         with self._mutex:
             self._counts.received(topic, wire)
             try:
@@ -244,12 +258,23 @@ class Snapshots:
         after_sec: float = 0.0,
         topics: Collection[str] = (),
     ) -> tuple[Recording, int]:
-        """Write what is kept as a run; return it and how many messages were kept for it.
+        """Store the messages in memory as a run.
 
-        Without ``after_sec`` it returns when they are stored or lost, else at once: what comes in
-        the seconds after is stored, too, and the run ends by itself.
+        Args:
+            name: Name of the run; '' = as the options say.
+            labels: Labels of the run.
+            after_sec: Time in which received messages are stored in the run, too, s. With 0 the
+                call returns when all messages are stored or lost, otherwise at once, and the run
+                ends by itself.
+            topics: Names of topics; empty = all.
+
+        Returns:
+            The run, and the number of messages that were in memory for it.
+
+        Raises:
+            InvalidOption: MAX_AT_ONCE snapshots are being written already.
         """
-        writing, ends = _Writing(topics, after_sec > 0), time.monotonic() + after_sec
+        writing, ends = _SnapshotRun(topics, after_sec > 0), time.monotonic() + after_sec
         with self._mutex:
             if len(self._writing) >= MAX_AT_ONCE:
                 raise InvalidOption(
@@ -278,7 +303,7 @@ class Snapshots:
         return recording, count
 
     def _write(
-        self, writing: _Writing, recording: Recording, kept: list[Kept], ends: float
+        self, writing: _SnapshotRun, recording: Recording, kept: list[StampedMessage], ends: float
     ) -> None:
         try:
             with self._mutex:
@@ -299,19 +324,23 @@ class Snapshots:
                     self.reports.append(reports)
 
     def abandon(self) -> None:
-        """Count as lost what is not stored by now, and wait for nothing."""
+        """Count messages that are not stored by now as lost, without waiting for the store."""
         with self._mutex:
             runs = list(self._writing)
             for writing in runs:
                 writing.abandon()
         for writing in runs:
             if writing.recording is None:
-                _log.error("a snapshot that was asked for is not written: its run did not begin")
+                _log.error("a requested snapshot is not written: its run could not be started")
             else:
                 self.reports.append(writing.recording.abandon())
 
     def close(self, timeout_sec: Optional[float] = None) -> bool:
-        """End what is being written; say whether all of it is stored or lost."""
+        """End all snapshots; return whether all their messages are stored or lost.
+
+        Args:
+            timeout_sec: Maximum time to wait for each snapshot, s; None = no maximum.
+        """
         self._closing.set()
         for thread in list(self._threads):
             thread.join(timeout_sec)
@@ -319,6 +348,6 @@ class Snapshots:
             return False
         with self._mutex:
             beginning = bool(self._writing)
-        if beginning:  # of what was asked for just now the run does not stand yet
+        if beginning:  # the run of a snapshot that was requested just now has not started yet
             time.sleep(PAUSE_SEC)
         return not beginning

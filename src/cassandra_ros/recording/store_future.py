@@ -12,7 +12,9 @@ from cassandra_ros.topics.catalog import Catalog
 _T = TypeVar("_T")
 _U = TypeVar("_U")
 Store = Union[Catalog, "Future[Catalog]"]
+"""The catalog of a connected keyspace, or a future of it."""
 NO_STORE = "the store did not answer before the recording ended"
+"""Reason of a loss."""
 
 
 def store_future(store: Store) -> Future[Catalog]:
@@ -25,7 +27,7 @@ def store_future(store: Store) -> Future[Catalog]:
 
 
 def then(first: Future[_T], take: Callable[[_T], _U]) -> Future[_U]:
-    """Return a future of what ``take`` makes of the result of another future, or its error."""
+    """Return a future of what ``take`` returns for the result of ``first``, or of its error."""
     following: Future[_U] = Future()
 
     def settle(done: Future[_T]) -> None:
@@ -39,11 +41,11 @@ def then(first: Future[_T], take: Callable[[_T], _U]) -> Future[_U]:
 
 
 def is_there(store: Future[_T]) -> bool:
-    """Say whether a store is connected."""
+    """Return whether a store is connected."""
     return store.done() and store.exception() is None
 
 
 def failure_of(store: Future[_T]) -> str:
-    """Say why a store will not be connected any more; '' = it is, or may be."""
+    """Return why a store will never be connected; '' = it is connected, or may be later."""
     exc = store.exception() if store.done() else None
     return "" if exc is None else str(exc)

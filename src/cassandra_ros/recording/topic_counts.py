@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What became of the messages of each topic: received, stored, lost and why, gaps in numbers."""
+"""Counts of messages by topic: received, stored, lost by reason, and gaps in sequence numbers."""
 
 from __future__ import annotations
 
@@ -19,21 +19,24 @@ from cassandra_ros.tables.registry import LossKind
 _log = logging.getLogger(__name__)
 
 REPORT_SEC = 10.0
-"""A topic that loses messages is warned of at once, then at most this often."""
+"""Minimum time between two warnings that a topic loses messages, s."""
 MAX_SEQUENCES = 1024
-"""Publishers of a topic whose numbers are followed: anonymous ones come without end."""
+"""Maximum number of publishers of a topic whose sequence numbers are checked.
+
+Publishers with anonymous names come without end.
+"""
 MIN_STEPS = 4
-"""Fewer numbers do not show whether they are those of a counter."""
+"""Minimum number of steps needed to tell whether sequence numbers are those of a counter."""
 _NEVER_CAME = (LossKind.NOT_READ, LossKind.UNHEARD)
 """Losses of messages that were never received."""
 _JUMP = 100_000
-"""A sequence number that leaps further was set anew, nothing was lost."""
+"""Step of a sequence number above which it was reset, so that no message is missing."""
 _sequence = struct.Struct("<I").unpack_from
 
 
 @dataclass(frozen=True)
 class TopicReport:
-    """One line of the closing table."""
+    """The counts of one topic: one line of the table that the recorder prints at its end."""
 
     topic: str
     types: tuple[str, ...]
@@ -41,9 +44,9 @@ class TopicReport:
     stored: int
     lost: int
     losses: Mapping[LossKind, LossTotal]
-    """Why messages were lost → how many, and when."""
+    """Lost messages by reason."""
     gaps: Optional[int]
-    """Numbers of header.seq that never came here: not sent, or lost on the way to us.
+    """Number of header.seq values that were not received: not sent, or lost on the way.
 
     None = the numbers are not those of a counter.
     """
@@ -51,29 +54,29 @@ class TopicReport:
     """Serialised bytes received."""
     rate_hz: float
     unheard_sec: float = 0.0
-    """How long publishers may have sent what never came here, for the master had forgotten us."""
+    """Time in which messages of new publishers were missed because the master was restarted, s."""
     published: bool = True
-    """Whether something came, or a publisher was connected at some time."""
+    """Whether a message was received or a publisher was connected at some time."""
     left_out: int = 0
-    """Messages that were left out on purpose: by a condition, or above a rate."""
+    """Number of messages left out on purpose: by a condition or a maximum rate."""
     paused: int = 0
-    """Messages that came while their recording was paused."""
+    """Number of messages received while the recording of the topic was paused."""
     last: float = 0.0
-    """When the last message came, by time.monotonic(); 0 = none came."""
+    """Time of reception of the last message, monotonic clock, s; 0 = no message."""
 
     @property
     def reasons(self) -> Mapping[LossKind, int]:
-        """Why messages were lost → how many; 0 = the number is not known."""
+        """Number of lost messages by reason; 0 = the number is not known."""
         return {kind: total.count for kind, total in self.losses.items()}
 
     @property
     def waiting(self) -> int:
-        """Messages that are to be stored, and are neither stored nor lost."""
+        """Number of messages that are to be stored and are neither stored nor lost yet."""
         lost = sum(n for kind, n in self.reasons.items() if kind not in _NEVER_CAME)
         return self.received - self.left_out - self.paused - self.stored - lost
 
     def plus(self, later: TopicReport) -> TopicReport:
-        """Return one of this and a later run together."""
+        """Return the report of this and a later run together."""
         losses = dict(self.losses)
         for kind, total in later.losses.items():
             losses[kind] = losses[kind].plus(total) if kind in losses else total
@@ -100,17 +103,21 @@ class TopicReport:
 
 
 def merge_reports(runs: Iterable[Sequence[TopicReport]]) -> list[TopicReport]:
-    """Return a report for each topic of several runs, in the order of the runs; sorted by name."""
-    found: dict[str, TopicReport] = {}
+    """Return one report for each topic of several runs, sorted by name.
+
+    Args:
+        runs: The reports of each run, in the order of the runs.
+    """
+    merged: dict[str, TopicReport] = {}
     for reports in runs:
         for report in reports:
-            known = found.get(report.topic)
-            found[report.topic] = report if known is None else known.plus(report)
-    return [found[name] for name in sorted(found)]
+            earlier = merged.get(report.topic)
+            merged[report.topic] = report if earlier is None else earlier.plus(report)
+    return [merged[name] for name in sorted(merged)]
 
 
 @dataclass
-class _Topic:
+class _TopicCount:
     types: set[str] = field(default_factory=set)
     received: int = 0
     nbytes: int = 0
@@ -122,10 +129,10 @@ class _Topic:
     sequences: dict[str, _Sequence] = field(default_factory=dict)
     unheard: float = 0.0
     past_gaps: int = 0
-    """Gaps of publishers that are not remembered any more."""
+    """Number of missing messages of publishers that are not remembered any more."""
 
     def sequence(self, callerid: str) -> _Sequence:
-        """Return what is known of a publisher; of too many the oldest is forgotten."""
+        """Return the sequence of a publisher; forget the oldest above MAX_SEQUENCES."""
         found = self.sequences.get(callerid)
         if found is None:
             while len(self.sequences) >= MAX_SEQUENCES:
@@ -136,26 +143,26 @@ class _Topic:
 
 @dataclass
 class _Sequence:
-    """``header.seq`` of one publisher: what is missing between two messages never came here."""
+    """The values of ``header.seq`` of one publisher: missing values are messages not received."""
 
     last: int = 0
     feed: Optional[Feed] = None
     mixed: bool = False
-    """The numbers are not those of one counter."""
+    """Whether the numbers are not those of one counter."""
     steps: int = 0
     leaps: int = 0
-    """Steps that left numbers out."""
+    """Number of steps that left numbers out."""
     missing: int = 0
 
     @property
     def gaps(self) -> Optional[int]:
-        """Numbers that are missing; None where they count nothing."""
-        # A bag that was thinned out, or a driver that numbers in ticks, leaps all the time.
+        """Number of missing messages; None if the numbers are not those of a counter."""
+        # A thinned bag, or a driver that uses clock ticks, leaves out numbers all the time.
         sparse = self.steps >= MIN_STEPS and 2 * self.leaps > self.steps
         return None if self.mixed or sparse else self.missing
 
     def see(self, number: int, feed: Feed) -> None:
-        """Take the number of the next message."""
+        """Add the number of the next message."""
         if self.feed is not None:
             step = (number - self.last) & 0xFFFFFFFF
             if 0 < step < _JUMP:
@@ -163,37 +170,37 @@ class _Sequence:
                 self.leaps += step > 1
                 self.missing += step - 1
             elif feed is self.feed:
-                # No number, or several counters behind one publisher (a played bag, a relay).
+                # Not numbered, or several counters in one publisher (a played bag, a relay).
                 self.mixed = True
         self.last, self.feed = number, feed
 
 
 class Counts:
-    """Counts by topic. Thread-safe.
+    """The counts of all topics. Thread-safe.
 
     Args:
-        losses: Keeps what was lost.
+        losses: Log of lost messages.
     """
 
     def __init__(self, losses: LossLog) -> None:
         self._losses = losses
-        self._topics: defaultdict[str, _Topic] = defaultdict(_Topic)
+        self._topics: defaultdict[str, _TopicCount] = defaultdict(_TopicCount)
         self._mutex = threading.Lock()
         self.total_bytes = 0
-        """Serialised bytes of all messages that arrived."""
+        """Serialised size of all received messages, bytes."""
 
     def expect(self, topic: str) -> None:
-        """List a topic from which nothing may come."""
+        """List a topic in the reports even if no message of it is received."""
         with self._mutex:
             self._topics[topic]  # makes its line
 
     def unheard(self, topic: str, seconds: float) -> None:
-        """Note that publishers of a topic may have been missed for so long."""
+        """Add a time in which publishers of a topic may not have been heard, s."""
         with self._mutex:
             self._topics[topic].unheard += seconds
 
     def received(self, topic: str, wire: bytes) -> None:
-        """Count a message that arrived."""
+        """Count a received message."""
         now = time.monotonic()
         with self._mutex:
             counted = self._topics[topic]
@@ -205,7 +212,7 @@ class Counts:
             self.total_bytes += len(wire)
 
     def attribute(self, topic: str, wire: bytes, feed: Feed) -> None:
-        """Note the connection over which a message arrived, and its sequence number."""
+        """Record the connection and the sequence number of a received message."""
         source = feed.source
         with self._mutex:
             counted = self._topics[topic]
@@ -215,7 +222,7 @@ class Counts:
                 counted.sequence(source.connection.callerid).see(number, feed)
 
     def leave_out(self, topic: str, paused: bool) -> None:
-        """Count a message that arrived and is not to be stored."""
+        """Count a received message that is not to be stored."""
         with self._mutex:
             counted = self._topics[topic]
             counted.paused += paused
@@ -233,9 +240,9 @@ class Counts:
         """Count messages that will not be stored.
 
         Args:
-            messages: How many; 0 = nobody knows.
-            t, last: When the first and the last of them came, ns; last None = as t.
-            detail: A sentence, where the kind does not say it all.
+            messages: Number of messages; 0 = not known.
+            t, last: Times of reception of the first and the last of them, ns; last None = t.
+            detail: An explanation in addition to the kind; '' = none is needed.
         """
         total = self._losses.add(topic, kind, messages, t, t if last is None else last, detail)
         now = time.monotonic()
@@ -248,12 +255,12 @@ class Counts:
         _log.warning("topic %s: %d messages lost so far: %s", topic, total, why)
 
     def of(self, topic: str) -> int:
-        """Return how many messages of a topic arrived."""
+        """Return the number of received messages of a topic."""
         with self._mutex:
             return self._topics[topic].received if topic in self._topics else 0
 
     def kept(self, topic: str) -> int:
-        """Return how many messages of a topic arrived and were not left out."""
+        """Return the number of messages of a topic that were received and not left out."""
         with self._mutex:
             counted = self._topics.get(topic)
             if counted is None:
@@ -261,13 +268,17 @@ class Counts:
             return counted.received - counted.left_out - counted.paused
 
     def settle(self, stored: Mapping[str, int], t: int) -> None:
-        """Count as lost what is neither stored nor lost: nothing is on its way any more."""
+        """Count as lost the messages that are neither stored nor lost: no request is pending."""
         for report in self.reports(stored):
             if report.waiting > 0:
                 self.lost(report.topic, report.waiting, LossKind.AT_END, t)
 
     def reports(self, stored: Mapping[str, int]) -> list[TopicReport]:
-        """Describe all topics, sorted by name, beside the messages that the store acknowledged."""
+        """Return the reports of all topics, sorted by name.
+
+        Args:
+            stored: Number of messages by topic that the store acknowledged.
+        """
         with self._mutex:
             return [self._report(name, stored.get(name, 0)) for name in sorted(self._topics)]
 

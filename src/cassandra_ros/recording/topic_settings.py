@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How each topic is recorded: patterns of topic names, and what holds for those that match."""
+"""The settings of recorded topics: patterns of topic names with the settings of matching topics."""
 
 from __future__ import annotations
 
@@ -19,57 +19,60 @@ from cassandra_ros.query.tree.parse import parse_condition
 from cassandra_ros.query.tree.syntax import Literal, Near, TimeNs, inside, leaves
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}
+"""Units of durations, s."""
 MAX_RATE_HZ = 1e6
+"""Maximum value of a rate limit, Hz."""
 MAX_CONFIG_BYTES = 1 << 20
+"""Maximum length of a settings file, characters."""
 
 
 @dataclass(frozen=True)
 class TopicSettings:
-    """How one topic is recorded."""
+    """The settings of one topic."""
 
     format: Optional[str] = None
-    """As addTopic takes it; None = as it is stored, a new one as ros."""
+    """Format, as addTopic takes it; None = that of the stored topic, for a new topic ros."""
     ttl: int = 0
-    """Seconds until a message expires; 0 = never. Counts where the topic's table is made."""
+    """Time until a message expires, s; 0 = never. It is used when the topic's table is made."""
     rate_limit: float = 0.0
-    """Most messages a second, over all publishers together; 0 = all."""
+    """Maximum rate over all publishers together, Hz; 0 = no maximum."""
     where: str = ""
-    """Only messages that satisfy this condition, as after WHERE in CQL; '' = all."""
+    """Condition that recorded messages must satisfy, as after WHERE in CQL; '' = none."""
     key_part: str = ""
-    """The field that is the key (key_format msg_part); '' = the time of reception."""
+    """Field that is the key (key_format msg_part); '' = the time of reception is the key."""
     index: Tuple[str, ...] = ()
-    """Fields that get an index where the topic's table is made."""
+    """Fields that get an index when the topic's table is made."""
 
 
 Rule = Tuple[str, Mapping[str, Any]]
-"""A regular expression for whole topic names, and some of TopicSettings' values by name."""
+"""A regular expression that must match whole topic names, and values of TopicSettings by name."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """The settings of all topics.
 
-    What the rules do not say is as in ``default``. Of each list of rules the first that matches a
-    topic holds for it, and no other one; a later list has precedence over an earlier one.
+    In each list of rules only the first rule that matches a topic is used; a later list has
+    precedence over an earlier one. Values that no rule has are those of ``default``.
     """
 
     default: TopicSettings = field(default_factory=TopicSettings)
     rules: Sequence[Sequence[Rule]] = ()
 
     def of(self, topic: str) -> TopicSettings:
-        """Return what holds for a topic."""
-        found = self.default
+        """Return the settings of a topic."""
+        settings = self.default
         for rules in self.rules:
-            first = (values for pattern, values in rules if re.fullmatch(pattern, topic))
-            found = replace(found, **next(first, {}))
-        return found
+            matching = (values for pattern, values in rules if re.fullmatch(pattern, topic))
+            settings = replace(settings, **next(matching, {}))
+        return settings
 
 
 def read_settings(text: str, source: str = "settings") -> list[Rule]:
-    """Read the rules of a YAML text; config/recorder.yaml shows how it looks.
+    """Read the rules of a YAML text; config/recorder.yaml is an example.
 
     Raises:
-        InvalidOption: It is something else; the text names ``source``, the entry and the remedy.
+        InvalidOption: The text cannot be read; the error has ``source``, entry and remedy.
     """
     try:
         if len(text) > MAX_CONFIG_BYTES:
@@ -114,7 +117,7 @@ def check_pattern(pattern: object) -> str:
 
 
 def read_duration(value: object) -> float:
-    """Return seconds, more than 0: a number, or one with s, m, h or d behind it."""
+    """Read a duration: a number of seconds above 0, or a number followed by s, m, h or d."""
     text = str(value) if isinstance(value, (int, float, str)) else ""
     match = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]*)?|\.[0-9]+)([smhd]?)", text)
     if match is None or not float(match[1]):
@@ -123,7 +126,7 @@ def read_duration(value: object) -> float:
 
 
 def read_rate(value: object) -> float:
-    """Return a number of messages a second, more than 0 and at most a million."""
+    """Read a rate in messages per second, above 0 and at most MAX_RATE_HZ."""
     try:
         rate = float(value) if isinstance(value, (int, float, str)) else 0.0
     except ValueError:
@@ -143,22 +146,22 @@ def read_label(text: str) -> Tuple[str, str]:
 
 
 def check_condition(value: object) -> str:
-    """Return a condition that can be parsed; its fields are known with the first message."""
+    """Return a condition that can be parsed; its fields are checked with the first message."""
     text = check_text("where", value, wanted="a condition, as 'linear.x > 0.5'")
     parsed = parse_condition(text)
     for leaf in leaves(parsed):
         if isinstance(leaf, Near):
             reason = (
-                "NEAR asks where a robot was, which is known of stored messages: ask it of those"
+                "NEAR asks where a robot was, which is known for stored messages only: query those"
             )
             raise InvalidQuery(text, leaf.position, reason)
     for term in terms_of_condition(parsed):
         for part in inside(term):
             if isinstance(part, Literal) and isinstance(part.value, TimeNs):
                 reason = (
-                    "now() would remain the moment in which the recorder read this; KEY is the "
+                    "now() would stay the time at which the recorder read this condition; KEY is "
                 )
-                reason += "time at which a message came, as in header.stamp > KEY - 1s"
+                reason += "the time of reception of each message, as in header.stamp > KEY - 1s"
                 raise InvalidQuery(text, part.position, reason)
     return text
 
@@ -172,7 +175,7 @@ def _read_format(value: object) -> Optional[str]:
 
 
 def read_ttl(value: object) -> int:
-    """Return whole seconds, 0 = never: a number, or one with s, m, h or d behind it."""
+    """Read a time to live: whole seconds, 0 = never, or a number followed by s, m, h or d."""
     if value == "0":
         return 0
     return check_ttl(int(read_duration(value)) if isinstance(value, str) else value)
@@ -190,5 +193,5 @@ _READERS: Mapping[str, Callable[[object], object]] = {
     "key_part": _read_key_part,
     "index": lambda value: check_fields("index", value),
 }
-"""How the values of TopicSettings are read from YAML."""
+"""Functions that read the values of TopicSettings from YAML, by name."""
 assert set(_READERS) == {each.name for each in fields(TopicSettings)}  # noqa: S101

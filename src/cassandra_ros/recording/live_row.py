@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages that are not stored yet, as the query language knows rows and tables."""
+"""Messages that are not stored yet, in the form of rows and tables of the query language."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from cassandra_ros.topics.message_writer import usable_definition
 
 
 class _NoRuns:
-    """Runs by name: a message that is not stored yet belongs to none."""
+    """An empty list of runs: a message that is not stored yet belongs to no run."""
 
     def called(self, text: str) -> FrozenSet[int]:
-        """Return those of a name: none."""
+        """Return the writer ids of the runs with a name: an empty set."""
         return frozenset()
 
 
 class _NoPlaces:
-    """Where a robot was is known of what is stored."""
+    """A source of places that refuses: places of robots are known for stored messages only."""
 
     def stays(
         self, disk: Disk, node: Optional[str] = None, writers: Optional[FrozenSet[int]] = None
     ) -> Stays:
-        """Refuse to answer."""
+        """Raise InvalidOption."""
         raise InvalidOption(
-            "NEAR asks where a robot was, and that is known of stored messages only: record them, "
-            "and ask then"
+            "NEAR asks where a robot was, which is known for stored messages only: record the "
+            "messages, then query them with NEAR"
         )
 
 
-class UnstoredTable:
-    """What a condition needs of a table, for messages that are in none yet."""
+class LiveTable:
+    """The attributes of a table that a condition needs, for messages that are not stored yet."""
 
     name = ""
     named = False
@@ -61,10 +61,10 @@ class UnstoredTable:
 
 
 @dataclass
-class UnstoredRow:
-    """What a condition needs of a stored message, for one that is not stored yet."""
+class LiveRow:
+    """The attributes of a row that a condition needs, for a message that is not stored yet."""
 
-    table: UnstoredTable
+    table: LiveTable
     topic: str
     node: str
     t: int
@@ -76,10 +76,10 @@ class UnstoredRow:
 
     @property
     def key(self) -> Stamp:
-        """When it came."""
+        """Time of reception."""
         return Stamp.from_ns(self.t)
 
     @property
     def position(self) -> Position:
-        """Its place among what came."""
+        """Position in the order of reception."""
         return Position(self.t, self.node, 0, "")

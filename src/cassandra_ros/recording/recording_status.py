@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a recorder stands while it runs."""
+"""The status of a running recorder."""
 
 from __future__ import annotations
 
@@ -11,45 +11,50 @@ from typing import Collection, Mapping, Sequence, Tuple
 from cassandra_ros.recording.topic_counts import TopicReport
 
 RECORDING, STOPPED, SNAPSHOT, WAITING = "recording", "stopped", "snapshot", "waiting"
-"""States: a run is being recorded; none is; the newest messages are kept in memory; a run is being
-recorded into memory, for the store did not answer yet."""
+"""States of a recorder.
+
+RECORDING: a run is being recorded. STOPPED: no run is being recorded. SNAPSHOT: the newest messages
+are kept in memory. WAITING: a run is being recorded into memory because the store has not answered
+yet.
+"""
 
 
 @dataclass(frozen=True)
-class Status:
-    """How a recorder stands."""
+class RecordingStatus:
+    """The status of a recorder."""
 
     state: str
     run: str
-    """Name of the run that is being recorded; '' = none."""
+    """Name of the run that is being recorded; '' = no run."""
     writer: int
-    """Its writer id; 0 = none."""
+    """Writer id of that run; 0 = no run."""
     topics: Sequence[TopicReport]
-    """Of all runs of this recorder together."""
+    """Counts by topic over all runs of this recorder."""
     subscribed: Collection[str]
+    """Topics that are subscribed to."""
     paused: Collection[str]
-    """Topics whose messages are left out for now."""
+    """Topics whose recording is paused."""
     held_bytes: int
-    """What waits for the store, or is kept for a snapshot."""
+    """Memory of the messages that wait for the store or are kept for a snapshot, bytes."""
     bound_bytes: int
-    """0 = no bound."""
+    """Maximum of that memory, bytes; 0 = no maximum."""
     held_sec: float = 0.0
-    """In a snapshot: how many seconds are kept."""
+    """In a snapshot: time from the oldest to the newest message in memory, s."""
     held_messages: int = 0
-    """In a snapshot."""
+    """In a snapshot: number of messages in memory."""
 
 
 class Rates:
-    """Messages and bytes a second, between the last two times that it was told how it stands."""
+    """Messages and bytes per second between the last two calls of ``update``."""
 
     def __init__(self) -> None:
         self._before: Mapping[str, Tuple[int, int]] = {}
         self._at = 0.0
         self.of: Mapping[str, Tuple[float, float]] = {}
-        """Topic → messages a second, bytes a second."""
+        """Messages per second and bytes per second by topic."""
 
-    def update(self, status: Status) -> None:
-        """Take how it stands now."""
+    def update(self, status: RecordingStatus) -> None:
+        """Compute the rates from the present status and the one before."""
         now = time.monotonic()
         seconds = max(now - self._at, 1e-3) if self._at else 0.0
         counted = {report.topic: (report.received, report.bytes) for report in status.topics}
@@ -64,6 +69,6 @@ class Rates:
 
     @property
     def total(self) -> Tuple[float, float]:
-        """Messages and bytes a second over all topics."""
+        """Messages and bytes per second over all topics."""
         rates = self.of.values()
         return sum(rate for rate, _ in rates), sum(nbytes for _, nbytes in rates)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The tables of recorded topics: made as the settings say, or found as they are."""
+"""The tables of recorded topics: made as the settings say, or used as they exist."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.recording.message_buffer import Source
+from cassandra_ros.recording.message_buffer import MessageSource
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings
 from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
@@ -32,39 +32,45 @@ from cassandra_ros.topics.message_writer import Handle, MessageWriter
 _log = logging.getLogger(__name__)
 
 PAUSE_SEC = 1.0
+"""Pause before the next attempt to make a table, s."""
 MAX_CONFLICTS = 5
-"""A schema lock may be held by others for a while; a table of another kind stays one."""
+"""Maximum number of attempts that end with a schema conflict.
+
+The schema lock may be held by other clients for a while; a table of another kind stays a conflict.
+"""
 LAST_TRIES_SEC = 20.0
-"""How long a store that does not answer is waited for when the recording ends."""
+"""How long tables are still attempted after the recording has ended, s."""
 
 
 class TableMaker:
-    """Gives sources their handles, one after the other, on a thread of its own.
+    """A thread that makes the tables of message sources, one after the other.
 
     Args:
         connect: Makes the table of a source; raises what the store raises.
-        wake: Called when it is decided what becomes of a source.
+        wake: Called when a source has got its handle or an error.
     """
 
-    def __init__(self, connect: Callable[[Source], Handle], wake: Callable[[], None]) -> None:
+    def __init__(
+        self, connect: Callable[[MessageSource], Handle], wake: Callable[[], None]
+    ) -> None:
         self._connect, self._wake = connect, wake
-        self._asked: queue.Queue[Optional[Source]] = queue.Queue()  # None: no more
-        self.decided: deque[Source] = deque()
-        """Sources that have a handle now, or an error."""
+        self._asked: queue.Queue[Optional[MessageSource]] = queue.Queue()  # None: no more
+        self.decided: deque[MessageSource] = deque()
+        """Sources that have got a handle or an error."""
         self._deadline = math.inf
         self._thread = threading.Thread(target=self._run, name="recorder-tables", daemon=True)
         self._thread.start()
 
-    def make(self, source: Source) -> None:
-        """Ask for the table of a source."""
+    def make(self, source: MessageSource) -> None:
+        """Queue a source for its table."""
         self._asked.put(source)
 
     def hurry(self) -> None:
-        """Do not wait for a store that is gone for much longer."""
+        """Give up after LAST_TRIES_SEC if the store does not answer."""
         self._deadline = min(self._deadline, time.monotonic() + LAST_TRIES_SEC)
 
     def close(self) -> None:
-        """End the thread when all that was asked is decided."""
+        """End the thread after the last queued source."""
         self._asked.put(None)
         self._thread.join()
 
@@ -77,8 +83,8 @@ class TableMaker:
                 time.sleep(PAUSE_SEC)
                 self._asked.put(source)
 
-    def _decide(self, source: Source) -> bool:
-        """Return whether it is decided what becomes of a source."""
+    def _decide(self, source: MessageSource) -> bool:
+        """Try to make the table of a source; return whether it has got a handle or an error."""
         try:
             source.stand(self._connect(source))
             return True
@@ -102,35 +108,37 @@ class TableMaker:
 def connect(
     writer: MessageWriter, connection: Connection, lengths: Lengths, settings: Settings
 ) -> Handle:
-    """Make ready for the messages of a connection; raises as MessageWriter.connect does.
+    """Return a handle to write the messages of a connection; raises as MessageWriter.connect does.
 
-    A key field that the type has not is left out with an error, and so is format packed where the
-    key is no time: recording goes before order.
+    Settings that do not fit are left out with an error in the log, so that the topic is recorded in
+    any case: a key field that the type does not have, or format packed with a key that is no time.
     """
-    wanted = settings.of(connection.topic)
+    topic_settings = settings.of(connection.topic)
     try:
-        if wanted == settings.default and not (wanted.key_part or wanted.index):
+        if topic_settings == settings.default and not (
+            topic_settings.key_part or topic_settings.index
+        ):
             return _open(writer, connection, lengths)
-        handle = _connect(writer, connection, lengths, wanted)
+        handle = _connect(writer, connection, lengths, topic_settings)
     except InvalidOption as exc:
         kept = writer.format_of(connection)
         _log.error("topic %s is kept in format %s: %s", connection.topic, kept, exc)
-        wanted = replace(wanted, format=kept)
-        handle = _connect(writer, connection, lengths, wanted)
-    for text in differences(wanted, handle.table.metadata):
+        topic_settings = replace(topic_settings, format=kept)
+        handle = _connect(writer, connection, lengths, topic_settings)
+    for text in differences(topic_settings, handle.table.metadata):
         _log.warning("topic %s %s", connection.topic, text)
     return handle
 
 
 def _connect(
-    writer: MessageWriter, connection: Connection, lengths: Lengths, wanted: TopicSettings
+    writer: MessageWriter, connection: Connection, lengths: Lengths, settings: TopicSettings
 ) -> Handle:
-    open_as = partial(_open, writer, connection, lengths, format=wanted.format)
+    open_as = partial(_open, writer, connection, lengths, format=settings.format)
     try:
-        return open_as(like=_like(wanted))
+        return open_as(like=_like(settings))
     except (InvalidKey, InvalidName) as exc:
         _log.error("topic %s is kept by time of reception: %s", connection.topic, exc)
-        return open_as(like=_like(replace(wanted, key_part="")))
+        return open_as(like=_like(replace(settings, key_part="")))
 
 
 def _open(
@@ -146,17 +154,17 @@ def _open(
     )
 
 
-def differences(wanted: TopicSettings, stored: TopicMetadata) -> list[str]:
-    """Say in which ways a stored topic is not as the settings want it."""
+def differences(settings: TopicSettings, stored: TopicMetadata) -> list[str]:
+    """Return the differences between a stored topic and its settings, as texts."""
     found = []
-    if wanted.ttl and wanted.ttl != stored.ttl:
-        found.append(f"was made with a ttl of {stored.ttl} s, not {wanted.ttl} s (0 = never)")
-    if wanted.key_part and wanted.key_part != stored.key_part:
+    if settings.ttl and settings.ttl != stored.ttl:
+        found.append(f"was made with a ttl of {stored.ttl} s, not {settings.ttl} s (0 = never)")
+    if settings.key_part and settings.key_part != stored.key_part:
         key = stored.key_part or stored.key_format
-        found.append(f"was made with the key {key}, not {wanted.key_part}")
-    if wanted.index and stored.packed:
+        found.append(f"was made with the key {key}, not {settings.key_part}")
+    if settings.index and stored.packed:
         found.append("takes no index: it is packed, and conditions use the bounds of its blocks")
-    for name in () if stored.packed else wanted.index:
+    for name in () if stored.packed else settings.index:
         if name not in stored.indexes:
             found.append(
                 f"has no index on {name}; make it with: rosrun cassandra_ros cassandra_bag index "
@@ -165,15 +173,15 @@ def differences(wanted: TopicSettings, stored: TopicMetadata) -> list[str]:
     return found
 
 
-def _like(wanted: TopicSettings) -> TopicMetadata:
+def _like(settings: TopicSettings) -> TopicMetadata:
     return TopicMetadata(
         "",
         "",
         "",
         "",
         0,
-        ttl=wanted.ttl,
-        key_format="msg_part" if wanted.key_part else "",
-        key_part=wanted.key_part,
-        indexes=dict.fromkeys(wanted.index, ""),
+        ttl=settings.ttl,
+        key_format="msg_part" if settings.key_part else "",
+        key_part=settings.key_part,
+        indexes=dict.fromkeys(settings.index, ""),
     )
