@@ -15,7 +15,7 @@ import rospy
 
 from cassandra_ros import HistorySubscriber
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.nodes.node import forward_logging
+from cassandra_ros.nodes.ros_node import forward_logging
 
 wanted = json.loads(sys.argv[1])
 rospy.init_node("listener", anonymous=True, disable_signals=True)

@@ -71,4 +71,4 @@ def find(uri, topic, timeout_sec):
             )
             return host, port
         time.sleep(0.02)
-    raise AssertionError(f"nobody publishes {topic}")
+    raise AssertionError(f"topic {topic} has no publisher")

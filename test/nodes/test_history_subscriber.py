@@ -198,9 +198,6 @@ def test_messages_of_another_class_are_left_out_and_said(stage, rosCas):
     assert "std_msgs/String" in listener.await_line("are left out")
 
 
-# -------------------------------------------------------------------- arguments
-
-
 @pytest.mark.parametrize(
     ("wanted", "error"),
     [

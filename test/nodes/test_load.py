@@ -16,7 +16,7 @@ from nodes.children import Child, await_true, start_recorder
 PUBLISHER = Path(__file__).with_name("load_publisher.py")
 BUFFER_MB = 256
 BESIDE_MB = 150
-"""What a recorder may take besides its buffer."""
+"""Maximum memory of a recorder in addition to its buffer, bytes."""
 
 
 def peak_mb(pid):
@@ -68,7 +68,7 @@ def test_nothing_is_lost_under_load(
 
 @pytest.mark.fault
 def test_what_was_stored_in_blocks_survives_a_kill(roscore, cassandra, keyspace, rosCas):
-    """A recorder dies by kill -9: what is older than a block may be is there, and nothing torn."""
+    """A recorder is killed with SIGKILL: all messages older than a block are stored and whole."""
     options = ("--format", "packed", "--block-age", "0.2", "-O", "killed")
     child = start_recorder(roscore, cassandra, keyspace, "/load", *options)
     with child:
@@ -76,7 +76,7 @@ def test_what_was_stored_in_blocks_survives_a_kill(roscore, cassandra, keyspace,
         command = [sys.executable, PUBLISHER, roscore.uri, "/load", 0, 3000, 3000]
         with Child(command, roscore.env) as publisher:
             publisher.await_line("sent ")
-            # Nobody has ended the recording: they are stored for they are old enough.
+            # The recording has not ended: they are stored because they are old enough.
             await_true(lambda: sum(info.count for info in rosCas.info()) == 3000)
             assert publisher.wait() == 0
         command = [sys.executable, PUBLISHER, roscore.uri, "/load", 0, 100_000, 3000]
@@ -84,7 +84,7 @@ def test_what_was_stored_in_blocks_survives_a_kill(roscore, cassandra, keyspace,
             await_true(lambda: rosCas.info(["/load"])[0].count > 5000)
             child.process.send_signal(signal.SIGKILL)
             child.wait()
-            publisher.end()  # it unregisters: the master is not ours alone
+            publisher.end()  # it unregisters: other tests use the same master
     numbers = [int.from_bytes(row.wire[:4], "little") for row in rosCas.getTopic("/load").rows()]
     first, second = numbers[:3000], numbers[3000:]
     assert first == list(range(3000))

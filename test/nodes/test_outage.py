@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A store that goes away while it is recorded into: few words, nothing lost, a way out."""
+"""A store goes down during a recording: few warnings, no loss, and the recorder can be ended."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def one(roscore):
 
 @pytest.mark.fault
 def test_a_store_that_goes_away(roscore, proxy, keyspace, rosCas, one):
-    """Told in two lines, with all that comes meanwhile kept; a second Ctrl-C drops that."""
+    """Two warnings, and messages are kept meanwhile; a second Ctrl-C drops them."""
     proxy.cut()
     with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "60") as child:
         child.await_line("waiting up to 60 s for the store: no Cassandra answers at")
@@ -120,7 +120,7 @@ def test_what_does_not_fit_before_the_store_answers_is_told(roscore, proxy, keys
 
 @pytest.mark.fault
 def test_an_end_before_the_store_answers(roscore, proxy, keyspace, one):
-    """The first Ctrl-C lets what came wait for the store, the second one drops it."""
+    """After the first Ctrl-C messages wait for the store; the second one drops them."""
     proxy.cut()
     with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "600") as child:
         child.await_line("recording 1 topic")

@@ -116,9 +116,6 @@ def test_a_bag_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
     record_again(roscore, start, turtle, tmp_path / "again.bag", tuple(turtle.expected))
 
 
-# -------------------------------------------------------------------- steered by services
-
-
 def test_steered_by_services(roscore, player, rosCas):
     numbers = rosCas.addTopic("/n", format="binary")
     for n in range(40):
@@ -167,9 +164,6 @@ def test_steered_by_services(roscore, player, rosCas):
         assert heard.rest() == []
     assert child.lines[0] == "services under /player"
     assert child.lines[-1] == "played 33 messages of 1 topic"
-
-
-# -------------------------------------------------------------------- what is advertised
 
 
 def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, rosCas):

@@ -29,7 +29,7 @@ from proxy import Proxy
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, UInt8MultiArray
 
-from cassandra_ros.nodes.publishing import MessageKind, Publication
+from cassandra_ros.nodes.publication import MessageKind, Publication
 from cassandra_ros.tables.registry import Loss, LossKind
 
 SEC = 10**9
@@ -75,7 +75,7 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
             try:
                 got = len(slow.rest())
             except OSError:
-                pass  # what was half sent is cut off
+                pass  # a half sent message is cut off
     line = child.lines[-1]
     assert line.startswith("played 41 messages of 2 topics; slow subscribers missed ")
     assert len(heard) + got + int(line.split()[-1]) == 80
@@ -139,7 +139,7 @@ def test_a_master_that_is_started_anew(master, where, numbers):  # noqa: F811
             assert new.read() is not None
         assert child.end(signal.SIGTERM) == 0, child.output
         found = [number(wire) for wire in heard.rest()]
-    assert found == [n % COUNT for n in range(len(found))]  # nothing was missed meanwhile
+    assert found == [n % COUNT for n in range(len(found))]  # no message was missed meanwhile
     assert len(found) > COUNT
 
 
@@ -167,7 +167,7 @@ def test_time_is_published_and_consumers_are_waited_for(roscore, rosCas, where, 
             begun = time.monotonic()
             with RawSubscriber(roscore.uri, "/n") as heard:
                 first = [number(heard.read()) for _ in range(10)]
-                for _ in range(3):  # it stands, a second behind what controls it
+                for _ in range(3):  # it waits, a second after the stamp that controls it
                     assert child.process.poll() is None
                     stood = ticks.read()
                 late = PointStamped()
@@ -249,7 +249,7 @@ def test_keys_on_a_terminal(roscore, where, numbers):
         terminal.await_text("played 20 messages")
         assert terminal.process.wait(180) == 0, terminal.shown
         assert terminal.after == terminal.before
-        assert "no topic /m is played: it never pauses for that" in terminal.shown
+        assert "no topic /m is played, so the replay never pauses for it" in terminal.shown
     finally:
         terminal.close()
 

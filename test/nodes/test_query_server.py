@@ -126,9 +126,6 @@ def test_runs_are_told_apart(get, span, ask):
     assert "no run" in ask("select data from runs", run="morn")["message"]
 
 
-# -------------------------------------------------------------------- getData
-
-
 def test_one_message(get):
     answer = get(topic="/fix", key=T0)
     assert (answer["success"], answer["message"]) == (True, "")
@@ -266,9 +263,6 @@ def test_messages_that_cannot_be_decoded(get):
     assert data["yaml"].startswith("#")
 
 
-# -------------------------------------------------------------------- range
-
-
 def test_pages_of_a_range(span):
     keys, cursor = [], ""
     for _ in range(4):
@@ -334,9 +328,6 @@ def test_bad_ranges_are_answered(span, request_, word):
     assert not answer["success"]
     assert word in answer["message"]
     assert answer["data"] == []
-
-
-# -------------------------------------------------------------------- executeCQL
 
 
 def rows(answer):
@@ -410,9 +401,6 @@ def test_bad_statements_are_answered(ask, statement, params, word):
 
 def test_cursors_from_elsewhere(ask):
     assert "not a cursor" in ask("select KEY from fix", cursor="x.y.z")["message"]
-
-
-# -------------------------------------------------------------------- the node
 
 
 def test_a_second_server_does_not_take_the_name(roscore, cassandra, store, server):

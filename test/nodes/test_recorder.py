@@ -40,8 +40,6 @@ def publisher(roscore, topic_name, msg_class=String, name="/raw", **fields):
     return RawPublisher(roscore.uri, topic_name, header_of(msg_class, name, **fields), name)
 
 
-# -------------------------------------------------------------------- a played bag
-
 PLAYED = "turtlesim_tf.bag"
 RENAMED = {"/rosout": "/turtle/rosout", "/rosout_agg": "/turtle/rosout_agg"}
 
@@ -91,9 +89,6 @@ def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, r
     assert child.lines[-1].split()[1:4] == [str(total + own), str(total + own), "0"]
 
 
-# -------------------------------------------------------------------- what rospy would lose
-
-
 def test_the_end_of_a_burst_is_read(roscore, recorder, rosCas):
     sent = [message(String("x" * 300 + str(n))) for n in range(30_000)]
     child = recorder("/burst")
@@ -106,7 +101,7 @@ def test_the_end_of_a_burst_is_read(roscore, recorder, rosCas):
     first.close()
     assert child.end() == 0, child.output
     found = wires(rosCas, "/burst")
-    found.remove(text("last"))  # may overtake what lies in the other connection
+    found.remove(text("last"))  # may overtake messages in the other connection
     assert found == sent
 
 
@@ -134,7 +129,7 @@ def test_publishers_that_come_at_once(roscore, recorder, rosCas):
 
 
 def test_a_publisher_that_comes_again_under_its_uri(roscore, recorder, rosCas):
-    """rospy believes to be connected still while it reads what came before."""
+    """rospy still counts as connected while it reads earlier messages."""
     child = recorder("/again")
     one = publisher(roscore, "/again").await_subscribers()
     for round_ in range(5):
@@ -181,7 +176,7 @@ def test_types_that_differ_on_one_topic(roscore, recorder, rosCas):
 
 
 def test_a_publisher_that_changes_its_type(roscore, recorder, rosCas):
-    """It comes again under its name and URI; the topic goes on in a second table."""
+    """The publisher comes again with its name and URI; the topic goes on in a second table."""
     child = recorder("/changes", "/other")
     with publisher(roscore, "/changes", name="/c") as one, publisher(
         roscore, "/other", name="/o"
@@ -246,8 +241,6 @@ def test_headers_without_the_optional_fields(roscore, recorder, rosCas):
     assert rosCas.executeCQL("select data from bare") == [("1",)]
 
 
-# -------------------------------------------------------------------- hostile and broken
-
 SIGNATURE = "_md5sum;open({!r},'w').write('x');B"
 
 
@@ -292,9 +285,6 @@ def test_warnings_reach_rosout(roscore, recorder, rosCas):
     assert child.end() == 0, child.output
 
 
-# -------------------------------------------------------------------- the end
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_drain(roscore, recorder, rosCas, number):
     sent = [message(String("y" * 1000 + str(n))) for n in range(5000)]
@@ -316,7 +306,7 @@ def test_a_message_that_never_comes_to_its_end_is_told(roscore, recorder, rosCas
         torn._sockets[0].sendall(struct.pack("<I", 100) + b"and no more")
         assert child.end() == 1, child.output
     assert wires(rosCas, "/whole") == [text(1)]
-    assert "what the publishers of /torn had sent last is not recorded" in child.output
+    assert "the last messages of the publishers of /torn are not recorded" in child.output
     assert "/torn: 1 lost: not read from the socket" in child.output
     (loss,) = rosCas.losses()
     assert (loss.topic, loss.kind, loss.count) == ("/torn", LossKind.NOT_READ, 1)
@@ -355,13 +345,10 @@ def test_simulated_time(roscore, recorder, rosCas):
         master.deleteParam("/test", "/use_sim_time")
     (row,) = rosCas.getTopic("/sim").rows()
     assert (row.t, row.wire) == (1234 * 10**9, text("in time"))
-    # rospy itself subscribes with a queue of one, and would let the others share it.
+    # rospy itself subscribes with a queue of one, which other subscriptions would share.
     assert sorted(wires(rosCas, "/clock")) == sorted(ticks)
     assert "1 lost: no clock: simulated time" in child.output
     assert "1 message was lost" in child.output
-
-
-# -------------------------------------------------------------------- options
 
 
 def test_limit_and_duration(roscore, recorder, rosCas):
@@ -421,10 +408,10 @@ def test_quiet(roscore, recorder):
 
 
 def test_a_name_that_nobody_publishes(roscore, recorder):
-    """It is told at once, with what was perhaps meant, and at the end with a status."""
+    """The recorder reports it at once, with a similar name, and at the end with its exit status."""
     with publisher(roscore, "/front/scan") as one:
         child = recorder("/front/scna", "/front/scan")
-        said = child.await_line("nobody publishes /front/scna yet")
+        said = child.await_line("topic /front/scna has no publisher yet")
         assert said.endswith("did you mean /front/scan?")
         one.await_subscribers().publish(text(1))
         assert child.end() == 1

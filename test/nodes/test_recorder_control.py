@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A recorder that is steered while it runs, and what its options make of what comes."""
+"""A recorder that is controlled while it runs, and the effect of its options on messages."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_all_leaves_out_what_the_recorder_says_itself(roscore, recorder, rosCas)
         )
     assert child.end() == 0, child.output
     said = [row.message() for row in rosCas.getTopic("/rosout").rows()]
-    # What another node publishes is kept whatever it says there; the aggregate tells only names.
+    # Messages of another node are recorded whatever their Log.name; /rosout_agg has only names.
     assert [m.msg for m in said] == ["hello", "mine"]
     assert {row.connection.callerid for row in rosCas.getTopic("/rosout").rows()} == {"/other"}
     names = {row.message().name for row in rosCas.getTopic("/rosout_agg").rows()}
@@ -160,7 +160,7 @@ def test_all_leaves_out_what_the_recorder_says_itself(roscore, recorder, rosCas)
 
 
 def test_node_where_rate_and_context(roscore, recorder, rosCas, client):
-    """What a node subscribes to; a condition; the parameters and the graph of the run."""
+    """The subscriptions of a node; a condition; the parameters and the node graph of the run."""
     master = xmlrpc.client.ServerProxy(roscore.uri)
     master.setParam("/test", "/robot/name", "husky")
     # A node that exists for the master alone.
@@ -351,7 +351,7 @@ def test_a_recorder_in_a_process_of_ones_own(roscore, cassandra, keyspace, rosCa
 
 @pytest.mark.long
 def test_losses_of_a_killed_recorder_are_told(roscore, recorder, rosCas):
-    """They are written while it records: nobody has closed anything."""
+    """They are stored while it records, before anything is closed."""
     child = recorder("/a", "-b", "1")
     with publisher(roscore, "/a") as a:
         a.await_subscribers()
@@ -393,7 +393,7 @@ def test_wrong_usage(capsys, arguments, word):
 
 
 def test_every_option_of_rosbag_record_is_known():
-    """All of its help's options: taken, or refused with a reason."""
+    """Each option of its help is accepted, or refused with a reason."""
     done = subprocess.run(["rosbag", "record", "-h"], capture_output=True, text=True, check=True)
     words = {word.strip(",=") for word in done.stdout.replace("=", " ").split()}
     theirs = {word for word in words if word.startswith("--")}

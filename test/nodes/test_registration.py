@@ -58,7 +58,7 @@ def master(ros_env):
 
 
 class SlowMaster(ThreadingMixIn, SimpleXMLRPCServer):
-    """In front of a master: asked for its state while it holds, it answers when a node has gone."""
+    """A proxy of a master that holds back the answer to getSystemState until a node has ended."""
 
     def __init__(self, uri):
         super().__init__(("127.0.0.1", free_port()), logRequests=False, allow_none=True)
@@ -98,7 +98,7 @@ def listed_node(master, name):
 
 @pytest.mark.fault
 def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
-    """New publishers are heard again, services found, and what was missed is told."""
+    """New publishers are heard again, services are found, and missed messages are reported."""
     where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
     with start_recorder(master, cassandra, keyspace, "/a", "/b") as child, start_node(
         master, "query_server", *where
@@ -112,7 +112,7 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
         other.await_subscribers().publish(text(1))
         master.stop()
         child.await_line("the ROS master does not answer")
-        old.publish(text(2))  # what stands goes on
+        old.publish(text(2))  # existing connections go on
         before = time.time_ns()
         # Else it might register first, and the new master tell it of the publisher.
         child.process.send_signal(signal.SIGSTOP)
@@ -123,7 +123,7 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
         old.publish(text(4))
         await_true(lambda: listed(master, "/cassandra_ros/getData") == service)
         await_true(lambda: listed(master, "/recorder/get_loggers"))
-        child.await_line("publishers of /a that came since")
+        child.await_line("publishers of /a that came after")
         for one in (new, old, other):
             one.close()
         assert child.end() == 1, child.output
@@ -142,7 +142,7 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
 def test_a_node_that_shuts_down_is_not_one_that_is_unknown(
     master, slow_master, cassandra, keyspace
 ):
-    """The master is asked before the node unregisters, and answers after."""
+    """The master gets the request before the node unregisters, and answers after that."""
     one = RawPublisher(master.uri, "/a", header_of(String))
     behind = SimpleNamespace(env=dict(master.env, ROS_MASTER_URI=slow_master.uri))
     with start_recorder(behind, cassandra, keyspace, "/a") as child:
@@ -182,7 +182,7 @@ def test_a_master_that_stood_still_is_no_loss(master, cassandra, keyspace, rosCa
 @pytest.mark.long
 @pytest.mark.fault
 def test_a_recording_ends_without_its_master(master, cassandra, keyspace, rosCas):
-    """One that stands still is as one that is out of reach: rospy would wait for it for ever."""
+    """A stopped master is like one out of reach: rospy would wait for it for ever."""
     with start_recorder(master, cassandra, keyspace, "/a") as child:
         child.await_line("recording 1 topic")
         one = RawPublisher(master.uri, "/a", header_of(String))

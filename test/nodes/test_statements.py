@@ -87,9 +87,6 @@ def indexes(store, name):
     return set(topic.getMeta["indexes"])
 
 
-# -------------------------------------------------------------------- who may write
-
-
 @pytest.mark.parametrize("statement", WRITES)
 def test_a_node_only_reads_unless_it_may_write(read, store, statement):
     answer = read(statement)
@@ -166,9 +163,6 @@ def test_hostile_names_and_values_stay_data(write, store):
     assert store.getTopic("numbers").countTopicData() == 40
 
 
-# -------------------------------------------------------------------- pages
-
-
 @pytest.mark.parametrize("end", sparing([signal.SIGINT, signal.SIGKILL], kept=[signal.SIGKILL]))
 def test_cursors_outlive_the_node(roscore, cassandra, store, client, end):
     topic = store.addTopic("/tf", format="ros")
@@ -202,9 +196,6 @@ def test_cursors_outlive_the_node(roscore, cassandra, store, client, end):
     assert shown == [f"{n}{name}" for n in range(6) for name in "abc"]
     assert [data["key"] - T0 for data in found["range"]] == list(range(7))
     assert not any(cursors.values())
-
-
-# -------------------------------------------------------------------- info, addData, removeData
 
 
 def typed(roscore, service, request):

@@ -1,8 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The ROS nodes: they unpack, call the library, pack. Only here is rospy imported.
+"""The ROS nodes: they unpack requests, call the library and pack answers. Only they import rospy.
 
-``recorder`` subscribes and hands bytes on, through ``subscription``, which loses nothing that rospy
-would lose; ``recorder_node`` is the node around it; ``query_node`` answers services with what the
-library makes of the store. The module ``node`` is for both: name, log and time.
+``recorder`` subscribes through ``subscription``, which avoids the losses of rospy, and hands the
+bytes to a recording; ``recorder_node`` is the node around it; ``query_node`` answers services. All
+nodes use ``ros_node`` for their name, log and time.
 """

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""How a recorder stands, on /diagnostics: one status for the store, one for each topic."""
+"""The status of a recorder on /diagnostics: one entry for the store, one for each topic."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from cassandra_ros.recording.recording_status import WAITING, Rates, RecordingSt
 from cassandra_ros.recording.topic_counts import TopicReport
 
 FULL = 0.5
-"""A buffer that is fuller is warned of."""
+"""Share of the buffer in use above which the level is WARN."""
 
 
 class StorePlace(NamedTuple):
-    """Where a store is, as the options name it: it may not answer yet."""
+    """The address of a store, as in the options: the store may not answer yet."""
 
     hosts: Sequence[str]
     keyspace: str
 
 
 class Diagnostics:
-    """Publishes how a recorder stands. Losses are errors while they go on, then warnings.
+    """A publisher of the status. Losses have level ERROR while they go on, then WARN.
 
     Args:
-        place: Where the store is.
+        place: Address of the store.
     """
 
     def __init__(self, place: StorePlace) -> None:
@@ -83,7 +83,7 @@ class Diagnostics:
         elif report.topic not in status.subscribed:
             text = "not recorded any more"
         elif not report.published:
-            level, text = DiagnosticStatus.WARN, "nobody publishes it"
+            level, text = DiagnosticStatus.WARN, "it has no publisher"
         if report.lost > self._lost.get(report.topic, 0):
             level, text = DiagnosticStatus.ERROR, "messages are being lost"
         elif report.lost:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Class HistorySubscriber: a subscriber that gets the stored past of its topic first."""
+"""Class HistorySubscriber: a subscriber that gets the stored messages of its topic first."""
 
 from __future__ import annotations
 
@@ -21,61 +21,65 @@ from cassandra_ros.history.topic_history import History, HistoryMessage
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import Time, When, time_or_length, to_ns
-from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.subscription import connected_uris, subscribe
 
 _log = logging.getLogger(__name__)
 
 DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
+"""Default size of the buffer of live messages, bytes."""
 CONNECT_SEC = 5.0
-"""How long publishers that exist are waited for before the past may be taken for complete."""
+"""Maximum time to wait for connections to the existing publishers, s."""
 CLOSE_SEC = 5.0
+"""Maximum time that ``unregister`` waits for the callback, s."""
 MASTER_SEC = 3.0
+"""Maximum time for an answer of the master, s."""
 
 
 class HistorySubscriber:
     """A rospy-like subscriber that gets the stored messages of a topic first, then the live ones.
 
-    Each message comes once, without a gap where one goes over into the other, while a recorder is
-    writing the topic: per publisher in the order in which it was sent, over several publishers by
-    the time of reception. The callback is called from one thread of this subscriber alone, one
-    message at a time. It gets instances of data_class, stored or live; ``_connection_header`` is
-    the publisher's in both cases. A message that the recorder could store only after later ones,
-    because a request to the store failed, may come after live ones; a warning says so.
+    While a recorder writes the topic, each message comes once, without a gap between the stored and
+    the live messages: for each publisher in the order of sending, over several publishers in the
+    order of reception. The callback is called from one thread of this subscriber, one message at a
+    time. It gets instances of data_class; ``_connection_header`` is that of the publisher, for
+    stored and live messages. A message that the recorder could store only after later ones, because
+    a request to the store failed, may come after live ones; a warning is logged then.
 
-    The live messages are heard from the beginning on, wait, and are compared with the last stored
-    ones by their bytes. Of messages that are all equal the times of reception choose: recorder and
-    subscriber should have the same time to within the publisher's period. A latched message that is
-    stored is not delivered again. When nobody records, the live messages come at once and a warning
-    says where a gap may be. When the callback is slower than the topic, publishers wait, as with
-    rospy.Subscriber without a queue_size, and drop what does not fit into their own queues. When
-    the master was started anew, the node is registered there again.
+    The live messages are received from the start on and wait; their bytes are compared with those
+    of the last stored messages. If all messages are equal, the times of reception decide: the
+    clocks of recorder and subscriber should differ by less than the publisher's period. A latched
+    message that is stored is not delivered again. If no recorder writes the topic, the live
+    messages come at once, and a warning says where a gap may be. If the callback is slower than the
+    topic, publishers wait, as with a rospy.Subscriber without queue_size, and drop messages that do
+    not fit into their own queues. After a restart of the master the node is registered again.
 
-    The process is a ROS node already (``rospy.init_node``). As with rospy, a topic that is first
-    subscribed to here gives any further rospy.Subscriber of this process rospy.AnyMsg.
+    The process must be a ROS node already (``rospy.init_node``). As with rospy, if this is the
+    first subscription of the process to a topic, later rospy.Subscribers of the process get
+    rospy.AnyMsg.
 
     Args:
-        topic: Its name, resolved as by rospy (remapping, namespace, ~).
+        topic: Name of the topic, resolved as by rospy (remapping, namespace, ~).
         data_class: A message class, or rospy.AnyMsg for any type, installed or not.
         callback: Called with each message, and with callback_args unless they are None.
-        callback_args: Handed to the callback.
-        since: The beginning, a time as a key is; or how far back from now: a number of seconds
-            below 10**9, a Duration or timedelta (a number from there on is a time: int ns, float
-            s). None = all that is stored. By the time of reception. A time to come: live only.
-        rosCas: A RosCassandra connected to a keyspace; it stays the caller's. None = one of its
-            own, opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
-        nodeID: Only stored messages of this entity; None = of all.
-        run: Only stored messages of this run, by its name or writer id; None = of all. Where two
-            recorders write one topic, name one: else the past has each message twice.
-        buff_size: Bound of the live messages that wait, bytes. When it is reached while the past is
-            read, and the topic is recorded, they are forgotten and read from the store.
-        tcp_nodelay: As rospy's.
+        callback_args: Second argument of the callback.
+        since: First time of reception, as for a key; or a length before now: a number of seconds
+            below 10**9, a Duration or timedelta (a larger number is a time: int ns, float s). None
+            = all stored messages. With a time in the future only live messages come.
+        rosCas: A RosCassandra connected to a keyspace, which the caller closes. None = a new one,
+            opened as the environment says (CASSANDRA_ROS_HOST, _PORT, _KEYSPACE; 'ros').
+        nodeID: nodeID of the robot whose stored messages come; None = all robots.
+        run: Name or writer id of the run whose stored messages come; None = all runs. If two
+            recorders write the topic, give one run: otherwise each stored message comes twice.
+        buff_size: Maximum size of the waiting live messages, bytes. If it is reached while stored
+            messages are read, and the topic is recorded, they are dropped and read from the store.
+        tcp_nodelay: As in rospy.
 
     Raises:
-        ConnectionFailed: No store answers.
-        InvalidName, InvalidKey, InvalidOption: An argument cannot be one.
-        RunNotFound: There is no such run.
+        ConnectionFailed: The store does not answer.
+        InvalidName, InvalidKey, InvalidOption: An argument is not valid.
+        RunNotFound: The keyspace has no such run.
     """
 
     def __init__(
@@ -104,7 +108,7 @@ class HistorySubscriber:
         self._until = time.monotonic() + CONNECT_SEC
         self._is_connected = False
         self.failed = 0
-        """How often the callback has raised, or a message was none of data_class."""
+        """Number of messages for which the callback raised, or that were not of data_class."""
         try:
             past = StoredPast(self._rosCas.catalog, self.resolved_name, node, run)
         except CassandraRosError:
@@ -121,22 +125,22 @@ class HistorySubscriber:
 
     @property
     def isLive(self) -> bool:
-        """Whether all of the past was delivered."""
+        """Whether all stored messages were delivered."""
         return self._history.live
 
     @property
     def lost(self) -> int:
-        """Messages that are known to be missing; each was logged with the reason."""
+        """Number of messages known to be missing; each was logged with its reason."""
         return self._history.lost
 
     def get_num_connections(self) -> int:
-        """Return to how many publishers there is a connection."""
+        """Return the number of connected publishers."""
         return len(connected_uris(self._subscriber))
 
     def unregister(self) -> None:
-        """End the subscription: when this returns, the callback is not called any more.
+        """End the subscription: after this call the callback is not called any more.
 
-        Called from the callback itself, it is not called again.
+        It may be called from the callback itself.
         """
         self._queue.close()
         self._registration.stop()
@@ -148,11 +152,11 @@ class HistorySubscriber:
         self._queue.put(header, wire)
 
     def _connected(self) -> bool:
-        """Say whether all publishers of the topic are connected, or were waited for."""
+        """Return whether all publishers of the topic are connected, or CONNECT_SEC is over."""
         if not self._is_connected:
-            wanted = _publishers(self.resolved_name)
+            publishers = _publishers(self.resolved_name)
             late = time.monotonic() > self._until
-            self._is_connected = late or self.get_num_connections() >= wanted
+            self._is_connected = late or self.get_num_connections() >= publishers
         return self._is_connected
 
     def _run(self) -> None:
@@ -202,7 +206,7 @@ class HistorySubscriber:
         return msg
 
     def _is_ours(self, header: Mapping[str, str]) -> bool:
-        """Say whether a publisher's messages are of our class; warn once of others."""
+        """Return whether a publisher's messages are of data_class; warn once of each other type."""
         kind = header.get("type", ""), header.get("md5sum", "")
         if kind[1] == self.data_class._md5sum:
             return True
@@ -210,8 +214,11 @@ class HistorySubscriber:
             self._strange.add(kind)
             _log.warning(
                 "topic %s: messages of type %s (md5sum %s) are left out, %s (%s) is subscribed to",
-                self.resolved_name, *kind, self.data_class._type, self.data_class._md5sum,
-            )  # fmt: skip
+                self.resolved_name,
+                *kind,
+                self.data_class._type,
+                self.data_class._md5sum,
+            )
         return False
 
 
@@ -231,7 +238,7 @@ def _resolved(topic: str) -> str:
 
 
 def _beginning(since: Any) -> Callable[[int], int]:
-    """Return what tells from the time of now, ns, from when on stored messages are wanted."""
+    """Return a function from the present time to the first time of stored messages, both ns."""
     if since is None:
         return lambda now: 0
     try:
@@ -242,7 +249,7 @@ def _beginning(since: Any) -> Callable[[int], int]:
 
 
 def _publishers(topic: str) -> int:
-    """Return how many nodes publish a topic; 0 also where no master answers."""
+    """Return the number of nodes that publish a topic; 0 also if no master answers."""
     try:
         _, _, (publishers, _, _) = master_proxy(MASTER_SEC).getSystemState(rospy.get_name())
     except MASTER_ERRORS:

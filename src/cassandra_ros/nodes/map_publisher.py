@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Node map_publisher: publishes one map, latched, until it is ended."""
+"""Node map_publisher: it publishes one map, latched, until it is ended."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Callable, Sequence
 
 import rospy
 
-from cassandra_ros.nodes.node import REMAP, bound_master_calls, forward_logging, own_name
+from cassandra_ros.nodes.ros_node import REMAP, bound_master_calls, forward_logging, own_name
 
 _log = logging.getLogger(__name__)
 _NAME = "map_publisher"
@@ -20,12 +20,12 @@ def publish_map(message: Any, topic: str, argv: Sequence[str], say: Callable[[st
 
     Args:
         message: A nav_msgs/OccupancyGrid.
-        topic: Where.
+        topic: Name of the topic.
         argv: The command line, with remappings.
-        say: Shows a line.
+        say: Prints a line for the user.
     """
     name, full_name, taken = own_name(_NAME, argv)
-    # A name that is given forbids an anonymous one.
+    # With a name on the command line rospy would not choose an anonymous one.
     words = [word for word in argv if not (taken and word.startswith(REMAP))]
     rospy.init_node(name, argv=words, anonymous=taken, disable_rostime=True)
     forward_logging()

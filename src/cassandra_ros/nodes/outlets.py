@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The topics of a replay and its /clock: where played messages go out."""
+"""The topics on which a replay publishes its messages, and its /clock."""
 
 from __future__ import annotations
 
@@ -17,42 +17,45 @@ from rosgraph_msgs.msg import Clock
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidName, TypeMismatch
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.nodes.publishing import ANY, AnyPublication, MessageKind, advertise
+from cassandra_ros.nodes.publication import ANY, AnyPublication, MessageKind, advertise
 from cassandra_ros.playing.play_stream import Channel, PlayedMessage
 
 _log = logging.getLogger(__name__)
 
 CLOCK = "/clock"
+"""Topic of the time of the replay."""
 STALLED_SEC = 2.0
-"""A subscriber that takes nothing for so long is not waited for any more."""
+"""Time without progress after which a subscriber is not waited for any more, s."""
 
 _stamp = struct.Struct("<II").pack
 
 
 class PlayedTopic(NamedTuple):
-    """What was published on a topic."""
+    """A topic of a replay, with counts."""
 
     topic: str
-    """Name under which it goes out."""
+    """Name under which it is published."""
     type: str
     latched: bool
     subscribers: int
-    """How many there are now."""
+    """Number of present subscribers."""
     published: int
+    """Number of published messages."""
     missed: int
-    """By slow subscribers, the sum over all of them."""
+    """Number of messages that slow subscribers missed, summed over all of them."""
     left_out: int
-    """Of another type than the topic, or not readable."""
+    """Number of messages of another type than the topic, or not readable."""
 
 
 class Outlets:
-    """Publishes what is played.
+    """The publishers of a replay.
 
     Args:
-        channels: What is advertised.
-        queue: How many messages may wait for each subscriber; 0 = any number.
-        waits: Wait for subscribers whose queue is full, instead of dropping the oldest message.
-        clock: Whether /clock is published; what was stored of it is left out then.
+        channels: Topics to advertise.
+        queue: Maximum number of messages queued for each subscriber; 0 = no maximum.
+        waits: Whether to wait for subscribers whose queue is full, instead of dropping the oldest
+            message.
+        clock: Whether /clock is published; a stored /clock is left out then.
     """
 
     def __init__(self, channels: Sequence[Channel], queue: int, waits: bool, clock: bool) -> None:
@@ -88,7 +91,9 @@ class Outlets:
             self._say(
                 (topic, kind),
                 "topic %s was stored with several types; only %s is played, %s is left out",
-                *(name, known.kind._type, channel.type),
+                name,
+                known.kind._type,
+                channel.type,
             )
             return
         try:
@@ -100,18 +105,18 @@ class Outlets:
             _log.warning("topic %s is played without its definition: none is stored", topic)
 
     def _say(self, key: Hashable, text: str, *values: object) -> None:
-        """Warn once."""
+        """Warn once for each key."""
         if key not in self._said:
             self._said.add(key)
             _log.warning(text, *values)
 
     def begin(self, t: int) -> None:
-        """Forget what was latched."""
+        """Forget the latched messages."""
         for publication in self._publications.values():
             publication.forget_latched()
 
     def publish(self, played: PlayedMessage) -> None:
-        """Publish a message, on its topic as it was advertised."""
+        """Publish a message on its topic."""
         row = played.row
         key = (played.topic, row.table.name, row.conn, row.node)
         way = self._ways.get(key)
@@ -128,7 +133,7 @@ class Outlets:
     def _way(
         self, played: PlayedMessage, key: Hashable
     ) -> tuple[Optional[AnyPublication], Optional[Hashable]]:
-        """Find where the messages of a connection go, and by whom they are latched."""
+        """Return the publisher for the messages of a connection, and ``key`` if it was latching."""
         publication, row = self._publications.get(played.topic), played.row
         if publication is None or publication.kind._md5sum != (row.md5sum or ANY):
             return None, None
@@ -144,16 +149,21 @@ class Outlets:
         self._say((played.topic, "unreadable"), "a message is left out: %s", error)
 
     def clock(self, t: int) -> None:
-        """Say the time before a message that was not waited for."""
+        """Publish the time ``t``, ns, because the clock jumped to it."""
         if self._clock is not None:
             with self._clock_lock:
                 self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
 
     def run_clock(self, now: Callable[[], Optional[int]], hz: float) -> None:
-        """Publish the time, where there is one, until the topics are left."""
+        """Publish the time on /clock at a rate until ``close``.
+
+        Args:
+            now: Returns the time of the replay, ns; None = not known yet.
+            hz: Rate, Hz.
+        """
         following = time.monotonic()
         while self._clock is not None:
-            with self._clock_lock:  # time must not go backwards beside ``clock``
+            with self._clock_lock:  # ``clock`` publishes, too: time must not go backwards
                 t = now()
                 if t is not None:
                     self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
@@ -162,11 +172,11 @@ class Outlets:
                 return
 
     def without_subscriber(self) -> list[str]:
-        """List the topics that nobody listens to."""
+        """Return the topics without a subscriber, sorted."""
         return sorted(topic for topic, p in self._publications.items() if not p.subscribers)
 
     def topics(self) -> list[PlayedTopic]:
-        """Say what was published, by topic."""
+        """Return the counts of each topic, sorted by name."""
         left_out: Counter[str] = Counter()
         for topic, count in list(self._left_out.items()):
             p = self._publications.get(topic)
@@ -192,11 +202,15 @@ class Outlets:
         return list(dict.fromkeys(self._publications.values()))
 
     def stop(self) -> None:
-        """Wait for no subscriber any more while it is published."""
+        """Stop waiting for subscribers when messages are published."""
         self._stopping.set()
 
     def close(self, stop: Callable[[], bool]) -> None:
-        """Let subscribers take what waits for them, then leave the topics."""
+        """Send the queued messages, then unregister the topics.
+
+        Args:
+            stop: Returns whether to stop waiting for subscribers.
+        """
         for publication in self._distinct():
             publication.drain(stop, STALLED_SEC)
         self._stopping.set()

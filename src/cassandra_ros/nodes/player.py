@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Class Player: plays what is stored, in a process that is a node already."""
+"""Class Player: plays stored messages in a process that is a ROS node already."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from cassandra_ros.recording.message_buffer import starts_with_header
 _log = logging.getLogger(__name__)
 
 MAX_LOSSES = 10
-"""How many losses are said one by one."""
+"""Maximum number of losses that are logged one by one."""
 SAY_SEC = 5.0
-"""How often it is said which topics are waited for."""
+"""Interval at which the topics without a subscriber are logged, s."""
 _SEQ_AND_STAMP = struct.Struct("<III")
 
 
 @dataclass(frozen=True)
 class PlayerState:
-    """What a player does now. Times in ns of the replay."""
+    """The state of a player. Times are on the replay's time line, ns."""
 
     state: str
     """'waiting', 'running', 'paused', 'delayed' or 'ended'."""
@@ -47,25 +47,25 @@ class PlayerState:
     end: int
     rate: float
     read_ahead: int
-    """Bytes that are read and not yet played."""
+    """Size of the messages that are read and not yet played, bytes."""
     topics: list[PlayedTopic]
 
 
 class Player:
-    """Plays what is stored on the topics from which it came, as the stored bytes.
+    """A replay of stored messages on their topics, with the stored bytes.
 
-    The process is a node already: call rospy.init_node first. Its remappings hold. Signals and the
-    node's end are yours; ``stop`` ends a player. Where much else runs in the process,
-    ``sys.setswitchinterval(0.0002)`` lets messages go out more on time.
+    The process must be a ROS node already: call rospy.init_node first. The node's remappings apply.
+    The caller handles signals and the end of the node; ``stop`` ends a player. In a process with
+    other busy threads ``sys.setswitchinterval(0.0002)`` makes publishing more punctual.
 
     Args:
-        rosCas: Where it is stored. Stays yours: close it after the player.
-        selection: What is played; default everything.
-        options: How.
+        rosCas: The open keyspace; the caller closes it after the player.
+        selection: Messages to be played; default: all.
+        options: Options of the replay.
 
     Raises:
-        TopicNotFound, RunNotFound, MessageNotFound: There is nothing of what is selected.
-        InvalidOption, InvalidName, InvalidQuery: The selection makes no sense.
+        TopicNotFound, RunNotFound, MessageNotFound: The selection has no stored message.
+        InvalidOption, InvalidName, InvalidQuery: The selection is not valid.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class Player:
         options: Optional[PlayerOptions] = None,
     ) -> None:
         self.options = options = options or PlayerOptions()
-        """How it is played."""
+        """Options of the replay."""
         self._rosCas = rosCas
         self._stream = Stream(rosCas.catalog, selection or PlaySelection())
         self._outlets: Optional[Outlets] = None
@@ -91,11 +91,11 @@ class Player:
 
     @property
     def stream(self) -> Stream:
-        """What is played."""
+        """Stream of the messages that are played."""
         return self._stream
 
     def start(self) -> None:
-        """Advertise the topics and begin to play, on a thread of its own."""
+        """Advertise the topics and begin to play on another thread."""
         if self._outlets is not None:
             raise InvalidOption("this player was started already: make another one")
         options = self.options
@@ -103,7 +103,7 @@ class Player:
         channels = self._stream.channels()
         names = {channel.topic for channel in channels}.union(self._stream.topics)
         for topic in sorted(set(options.pause_topics) - names):
-            _log.warning("no topic %s is played: it never pauses for that", topic)
+            _log.warning("no topic %s is played, so the replay never pauses for it", topic)
         clock = options.clock_hz > 0
         outlets = self._outlets = Outlets(channels, options.queue, options.immediate, clock)
         if options.rate_control_topic:
@@ -114,18 +114,18 @@ class Player:
         threading.Thread(target=self._run, args=(outlets,), daemon=True, name="player").start()
 
     def pause(self) -> bool:
-        """Stand still; return whether it did not before."""
+        """Pause; return whether it was not paused before."""
         return self._playback.pause()
 
     def resume(self) -> bool:
-        """Go on; return whether it stood."""
+        """End the pause; return whether it was paused."""
         return self._playback.resume()
 
     def step(self, count: int = 1) -> int:
         """Publish the next messages of a paused player; return the time of the last one, ns.
 
         Raises:
-            InvalidOption: It is not paused, or not so many messages follow.
+            InvalidOption: The player is not paused, or fewer messages follow.
         """
         self._playback.step(count)
         return self._playback.now()
@@ -134,14 +134,14 @@ class Player:
         """Go on at another time; the last latched messages before it are published first.
 
         Args:
-            time: As PlaySelection takes it: below 10**9 seconds from the start of the replay, else
-                a time of the calendar. One outside of the replay means its start or end.
+            time: As for PlaySelection: below 10**9 seconds from the start of the replay, otherwise
+                a date. A time outside the replay is moved to its start or end.
 
         Returns:
-            Where it goes on, ns.
+            The time at which it goes on, ns.
 
         Raises:
-            InvalidOption: It is no time, or the player has ended.
+            InvalidOption: The time cannot be read, or the player has ended.
         """
         when = read_when("time", time)
         if when is None:
@@ -149,15 +149,19 @@ class Player:
         return self._playback.seek(when.ns + self._stream.start_ns if when.relative else when.ns)
 
     def setRate(self, rate: float) -> None:
-        """Play faster or slower from now on; InvalidOption: the rate is not above 0."""
+        """Change the factor of speed from now on; raises InvalidOption if it is not above 0."""
         self._playback.set_rate(rate)
 
     def togglePauseTopics(self) -> bool:
-        """Pause before messages of the pause topics, or do no more; return whether it does."""
+        """Switch pausing before messages of the pause topics on or off; return whether it is on."""
         return self._playback.toggle_pause_topics()
 
     def stop(self, abandon: bool = False) -> None:
-        """End playing; what was published reaches the subscribers, unless it is abandoned."""
+        """End the replay.
+
+        Args:
+            abandon: Do not wait until published messages have reached the subscribers.
+        """
         self._stopping.set()
         if abandon:
             self._abandoned.set()
@@ -169,7 +173,7 @@ class Player:
         """Wait until the player has ended; return whether it has.
 
         Raises:
-            CassandraRosError: What ended it before its time.
+            CassandraRosError: The error that ended the player.
         """
         ended = self._done.wait(timeout_sec)
         if ended and self._error is not None:
@@ -177,7 +181,7 @@ class Player:
         return ended
 
     def status(self) -> PlayerState:
-        """Say what it does now."""
+        """Return the present state."""
         playback, stream = self._playback, self._stream
         return PlayerState(
             ENDED if self._done.is_set() else playback.state,
@@ -198,7 +202,7 @@ class Player:
         self._done.wait()
 
     def _warn_of_losses(self) -> None:
-        """Say what of the stretch that is played was not recorded."""
+        """Log the losses in the time range that is played."""
         selection, stream = self._stream.selection, self._stream
         ends = (None, None) if selection.align_start else (stream.start_ns, stream.end_ns)
         found = self._rosCas.losses(
@@ -207,15 +211,16 @@ class Player:
         for loss in found[:MAX_LOSSES]:
             _log.warning(
                 "%s messages of topic %s from %s to %s were not recorded: %s",
-                *(loss.count or "an unknown number of", loss.topic),
-                *(iso_time(loss.first_ns), iso_time(loss.last_ns), loss.kind.value),
+                loss.count or "an unknown number of",
+                loss.topic,
+                iso_time(loss.first_ns),
+                iso_time(loss.last_ns),
+                loss.kind.value,
             )
         if len(found) > MAX_LOSSES:
             _log.warning(
                 "and %d more losses; cassandra_bag info lists them", len(found) - MAX_LOSSES
             )
-
-    # ---------------------------------------------------------------- the thread that plays
 
     def _run(self, outlets: Outlets) -> None:
         try:
@@ -239,20 +244,22 @@ class Player:
             for topic in outlets.topics():
                 if topic.missed:
                     _log.warning(
-                        "subscribers of %s missed %d messages: they were slower than the playing; "
-                        "--queue N lets more wait, a lower --rate gives them time",
-                        *(topic.topic, topic.missed),
+                        "subscribers of %s missed %d messages: they were slower than the replay; "
+                        "--queue N queues more messages, a lower --rate gives them time",
+                        topic.topic,
+                        topic.missed,
                     )
                 if topic.left_out:
                     _log.warning(
                         "%d messages of %s were left out: of another type, or not readable",
-                        *(topic.left_out, topic.topic),
+                        topic.left_out,
+                        topic.topic,
                     )
         finally:
             self._done.set()
 
     def _await_subscribers(self, outlets: Outlets) -> bool:
-        """Wait where that is asked for; False: it was stopped."""
+        """Wait with the option wait_for_subscribers; return False if the player was stopped."""
         following = time.monotonic() + SAY_SEC
         while self.options.wait_for_subscribers and not self._stopping.is_set():
             missing = outlets.without_subscriber()
@@ -265,26 +272,24 @@ class Player:
         return not self._stopping.is_set()
 
     def begin(self, t: int) -> None:
-        """Begin at a time; for the playback."""
+        """Begin at the time ``t``, ns; called by the playback."""
         self._control_ns = t
         if self._outlets is not None:
             self._outlets.begin(t)
 
     def clock(self, t: int) -> None:
-        """Say the time; for the playback."""
+        """Publish the time ``t``, ns; called by the playback."""
         if self._outlets is not None:
             self._outlets.clock(t)
 
     def publish(self, played: PlayedMessage) -> None:
-        """Publish a message; for the playback."""
+        """Publish a message; called by the playback."""
         if self._outlets is not None:
             self._outlets.publish(played)
 
     def _skipped(self, played: PlayedMessage, error: CassandraRosError) -> None:
         if self._outlets is not None:
             self._outlets.skipped(played, error)
-
-    # ---------------------------------------------------------------- who consumes
 
     def _lags(self, t: int) -> bool:
         if self._control is None or not self._controls:
@@ -297,8 +302,7 @@ class Player:
             if self._controls:
                 self._controls = False
                 _log.warning(
-                    "the rate control topic %s has no Header as its first field: it controls "
-                    "nothing",
+                    "the rate control topic %s has no Header as its first field and is ignored",
                     topic,
                 )
                 self._playback.wake()

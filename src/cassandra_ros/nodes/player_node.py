@@ -17,14 +17,14 @@ from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
-from cassandra_ros.nodes.node import (
+from cassandra_ros.nodes.player import Player, PlayerState
+from cassandra_ros.nodes.ros_node import (
     REMAP,
     bound_master_calls,
     forward_logging,
     log_as_rosout,
     own_name,
 )
-from cassandra_ros.nodes.player import Player, PlayerState
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.srv import (
@@ -45,12 +45,16 @@ from cassandra_ros.srv import (
 _log = logging.getLogger(__name__)
 
 POLL_SEC = 0.05
+"""Interval at which keys and signals are checked, s."""
 SWITCH_SEC = 0.0002
-"""How long the thread that reads ahead may keep the one that publishes waiting."""
+"""Maximum time that the reading thread holds the interpreter before the publishing one, s."""
 
 Say = Callable[[str], None]
+"""Function that prints a line for the user."""
 Show = Callable[[PlayerState], None]
+"""Function that shows the state of the player."""
 Keys = Callable[[], str]
+"""Function that returns the keys pressed since the last call."""
 
 
 def play(
@@ -62,17 +66,18 @@ def play(
     show: Show,
     keys: Keys,
 ) -> PlayerState:
-    """Play until the end, a signal or the master ends it; say what was played.
+    """Play until the end, a signal or the master ends it; return the last state.
 
     Args:
-        ros_cas: Where it is stored.
-        selection, options: What is played, and how.
+        ros_cas: The open keyspace.
+        selection: Messages to be played.
+        options: Options of the replay.
         argv: The command line, with remappings.
-        say: Shows a line.
-        show: Shows what the player does now; called many times a second.
-        keys: Returns the keys that were pressed since.
+        say: Prints a line for the user.
+        show: Shows the state of the player; called every POLL_SEC.
+        keys: Returns the keys pressed since the last call.
     """
-    player = Player(ros_cas, selection, options)  # before there is a node: it may make no sense
+    player = Player(ros_cas, selection, options)  # raises errors before the node is started
     sys.setswitchinterval(SWITCH_SEC)
     _start_node(argv)
     signals: list[int] = []
@@ -104,12 +109,12 @@ def play(
 
 
 def _start_node(argv: Sequence[str]) -> None:
-    """Become /player where that name is free, else a node of an anonymous name.
+    """Start the node /player, or an anonymous one if that name is taken.
 
-    It lives in wall time, also where /use_sim_time says otherwise: it may be what gives the time.
+    It uses wall time, also if /use_sim_time is set: it may itself publish /clock.
     """
     name, full_name, taken = own_name("player", argv)
-    # A name that is given forbids an anonymous one.
+    # With a name on the command line rospy would not choose an anonymous one.
     words = [word for word in argv if not (taken and word.startswith(REMAP))]
     rospy.init_node(
         name,
@@ -137,7 +142,7 @@ def _say_what(player: Player, say: Say) -> None:
 
 
 def press(player: Player, key: str) -> None:
-    """Do what a key of rosbag play does; others do nothing."""
+    """Do what a key does in rosbag play; ignore other keys."""
     if key == " ":
         _ = player.pause() or player.resume()
     elif key == "t":
@@ -150,13 +155,13 @@ def press(player: Player, key: str) -> None:
 
 
 class Services:
-    """The services of a player. A handler unpacks, calls the player, packs."""
+    """The services of a player. A handler unpacks a request, calls the player, packs the answer."""
 
     def __init__(self, player: Player) -> None:
         self._player = player
 
     def advertise(self) -> None:
-        """Offer them; the node must have been made."""
+        """Advertise the services; the node must have been started."""
         for name, kind, handler in (
             ("~pause", Trigger, self.pause),
             ("~resume", Trigger, self.resume),
@@ -170,12 +175,12 @@ class Services:
             rospy.Service(name, kind, handler)
 
     def pause(self, request: object) -> TriggerResponse:
-        """Stand still."""
+        """Pause."""
         changed = self._player.pause()
         return TriggerResponse(True, "" if changed else "it was paused already")
 
     def resume(self, request: object) -> TriggerResponse:
-        """Go on."""
+        """End the pause."""
         changed = self._player.resume()
         return TriggerResponse(True, "" if changed else "it was not paused")
 
@@ -198,13 +203,13 @@ class Services:
         """Go on at another time."""
         text = request.text.strip()
         try:
-            found = self._player.seek(text if text else request.time)
+            t_ns = self._player.seek(text if text else request.time)
         except CassandraRosError as exc:
             return SeekResponse(False, str(exc), _time(self._player.status().time))
-        return SeekResponse(True, "", _time(found))
+        return SeekResponse(True, "", _time(t_ns))
 
     def set_rate(self, request: SetRateRequest) -> SetRateResponse:
-        """Play faster or slower."""
+        """Change the factor of speed."""
         try:
             self._player.setRate(request.rate)
         except CassandraRosError as exc:
@@ -217,7 +222,7 @@ class Services:
         return TriggerResponse(True, "")
 
     def status(self, request: PlayerStatusRequest) -> PlayerStatusResponse:
-        """Say what the player does."""
+        """Return the state of the player."""
         now = self._player.status()
         return PlayerStatusResponse(
             success=True,

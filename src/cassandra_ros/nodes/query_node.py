@@ -33,12 +33,12 @@ from cassandra_ros.messages.classes import (
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage, StoredTopic
-from cassandra_ros.nodes.node import (
+from cassandra_ros.nodes.registration import Registration
+from cassandra_ros.nodes.ros_node import (
     bound_master_calls,
     forward_logging,
     own_name,
 )
-from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.query.rows.answer_bound import AnswerBound
 from cassandra_ros.query.tree.json_values import from_json
 from cassandra_ros.query.tree.parse import parse_statement
@@ -82,10 +82,12 @@ _log = logging.getLogger(__name__)
 
 PARAMETERS = ("host", "port", "keyspace", "cqlshrc", "credentials", "allow_writes")
 DEFAULT_LIMIT = 100
+"""Default number of messages or rows of a page."""
 MAX_REPLY_BYTES = 16 * 1024 * 1024
-"""A page ends behind the message that passes this."""
+"""Size of an answer above which a page ends, bytes."""
 YAML_BYTES = 1024 * 1024
-"""Larger messages are not written as YAML: it takes seconds, and ten times the bytes."""
+"""Maximum size of a message that is written as YAML, bytes: that takes seconds and ten times the
+bytes."""
 _FEWER = (
     "select fewer columns, one element of an array as data[0], or len(…) of it, or choose another "
     "row by WHERE; Python's executeCQL has no such bound"
@@ -99,9 +101,13 @@ READ_ONLY = (
 
 
 def start_node(argv: Sequence[str]) -> dict[str, str]:
-    """Become the node that the command line names; return its private parameters, as texts."""
+    """Start the node; return its private parameters as texts.
+
+    Raises:
+        InvalidName: A node of the same name is running.
+    """
     name, full, taken = own_name("cassandra_ros", argv)
-    if taken:  # its services would be taken away
+    if taken:  # two nodes of one name would replace each other's services
         raise InvalidName(
             f"a node {full} runs already: stop it with rosnode kill {full}, "
             "or give this one another name with __name:=other"
@@ -111,7 +117,7 @@ def start_node(argv: Sequence[str]) -> dict[str, str]:
     except rospy.ROSInitException as exc:
         if not rospy.is_shutdown():
             raise
-        # rospy took the signal while it waited for a master.
+        # rospy handled a signal while it waited for a master.
         raise KeyboardInterrupt from exc
     forward_logging()
     bound_master_calls()
@@ -120,7 +126,13 @@ def start_node(argv: Sequence[str]) -> dict[str, str]:
 
 
 def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool = False) -> None:
-    """Answer requests until the node is shut down; with ``allow_writes`` also those that write."""
+    """Answer requests until the node is shut down.
+
+    Args:
+        ros_cas: The open keyspace.
+        say: Prints a line for the user.
+        allow_writes: Whether requests that change stored messages are allowed.
+    """
     services = Services(ros_cas, allow_writes)
     for name, kind, response_class, handler in (
         ("~getData", GetData, GetDataResponse, services.get_data),
@@ -148,12 +160,12 @@ def _answer(
     response_class: Callable[..., Response],
     request: Request,
 ) -> Response:
-    """Call a handler; answer ``success: false`` for whatever goes wrong in it."""
+    """Call a handler; answer ``success: false`` for every error in it."""
     try:
         return handler(request)
     except CassandraRosError as exc:
         return response_class(success=False, message=clean(str(exc)))
-    except Exception as exc:  # noqa: BLE001 - a mistake of ours must not end the node
+    except Exception as exc:  # noqa: BLE001 - an error of the package must not end the node
         _log.exception("%s failed", handler.__name__)
         reason = f"internal error: {type(exc).__name__}: {exc}; the node's log has more"
         return response_class(success=False, message=clean(reason))
@@ -161,11 +173,11 @@ def _answer(
 
 @dataclass(frozen=True)
 class Services:
-    """The handlers, for one store. Thread-safe."""
+    """The handlers of the services. Thread-safe."""
 
     ros_cas: RosCassandra
     allow_writes: bool
-    """Do also what changes what is stored."""
+    """Whether requests that change stored messages are allowed."""
 
     def get_data(self, request: GetDataRequest) -> GetDataResponse:
         """Answer GetData."""
@@ -175,7 +187,8 @@ class Services:
         asked = {"nearest": nearest, "nodeID": node, "where": request.where or None}
         asked["run"] = request.run or None
         while (row := topic.getRow(key, **asked)) is None:
-            topic.getData(key, **asked)  # raises what lies near; or it has come just now
+            # Raises MessageNotFound with the nearest keys, unless the message was stored just now.
+            topic.getData(key, **asked)
         return GetDataResponse(True, "", pack(row, request.omit_data, request.omit_yaml))
 
     def range(self, request: RangeRequest) -> RangeResponse:
@@ -189,8 +202,8 @@ class Services:
                 message = pack(row, request.omit_data, request.omit_yaml)
             except (CorruptMessage, AnswerTooLarge) as exc:
                 if response.data:
-                    return response  # the next page begins with it
-                # The cursor leads past it.
+                    return response  # the next page begins with this message
+                # The next page begins after this message.
                 cursor = encode_cursor(row.position)
                 return RangeResponse(False, clean(str(exc)), [], cursor)
             response.data.append(message)
@@ -198,7 +211,8 @@ class Services:
             size += size_of(message)
             if size > MAX_REPLY_BYTES:
                 break
-        # With a condition the next match may be far away; the next page then may be empty.
+        # With a condition no next match is searched for: it may be far away, and the next page may
+        # be empty.
         full = len(response.data) == limit or size > MAX_REPLY_BYTES
         if not full or (not request.where and next(rows, None) is None):
             response.next_cursor = ""
@@ -252,7 +266,7 @@ class Services:
                     row = Row([bound.json(value) for value in values])
                 except AnswerTooLarge:
                     if response.rows:
-                        return response  # the next page begins with it
+                        return response  # the next page begins with this row
                     raise
                 response.rows.append(row)
                 response.next_cursor = result.cursor
@@ -296,7 +310,7 @@ class Services:
         stored = store.getTopic(asked) if store.existTopic(asked) else None
         cls = message_class(_definition(request, stored))
         msg = message_of_yaml(cls, text) if text else exact_message(cls, bytes(request.data))
-        # The name as it is stored, with or without leading slash.
+        # The stored name, with or without leading slash.
         topic = store.addTopic(stored.name if stored else asked, request.format or None)
         when = request.key_text.strip() or request.key or None
         key = topic.addData(msg, key=when, nodeID=request.node_id)
@@ -334,7 +348,7 @@ class Services:
 
 
 def _definition(request: AddDataRequest, topic: Optional[CassandraTopic]) -> Definition:
-    """Find the definition of a message that is to be stored, in a topic that is there or not."""
+    """Return the definition of a message to be stored, in an existing topic or a new one (None)."""
     kind, md5sum = request.type, request.md5sum or None
     if topic is not None:
         stored = topic.tables[-1].metadata
@@ -355,7 +369,7 @@ def _definition(request: AddDataRequest, topic: Optional[CassandraTopic]) -> Def
 
 
 def _stored_topic(info: TopicInfo) -> StoredTopic:
-    """Make a StoredTopic of what the directory says."""
+    """Return the information about a topic as a StoredTopic."""
     return StoredTopic(
         topic=clean(info.topic),
         type=clean(info.type),
@@ -376,7 +390,11 @@ def _time(t_ns: int) -> rospy.Time:
 
 
 def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
-    """Make a StoredMessage of a stored row; AnswerTooLarge: it has more bytes than one may have."""
+    """Return a stored row as a StoredMessage.
+
+    Raises:
+        AnswerTooLarge: The message is larger than an answer may be.
+    """
     if not omit_data:
         what = f"the message of {row.size} bytes at {row.key} of topic {clean(row.topic)}"
         AnswerBound(what, _ELSEWHERE).take(row.size)
@@ -393,18 +411,18 @@ def pack(row: StoredRow, omit_data: bool, omit_yaml: bool) -> StoredMessage:
 
 
 def size_of(message: StoredMessage) -> int:
-    """Return about how many bytes a StoredMessage takes in a reply."""
+    """Return the approximate size of a StoredMessage in an answer, bytes."""
     return len(message.data) + len(message.yaml) + 200
 
 
 def clean(text: str) -> str:
-    """Return text that is valid UTF-8, for what came from outside may hold anything."""
+    """Return a text without surrogates, as valid UTF-8: it may come from outside."""
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
 
 
 def _yaml(row: StoredRow) -> str:
     if row.size > YAML_BYTES:
-        return f"# {row.size} bytes of {row.type}, too many to be shown here: read data"
+        return f"# {row.size} bytes of {row.type} are too many to be shown here: read data"
     try:
         return to_yaml(row.message())
     except (CorruptMessage, DefinitionError) as exc:

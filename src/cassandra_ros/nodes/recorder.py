@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Class Recorder: records topics of any type from within a process that is a node."""
+"""Class Recorder: records topics of any type in a process that is a ROS node."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from std_msgs.msg import String
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, InvalidName, InvalidOption
-from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.registration import Registration
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.run_context import keep_context
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
 from cassandra_ros.recording.recording import Recording
@@ -41,29 +41,33 @@ from cassandra_ros.tables.registry import LossKind
 _log = logging.getLogger(__name__)
 
 POLL_SEC = 0.1
+"""Interval at which new topics, limits and the end are checked, s."""
 NODE_POLL_SEC = 1.0
-"""How often a node is asked what it subscribes to."""
+"""Interval at which the subscriptions of the node of option --node are requested, s."""
 JOIN_SEC = 2.0
+"""Maximum time that the end waits for the polling thread, s."""
 CONTEXT_SEC = 3.0
-"""How long the end of a recording waits for parameters that were asked for at its start."""
+"""Maximum time that the end of a run waits for the parameters requested at its start, s."""
 
 Say = Callable[[str], None]
+"""Function that prints a line for the user."""
 Topics = Collection[str]
+"""Names of topics."""
 
 
 class Recorder:
-    """Subscribes to topics and stores what comes. Thread-safe; a context manager that starts it.
+    """Subscribes to topics and stores their messages. Thread-safe; as a context manager it starts.
 
-    The caller's process is a ROS node already (``rospy.init_node``). No signal handler is
-    installed and nothing printed here; what goes wrong is logged. Under /use_sim_time the messages
-    have simulated times; rospy's own subscription to /clock then drops some of that topic, so that
-    /clock itself is recorded whole only by the node ``recorder``.
+    The process must be a ROS node already (``rospy.init_node``). The class installs no signal
+    handler and prints nothing; errors are logged. With /use_sim_time messages get simulated times;
+    rospy's own subscription to /clock then drops messages, so that /clock itself is recorded
+    completely only by the node ``recorder``.
 
     Args:
-        rosCas: A RosCassandra connected to a keyspace; it stays the caller's. Or a
-            ``concurrent.futures.Future`` of one: what comes before it is there waits in memory.
-        options: What to record, and how; or the names of topics.
-        say: Called with each line for people who watch; default: the log.
+        rosCas: A RosCassandra connected to a keyspace, which the caller closes; or a
+            ``concurrent.futures.Future`` of one: until it is connected messages wait in memory.
+        options: Options of the recorder, or names of topics.
+        say: Prints a line for the user; default: the log.
     """
 
     def __init__(
@@ -88,11 +92,11 @@ class Recorder:
         )
         self._subscriptions = Subscriptions(self._received, options.tcpnodelay)
         self._registration = Registration(self._unheard)
-        self._own = _Own(rospy.get_name()) if options.discovers else None
+        self._own = _OwnMessages(rospy.get_name()) if options.discovers else None
         self._left: set[str] = set()
-        """Topics that are recorded no more."""
+        """Topics that are not recorded any more."""
         self._silent: set[str] = set()
-        """Topics of which no publisher was ever connected."""
+        """Former topics to which no publisher was ever connected."""
         self._paused: set[str] = set()
         self._all_paused = False
         self._active = self._closed = False
@@ -103,8 +107,6 @@ class Recorder:
         self._asked_node = 0.0
         self._mutex = threading.RLock()
 
-    # ---------------------------------------------------------------- public
-
     def start(
         self,
         topics: Topics = (),
@@ -112,21 +114,22 @@ class Recorder:
         name: str = "",
         labels: Optional[Mapping[str, str]] = None,
     ) -> str:
-        """Begin a run, or record more topics in the current one.
+        """Start a run, or record more topics in the current one.
 
-        It returns when the publishers that exist are connected, or after 5 s.
+        It returns when the existing publishers are connected, or after 5 s.
 
         Args:
-            topics: Their names; none = those that the options say.
-            name: Of a run that begins here; '' = as the options say.
-            labels: Of a run that begins here, beside those of the options.
+            topics: Names of the topics; empty = those of the options.
+            name: Name of a new run; '' = as the options say.
+            labels: Labels of a new run in addition to those of the options.
 
         Returns:
-            The name of the run; '' where messages are only kept for a snapshot.
+            The name of the run; '' if messages are only kept for a snapshot.
 
         Raises:
-            InvalidOption: A run is being recorded, and no topics are given; or it was closed.
-            InvalidName: A topic's name is none.
+            InvalidOption: A run is being recorded and no topics are given; or the recorder was
+                closed.
+            InvalidName: The name of a topic is not valid.
             StoreUnavailable: The store does not answer.
         """
         wanted = [rospy.resolve_name(check_ros_name(topic)) for topic in topics]
@@ -158,10 +161,10 @@ class Recorder:
         return "" if current is None else current.name
 
     def stop(self, topics: Topics = ()) -> list[TopicReport]:
-        """End the run, or record some topics no more; what had come is read and stored first.
+        """End the run, or the recording of some topics, after received messages have been stored.
 
         Returns:
-            What became of the topics so far, in all runs of this object together.
+            A report of each topic over all runs of this object together.
 
         Raises:
             InvalidName: A topic is not recorded.
@@ -174,7 +177,7 @@ class Recorder:
                 return self.reports()
             self._active = False
             self._leave(self._subscriptions.topics)
-            # What begins next is recorded, until somebody pauses it.
+            # The next run is not paused.
             self._all_paused = False
             for thread in self._contexts:
                 thread.join(CONTEXT_SEC)
@@ -183,7 +186,7 @@ class Recorder:
             return self.reports()
 
     def pause(self, topics: Topics = ()) -> None:
-        """Leave out what comes on some topics, none named = on all; subscriptions stand.
+        """Leave out the messages of some topics (empty = all) but stay subscribed.
 
         Raises:
             InvalidName: A topic is not recorded.
@@ -192,14 +195,14 @@ class Recorder:
         self._all_paused = self._all_paused or not topics
 
     def resume(self, topics: Topics = ()) -> None:
-        """Take what comes on some topics again, none named = on all.
+        """Record the messages of some paused topics again (empty = all).
 
         Raises:
             InvalidName: A topic is not recorded.
         """
         wanted = self._recorded(topics)
         if self._all_paused:
-            # In this order: the others stay paused all the time.
+            # In this order: the other topics stay paused all the time.
             self._paused = set(self._subscriptions.topics)
             self._all_paused = False
         self._paused.difference_update(wanted)
@@ -208,17 +211,17 @@ class Recorder:
 
     @property
     def run(self) -> str:
-        """Name of the run that is being recorded; '' = none."""
+        """Name of the run that is being recorded; '' = no run."""
         current = self._series.current
         return "" if current is None else current.name
 
     @property
     def problem(self) -> str:
-        """Why nothing can be stored, now or any more; '' = it can, or may."""
+        """Reason why no message can be stored; '' = messages can be stored, as far as known."""
         return self._series.problem
 
     def status(self) -> RecordingStatus:
-        """Tell how it goes."""
+        """Return the present status."""
         current, snapshots = self._series.current, self._snapshots
         subscribed = self._subscriptions.topics
         held = 0 if current is None else current.held_bytes
@@ -255,20 +258,22 @@ class Recorder:
         after: float = 0.0,
         topics: Topics = (),
     ) -> tuple[str, int]:
-        """Write what is kept in memory as a run of its own.
+        """Store the messages in memory as a separate run.
 
         Args:
-            name: Of the run; '' = as the options say.
-            labels: Of the run, beside those of the options.
-            after: Seconds: what comes in them goes into the run, too; it is then written in the
-                background. With 0.0 everything is stored or lost when this returns.
-            topics: Only these; none = all.
+            name: Name of the run; '' = as the options say.
+            labels: Labels of the run in addition to those of the options.
+            after: Time in which received messages are stored in the run, too, s; the run is then
+                written in the background. With 0.0 all messages are stored or lost when this
+                returns.
+            topics: Names of the topics; empty = all.
 
         Returns:
-            The name of the run, and how many messages were kept for it.
+            The name of the run, and the number of messages that were in memory for it.
 
         Raises:
-            InvalidOption: Nothing is kept (option snapshot), or too many are being written.
+            InvalidOption: No messages are kept in memory (option snapshot), or too many snapshots
+                are being written.
             InvalidName: A topic is not recorded.
         """
         if self._snapshots is None:
@@ -283,10 +288,10 @@ class Recorder:
         return recording.name, kept
 
     def reports(self) -> list[TopicReport]:
-        """Describe what became of each topic so far, in all runs together."""
+        """Return a report of each topic over all runs together."""
         written: list[Sequence[TopicReport]] = []
         if self._snapshots is not None:
-            # Before the first snapshot: what came, and is stored nowhere.
+            # Before the first snapshot: the counts of received messages, of which none is stored.
             written = list(self._snapshots.reports) or [self._snapshots.counts()]
         silent = self._silent | self._subscriptions.unheard()
         return [
@@ -295,16 +300,19 @@ class Recorder:
         ]
 
     def wait(self, timeout_sec: Optional[float] = None) -> bool:
-        """Wait until duration, size, limit or a problem has ended it; say whether that is so."""
+        """Wait until duration, size, limit or a problem has ended it; return whether one has."""
         return self._done.wait(timeout_sec)
 
     def interrupt(self) -> None:
-        """Let what waits return soon: once start, twice close, which then drops what waits."""
+        """Shorten waiting: the first call ends that of ``start``, the second that of ``close``.
+
+        ``close`` then drops the messages that wait for the store.
+        """
         self._interrupts += 1
         self._hurry.set()
 
     def close(self) -> list[TopicReport]:
-        """End the run as stop does, and everything else; report on all of its runs."""
+        """End the run as ``stop`` does, and the recorder; return the reports over all its runs."""
         self._done.set()
         with self._mutex:
             self._closed = True
@@ -327,8 +335,6 @@ class Recorder:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
-
-    # ---------------------------------------------------------------- topics
 
     def _recorded(self, topics: Topics) -> list[str]:
         """Return the names of topics that are recorded, or raise InvalidName."""
@@ -362,7 +368,7 @@ class Recorder:
         self._subscriptions.add(topic)
 
     def _leave(self, topics: Collection[str]) -> None:
-        """Read topics to their end and unsubscribe; what could not be read counts as lost."""
+        """Read topics to their end and unsubscribe; messages that cannot be read count as lost."""
         unread = self._subscriptions.drain(topics, self._series.count, self._gives_up)
         current = self._series.current
         for topic in unread:
@@ -375,8 +381,6 @@ class Recorder:
 
     def _gives_up(self) -> bool:
         return self._interrupts > 1
-
-    # ---------------------------------------------------------------- messages
 
     def _received(self, topic: str, header: Mapping[str, str], wire: bytes) -> None:
         if self._own is not None and self._own.said(topic, header, wire):
@@ -391,7 +395,7 @@ class Recorder:
             current.unheard(topic, first_ns, last_ns)
 
     def _begun(self, recording: Recording) -> None:
-        """Tell of a run that begins, and keep what stands around it."""
+        """Announce a run that has started, and store its context."""
         running = [thread for thread in self._contexts if thread.is_alive()]
         self._contexts = [*running, keep_context(recording)]
         if self._options.publish:
@@ -400,10 +404,8 @@ class Recorder:
             self._publisher.publish(String(recording.name))
         self._say(f"run {recording.name}")
 
-    # ---------------------------------------------------------------- time
-
     def _poll(self) -> None:
-        """Look after new topics, the limit, splits and the end, on a thread of its own."""
+        """Check for new topics, the limit, splits and the end, on a thread."""
         while not self._done.wait(POLL_SEC):
             with self._mutex:
                 if self.problem:
@@ -415,38 +417,38 @@ class Recorder:
                     if self._is_complete() or self._series.poll():
                         self._done.set()
                 except CassandraRosError as exc:
-                    _log.error("the recorder could not look after its topics: %s", exc)
+                    _log.error("the recorder could not check its topics: %s", exc)
 
     def _discover(self, announce: bool) -> None:
         try:
-            found = published_topics() if self._options.discovers else []
-            chosen = [topic for topic in found if self._options.chooses(topic)]
-            chosen += self._of_node()
+            published = published_topics() if self._options.discovers else []
+            selected = [topic for topic in published if self._options.chooses(topic)]
+            selected += self._of_node()
         except MASTER_ERRORS as exc:
             _log.debug("new topics are not seen: %s", exc)  # the registration warns
             self._done.wait(1.0)
             return
         known = self._left.union(self._subscriptions.topics)
-        for topic in chosen:
+        for topic in selected:
             if topic not in known:
                 if announce:
                     self._say(f"recording {topic}, too")
                 self._subscribe(topic)
 
     def _of_node(self) -> Iterable[str]:
-        """Return the topics that the node of option --node subscribes to, from time to time."""
+        """Return, every NODE_POLL_SEC, the topics that the node of option --node subscribes to."""
         now = time.monotonic()
         if not self._options.node or now < self._asked_node + NODE_POLL_SEC:
             return ()
         first, self._asked_node = not self._asked_node, now
         node = rospy.resolve_name(self._options.node)
-        found = subscribed_topics(node)
-        if first and not found:
-            _log.warning("node %s subscribes to nothing yet, or is not there", node)
-        return [topic for topic in found if not self._options.excludes(topic)]
+        topics = subscribed_topics(node)
+        if first and not topics:
+            _log.warning("node %s has no subscription yet, or is not running", node)
+        return [topic for topic in topics if not self._options.excludes(topic)]
 
     def _is_complete(self) -> bool:
-        """Leave the topics that reached the limit; say whether all have."""
+        """Unsubscribe from the topics that reached the limit; return whether all have."""
         topics = self._subscriptions.topics
         if not (self._options.limit and topics):
             return False
@@ -463,18 +465,18 @@ def _catalog_of(store: Union[RosCassandra, Future[RosCassandra]]) -> Store:
     return store.catalog
 
 
-class _Own:
-    """Knows what a recorder of all topics says itself: that is not recorded.
+class _OwnMessages:
+    """A test for the messages of this node, which a recorder of all topics leaves out.
 
     Args:
-        name: Full name of its node.
+        name: Full name of the node.
     """
 
     def __init__(self, name: str) -> None:
         self._name = name
 
     def said(self, topic: str, header: Mapping[str, str], wire: bytes) -> bool:
-        """Say whether a message is our own: by its publisher, on /rosout_agg by Log.name."""
+        """Return whether this node sent a message: by its publisher, on /rosout_agg by Log.name."""
         if header.get("callerid") == self._name:
             return True
         return topic == "/rosout_agg" and log_name(wire) == self._name
@@ -482,11 +484,11 @@ class _Own:
 
 _U32 = struct.Struct("<I").unpack_from
 _FRAME_ID = 12
-"""Where the length of header.frame_id stands in a message with a Header."""
+"""Offset of the length of header.frame_id in a message with a Header, bytes."""
 
 
 def log_name(wire: bytes) -> str:
-    """Return the name in a serialised rosgraph_msgs/Log; '' where it is none."""
+    """Return the name in a serialised rosgraph_msgs/Log; '' if the bytes are no such message."""
     try:
         # header.seq, header.stamp, header.frame_id, byte level, string name
         at = _FRAME_ID + 4 + _U32(wire, _FRAME_ID)[0] + 1

@@ -15,15 +15,15 @@ import rospy
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.nodes.diagnostics import Diagnostics, StorePlace
-from cassandra_ros.nodes.node import (
+from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
+from cassandra_ros.nodes.recorder_services import serve
+from cassandra_ros.nodes.ros_node import (
     REMAP,
     bound_master_calls,
     follow_clock,
     forward_logging,
     own_name,
 )
-from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
-from cassandra_ros.nodes.recorder_services import serve
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.recording_status import Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
@@ -31,13 +31,15 @@ from cassandra_ros.recording.topic_counts import TopicReport
 _log = logging.getLogger(__name__)
 
 TICK_SEC = 1.0
+"""Interval at which the status is published and shown, s."""
 Show = Callable[[RecordingStatus, Rates], None]
+"""Function that shows the status."""
 
 
 def start_node(argv: Sequence[str]) -> Mapping[str, object]:
-    """Become /recorder where that name is free, else an anonymous one; return its parameters."""
+    """Start the node /recorder, or an anonymous one if the name is taken; return its parameters."""
     name, full_name, taken = own_name("recorder", argv)
-    # A name that is given forbids an anonymous one.
+    # With a name on the command line rospy would not choose an anonymous one.
     words = [word for word in argv if not (taken and word.startswith(REMAP))]
     rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
     forward_logging()
@@ -56,26 +58,26 @@ def record(
     say: Say,
     show: Optional[Show] = None,
 ) -> tuple[list[TopicReport], str]:
-    """Record until a signal, the master, the options or a problem end it.
+    """Record until a signal, the master, the options or a problem ends it.
 
     Args:
         store: A future of a RosCassandra connected to a keyspace.
-        place: Where the store is, for /diagnostics.
-        say: Called with each line for people who watch.
-        show: Called each second with how it goes.
+        place: Address of the store, for /diagnostics.
+        say: Prints a line for the user.
+        show: Shows the status; called every TICK_SEC.
 
     Returns:
-        A report on each topic, and why nothing could be stored ('' = it could).
+        A report on each topic, and the reason why no message could be stored ('' = none).
     """
     recorder = Recorder(store, options, say=say)
 
     def signalled(number: int, frame: Optional[FrameType]) -> None:
         signals.append(number)
         recorder.interrupt()
-        if not began:  # what has come is stored with more patience
+        if not began:  # a started recording stores its messages with more patience
             store.result().cassandra.outage.hurry()
 
-    # The start waits for a store that is there; for one that is not the recording waits.
+    # A connected store is waited for here; messages for one that is not connected wait in memory.
     began = not store.done()
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -100,7 +102,7 @@ def record(
 def _ticker(
     recorder: Recorder, diagnostics: Optional[Diagnostics], show: Optional[Show]
 ) -> Callable[[], None]:
-    """Return what tells once a second how it goes, however often it is called."""
+    """Return a function that publishes and shows the status at most every TICK_SEC."""
     rates, due = Rates(), time.monotonic()
 
     def tick() -> None:

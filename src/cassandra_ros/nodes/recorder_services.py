@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The services of the node recorder: they unpack, call class Recorder, pack."""
+"""The services of the node recorder: they unpack a request, call Recorder and pack the answer."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ def serve(recorder: Recorder) -> None:
 
 @dataclass(frozen=True)
 class _Services:
-    """The handlers, for one recorder. Thread-safe."""
+    """The handlers of the services of one recorder. Thread-safe."""
 
     recorder: Recorder
 
     def of_topics(
         self, work: Callable[[RecordTopicsRequest], None]
     ) -> Callable[[RecordTopicsRequest], RecordTopicsResponse]:
-        """Return a handler that does some work and tells whether it could be done."""
+        """Return a handler that calls ``work`` and answers whether it succeeded."""
 
         def handle(request: RecordTopicsRequest) -> RecordTopicsResponse:
             problem = _attempt(lambda: work(request))
@@ -115,12 +115,12 @@ def read_labels(texts: Sequence[str]) -> Mapping[str, str]:
 
 
 def _attempt(work: Callable[[], None]) -> str:
-    """Return why something could not be done; '' = it was."""
+    """Call ``work``; return the error as a text, '' = no error."""
     try:
         work()
     except CassandraRosError as exc:
         return str(exc)
-    except Exception as exc:  # noqa: BLE001 - a mistake of ours must not end the node
+    except Exception as exc:  # noqa: BLE001 - an error of the package must not end the node
         _log.exception("a service of the recorder failed")
         return f"internal error: {type(exc).__name__}: {exc}; the node's log has more"
     return ""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which topics a recorder would record now."""
+"""The plan of a recorder: the topics that it would record now."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cassandra_ros.topics.catalog import Catalog
 
 
 def make_plan(catalog: Catalog, options: RecorderOptions) -> list[PlannedTopic]:
-    """Say what would be recorded now, and how; raises one of MASTER_ERRORS."""
+    """Return the plan for each topic that would be recorded now; raises one of MASTER_ERRORS."""
     named = [] if options.regex else [rospy.resolve_name(name) for name in options.topics]
     if options.node:
         named += subscribed_topics(rospy.resolve_name(options.node))

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A node that stays registered with its master, also when that was started anew.
+"""Keeps a node registered with the ROS master, also after a restart of the master.
 
-rospy registers a subscription, publication or service once, when it is made. A master that is
-started anew knows nothing of it: publishers that come then are never heard, services not found.
+rospy registers a subscription, publication or service only once, when it is made. A restarted
+master does not know it: new publishers are never connected, and services are not found.
 """
 
 from __future__ import annotations
@@ -24,56 +24,59 @@ from rospy.impl.registration import (
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.messages.ros_master import master_proxy
 from cassandra_ros.messages.stamps import iso_time
-from cassandra_ros.nodes.node import MASTER_ERRORS, now_ns
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
 
 _log = logging.getLogger(__name__)
 
 POLL_SEC = 1.0
+"""Interval between two checks of the registration, s."""
 TIMEOUT_SEC = 3.0
+"""Maximum time for an answer of the master, s."""
 JOIN_SEC = 5.0
+"""Maximum time that ``stop`` waits for the thread, s."""
 
 OnUnheard = Callable[[str, int, int], None]
-"""Called with a topic and the first and last time, ns, at which publishers of it may have been
-missed; on the thread of the watch."""
+"""Function called with a topic and the first and last time, ns, at which messages of its new
+publishers may have been missed. It is called on the thread that checks the registration."""
 
 
-class _Ours(NamedTuple):
-    """What is, or is to be, registered in our name: (name, type or URI) of each."""
+class _Registrations(NamedTuple):
+    """The registrations of this node, each as (name, type or URI)."""
 
     publications: set[tuple[str, str]]
     subscriptions: set[tuple[str, str]]
     services: set[tuple[str, str]]
 
-    def but(self, state: Any) -> _Ours:
-        """Return what a master does not list; ``state`` is its getSystemState."""
-        me, left = rospy.get_name(), []
+    def but(self, state: Any) -> _Registrations:
+        """Return the registrations that a master does not list in ``state`` (getSystemState)."""
+        me, missing = rospy.get_name(), []
         for mine, entries in zip(self, state):
             listed = {name for name, nodes in entries if me in nodes}
-            left.append({(name, kind) for name, kind in mine if name not in listed})
-        return _Ours(*left)
+            missing.append({(name, kind) for name, kind in mine if name not in listed})
+        return _Registrations(*missing)
 
-    def still(self, ours: _Ours) -> _Ours:
-        """Return what is in both."""
-        return _Ours(*(mine & others for mine, others in zip(self, ours)))
+    def still(self, ours: _Registrations) -> _Registrations:
+        """Return the registrations that are in both."""
+        return _Registrations(*(mine & others for mine, others in zip(self, ours)))
 
 
-def _ours() -> _Ours:
-    # rospy unregisters all before is_shutdown() says so, and forgets it only then.
+def _own_registrations() -> _Registrations:
+    # At shutdown rospy unregisters everything before is_shutdown() is true, but still lists it.
     if is_shutdown_requested():
-        return _Ours(set(), set(), set())
+        return _Registrations(set(), set(), set())
     manager = get_topic_manager()
     with manager.lock:
         publications = {(str(name), str(kind)) for name, kind in manager.get_publications()}
         subscriptions = {(str(name), str(kind)) for name, kind in manager.get_subscriptions()}
     services = {(str(name), str(uri)) for name, uri in get_service_manager().get_services()}
-    return _Ours(publications, subscriptions, services)
+    return _Registrations(publications, subscriptions, services)
 
 
 class Registration:
-    """Looks each second whether the master lists this node, and registers it again where not.
+    """A thread that checks each second whether the master lists this node, and registers it again.
 
     Args:
-        on_unheard: Called where a publisher is there that this node had not been told of.
+        on_unheard: Called when a topic has a publisher of which the master did not tell this node.
     """
 
     def __init__(self, on_unheard: Optional[OnUnheard] = None) -> None:
@@ -81,17 +84,17 @@ class Registration:
         self._stop = threading.Event()
         self._away_since: Optional[float] = None
         self._known_ns = 0
-        """When the master was last seen to know all that is ours."""
+        """Last time at which the master listed all registrations of this node, ns."""
         self._thread = threading.Thread(target=self._watch, name="registration", daemon=True)
 
     def start(self) -> Registration:
-        """Begin to watch; what is registered then is taken for known."""
+        """Start the thread; all present registrations are taken as known to the master."""
         self._known_ns = _now()
         self._thread.start()
         return self
 
     def stop(self) -> None:
-        """Watch no more; twice is harmless."""
+        """End the thread; a second call does nothing."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(JOIN_SEC)
@@ -104,20 +107,20 @@ class Registration:
                 if self._away_since is None:
                     self._away_since = time.monotonic()
                     _log.warning(
-                        "the ROS master does not answer (%s): connections that stand go on, but "
+                        "the ROS master does not answer (%s): existing connections go on, but "
                         "no new publisher is heard until it is back",
                         exc,
                     )
 
     def _look(self) -> None:
-        """Compare what the master lists with what is ours; raises one of MASTER_ERRORS."""
+        """Register again what the master does not list; raises one of MASTER_ERRORS."""
         master = master_proxy(TIMEOUT_SEC)
-        # In this order: what is made in between is registered by rospy itself.
-        ours = _ours()
+        # In this order: rospy itself registers what is made between the two lines.
+        ours = _own_registrations()
         _, _, state = master.getSystemState(rospy.get_name())
         seen_ns = _now()
-        # What was given up while the master answered is not missing: rospy unregisters it.
-        missing = ours.but(state).still(_ours())
+        # Registrations that were removed while the master answered are not missing.
+        missing = ours.but(state).still(_own_registrations())
         if is_shutdown_requested() or self._stop.is_set():
             return
         if any(missing):
@@ -129,13 +132,14 @@ class Registration:
         away, self._away_since = self._away_since, None
         if away is not None:
             _log.warning("the ROS master answers again after %.0f s", time.monotonic() - away)
-            # It may have been out of reach only: then it told us of nobody who came meanwhile.
+            # The master may only have been out of reach: then this node was not told of publishers
+            # that came meanwhile.
             missing = missing._replace(subscriptions=ours.subscriptions)
         if any(missing):
             self._register(master, missing)
         self._known_ns = seen_ns
 
-    def _register(self, master: Any, missing: _Ours) -> None:
+    def _register(self, master: Any, missing: _Registrations) -> None:
         me, uri = rospy.get_name(), rospy.get_node_uri()
         for name, kind in missing.publications:
             master.registerPublisher(me, name, kind, uri)
@@ -146,18 +150,18 @@ class Registration:
             code, _, publishers = master.registerSubscriber(me, name, kind, uri)
             if code == 1 and self._connect(name, publishers):
                 unheard.append(name)
-        # What was left meanwhile must not stay listed.
-        left = _ours()
-        for name, _ in missing.subscriptions - left.subscriptions:
+        # Registrations that the node removed meanwhile must not stay listed.
+        present = _own_registrations()
+        for name, _ in missing.subscriptions - present.subscriptions:
             master.unregisterSubscriber(me, name, uri)
-        for name, _ in missing.publications - left.publications:
+        for name, _ in missing.publications - present.publications:
             master.unregisterPublisher(me, name, uri)
-        for name, service_uri in missing.services - left.services:
+        for name, service_uri in missing.services - present.services:
             master.unregisterService(me, name, service_uri)
         self._tell(sorted(unheard))
 
     def _connect(self, topic: str, publishers: list[str]) -> bool:
-        """Let rospy connect to the publishers of a topic; say whether one of them is new."""
+        """Let rospy connect to the publishers of a topic; return whether one of them is new."""
         impl = get_topic_manager().get_subscriber_impl(topic)
         connected = {c.endpoint_id for c in (impl.connections or ())} if impl is not None else ()
         for listener in list(get_registration_listeners().listeners):
@@ -171,7 +175,7 @@ class Registration:
         if not topics:
             return
         _log.warning(
-            "publishers of %s that came since %s were not heard until %s: what they sent is lost",
+            "publishers of %s that came after %s were not heard until %s: their messages are lost",
             ", ".join(topics),
             iso_time(first),
             iso_time(last),
@@ -182,7 +186,7 @@ class Registration:
 
 
 def _now() -> int:
-    """Tell the time, ns; 0 while simulated time is not known."""
+    """Return the time, ns; 0 while simulated time is not known."""
     try:
         return now_ns()
     except ClockNotSet:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What stands around a recording when it begins: ROS parameters and node graph."""
+"""The context of a recording at its start: ROS parameters and node graph."""
 
 from __future__ import annotations
 
@@ -10,18 +10,23 @@ import threading
 import rospy
 
 from cassandra_ros.messages.ros_master import master_proxy
-from cassandra_ros.nodes.node import MASTER_ERRORS
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.tables.context_blob import NodeGraph, RunContext
 
 _log = logging.getLogger(__name__)
 
 TIMEOUT_SEC = 5.0
-"""How long the master may take for each of three answers."""
+"""Maximum time for each of three answers of the master, s."""
 
 
 def take_context() -> RunContext:
-    """Ask the master; raises one of MASTER_ERRORS, or ValueError where it answers nonsense."""
+    """Return parameters and node graph of the master.
+
+    Raises:
+        MASTER_ERRORS: The master does not answer.
+        ValueError: The answer of the master has another form.
+    """
     name, master = rospy.get_name(), master_proxy(TIMEOUT_SEC)
     _, _, params = master.getParam(name, "/")
     _, _, (publishers, subscribers, services) = master.getSystemState(name)
@@ -31,7 +36,7 @@ def take_context() -> RunContext:
 
 
 def keep_context(recording: Recording) -> threading.Thread:
-    """Keep the context of now with a run, in the background."""
+    """Store the present context with a run, in the background."""
 
     def work() -> None:
         try:

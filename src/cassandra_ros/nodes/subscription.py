@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Subscriptions that lose nothing: rospy's own, mended where it drops messages.
+"""Subscriptions that lose no message: those of rospy, repaired where rospy drops messages.
 
-What plain ``rospy.Subscriber`` loses or doubles (rospy 1.15, seen with publishers made for it):
+``rospy.Subscriber`` loses or doubles messages in these cases (rospy 1.15, seen in tests):
 
-* It registers with the master before it knows its callback and buffer size; what arrives in
-  between is dropped. Here the callback stands first.
-* Publishers that start together cause updates that each list all of them, and two connections to
-  one publisher: messages come twice, or are lost with the connection that is dropped. Here one
-  attempt waits for the other.
-* A publisher that comes again under its URI while its old connection is still being read is taken
-  for connected, and not heard any more. Here a connection whose other end is closed does not
-  count, and a publisher that was taken for connected is tried again when its connection ends.
-* A connection header that is not UTF-8 (a degree sign in an old .msg file) is refused by rosgraph,
-  and its publisher never heard. Here the bytes are kept as surrogates.
+* It registers with the master before it has its callback and buffer size, and drops messages that
+  are received in between. Here the callback is set first.
+* Publishers that start at the same time cause updates that each list all of them, and so two
+  connections to one publisher: messages come twice, or are lost with the connection that is
+  dropped. Here one connection attempt waits for the other.
+* A publisher that is restarted with the same URI while its old connection is still being read is
+  taken for connected and never heard again. Here a connection whose other end is closed does not
+  count, and the publisher is tried again when the old connection ends.
+* rosgraph refuses a connection header that is not UTF-8 (a degree sign in an old .msg file), and
+  its publisher is never heard. Here the bytes are kept as surrogates.
 
-What was read is counted, so that the end of a recording can wait until all of it was handled.
+The bytes that were read are counted, so that the end of a recording can wait until all messages
+were handled.
 """
 
 from __future__ import annotations
@@ -41,33 +42,36 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import Connection
 
 BUFF_SIZE = 16 * 1024 * 1024
-"""Most bytes that are read at once; with rospy's 64 KiB large messages lag."""
+"""Maximum number of bytes read at once. With the 64 KiB of rospy large messages are delayed."""
 
-# Not POLLHUP, which a socket has also before it is connected.
+# Not POLLHUP, which is also set before a socket is connected.
 _HUNG_UP = select.POLLRDHUP | select.POLLERR
 _CLOSING = "#closing"
 
+"""Suffix of the endpoint id of an old connection that is still being read."""
+
 MAX_HEADER_BYTES = 16 * 1024 * 1024
+"""Maximum size of a connection header, bytes."""
 
 _length = struct.Struct("<I").unpack_from
 _received: WeakKeyDictionary[socket.socket, int] = WeakKeyDictionary()
-"""Socket of a connection → bytes that came behind its header; -1 while that is read."""
+"""Number of bytes received after the header by socket; -1 while the header is being read."""
 
 Callback = Callable[[str, Mapping[str, str], bytes], None]
-"""Called with topic, connection header and serialised message."""
+"""Function called with topic, connection header and serialised message."""
 
 
 def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rospy.Subscriber:
     """Subscribe to a topic of any type, by its resolved name.
 
-    The callback is called on the thread of each publisher.
+    The callback is called on the threads of the publishers' connections.
     """
-    # Let rospy read with the functions below, in this process.
+    # From now on rospy reads with the functions below, in this whole process.
     tcpros_base.read_ros_handshake_header = read_header
     tcpros_base.recv_buff = receive
 
     def take(msg: rospy.AnyMsg) -> None:
-        # rospy itself may be subscribed with a class: /clock under simulated time.
+        # rospy itself may have subscribed with a class: to /clock for simulated time.
         wire = msg._buff if isinstance(msg, rospy.AnyMsg) else serialize(msg)
         callback(topic, msg._connection_header, wire)
 
@@ -80,7 +84,7 @@ def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rosp
 
 
 def is_drained(subscriber: rospy.Subscriber) -> bool:
-    """Say whether everything that has reached this machine was handed to the callback."""
+    """Return whether all bytes that have reached this machine were handed to the callback."""
     impl = subscriber.impl
     if not isinstance(impl, _Subscription):
         return True
@@ -88,20 +92,20 @@ def is_drained(subscriber: rospy.Subscriber) -> bool:
 
 
 def connected_uris(subscriber: rospy.Subscriber) -> set[str]:
-    """Return the URIs of the publishers whose connection stands."""
+    """Return the URIs of the connected publishers."""
     impl = subscriber.impl
-    found = list(impl.connections or ()) if impl is not None else []
-    return {c.endpoint_id for c in found if c.header is not None}
+    connections = list(impl.connections or ()) if impl is not None else []
+    return {c.endpoint_id for c in connections if c.header is not None}
 
 
 def was_heard(subscriber: rospy.Subscriber) -> bool:
-    """Say whether a publisher was ever connected."""
+    """Return whether a publisher was ever connected."""
     impl = subscriber.impl
     return not isinstance(impl, _Subscription) or impl.heard
 
 
 class _Subscription(_SubscriberImpl):
-    """rospy's side of a subscription, with the faults above mended."""
+    """The implementation of a subscription in rospy, with the repairs described above."""
 
     def __init__(self, name: str, take: Callable[[rospy.AnyMsg], None], tcp_nodelay: bool) -> None:
         super().__init__(name, rospy.AnyMsg)
@@ -110,11 +114,11 @@ class _Subscription(_SubscriberImpl):
         self._connecting: dict[str, threading.Thread] = {}
         self._asked_again: set[str] = set()
         self.heard = False
-        """A publisher was connected at some time."""
+        """Whether a publisher was ever connected."""
         self.add_callback(take, None)
 
     def has_connection(self, endpoint_id: str) -> bool:
-        """Say whether a publisher is connected; waits for another thread that connects to it."""
+        """Return whether a publisher is connected; wait for another thread that connects to it."""
         me = threading.current_thread()
         while not rospy.is_shutdown():
             with self.c_lock:
@@ -130,7 +134,7 @@ class _Subscription(_SubscriberImpl):
         return True
 
     def add_connection(self, c: Transport) -> bool:
-        """Add a connection beside an old one of the same publisher that is still being read."""
+        """Add a connection; an old one of the same publisher may still be read."""
         with self.c_lock:
             for old in self.connections:
                 if old.endpoint_id == c.endpoint_id:
@@ -139,7 +143,7 @@ class _Subscription(_SubscriberImpl):
             return bool(super().add_connection(c))
 
     def remove_connection(self, c: Transport) -> None:
-        """Forget a connection that has ended; look whether its publisher is there again."""
+        """Remove a connection that has ended; try to connect to its publisher again."""
         super().remove_connection(c)
         with self.c_lock:
             again = c.endpoint_id.replace(_CLOSING, "")
@@ -147,20 +151,20 @@ class _Subscription(_SubscriberImpl):
                 return
             self._asked_again.discard(again)
         for listener in list(get_registration_listeners().listeners):
-            # One that is gone, or does not publish any more, refuses.
+            # A publisher that has ended or left the topic refuses.
             connect = getattr(listener, "_connect_topic_thread", None)
             if connect is not None:
                 threading.Thread(target=connect, args=(self.name, again), daemon=True).start()
 
     def receive_callback(self, msgs: list[rospy.AnyMsg], connection: Transport) -> None:
-        """Hand on messages and note how many of the connection's bytes they were."""
+        """Hand on messages and count the bytes of the connection that were handled."""
         super().receive_callback(msgs, connection)
         nbytes = sum(len(msg._buff) + 4 for msg in msgs)
         connection.handled = getattr(connection, "handled", 0) + nbytes
 
 
 def _has_hung_up(connection: Transport) -> bool:
-    """Say whether the publisher has closed its end."""
+    """Return whether the publisher has closed its end."""
     sock = connection.socket
     if sock is None:
         return False  # being connected
@@ -177,7 +181,7 @@ def _is_read(connection: Transport) -> bool:
     if sock is None or connection.done:
         return True
     try:
-        # In this order: what has left the socket was counted before it did.
+        # In this order: bytes are counted before they leave the socket.
         unread = unread_bytes(sock)
     except (OSError, ValueError):
         return True
@@ -185,12 +189,15 @@ def _is_read(connection: Transport) -> bool:
 
 
 def unread_bytes(sock: socket.socket) -> int:
-    """Return how many bytes lie in a socket."""
+    """Return the number of unread bytes in a socket."""
     return int(_length(fcntl.ioctl(sock, termios.FIONREAD, bytes(4)))[0])
 
 
 def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
-    """Append what is there to ``b``, as rospy's recv_buff; count it before it leaves the socket."""
+    """Append the available bytes to ``b``, as recv_buff of rospy does.
+
+    They are counted before they leave the socket.
+    """
     try:
         poller = select.poll()
         poller.register(sock, select.POLLIN)
@@ -207,9 +214,9 @@ def receive(sock: socket.socket, b: io.BytesIO, buff_size: int) -> int:
 
 
 def read_header(sock: socket.socket, b: io.BytesIO, buff_size: int) -> dict[str, str]:
-    """Read a connection header as rosgraph does, keeping bytes that are not UTF-8.
+    """Read a connection header as rosgraph does, but keep bytes that are not UTF-8.
 
-    What came behind the header is in ``b`` afterwards.
+    Afterwards ``b`` has the bytes that were received after the header.
     """
     while b.tell() < 4 or b.tell() - 4 < _length(b.getvalue())[0]:
         if sock.recv(1, socket.MSG_PEEK):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The subscriptions of a recorder: connected before it says so, read to their end when it ends."""
+"""The subscriptions of a recorder: connected at its start and read to their end when it ends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Callable, Collection, Iterable, Optional
 
 import rospy
 
-from cassandra_ros.nodes.node import MASTER_ERRORS
+from cassandra_ros.nodes.ros_node import MASTER_ERRORS
 from cassandra_ros.nodes.subscription import (
     Callback,
     connected_uris,
@@ -24,15 +24,15 @@ from cassandra_ros.nodes.subscription import (
 _log = logging.getLogger(__name__)
 
 CONNECT_SEC = 5.0
-"""How long publishers that exist are waited for before a recorder says that it records."""
+"""Maximum time to wait at the start for connections to the existing publishers, s."""
 DRAIN_SEC = 5.0
-"""How long the rest of what lies in the sockets at the end is waited for while nothing comes."""
+"""Maximum time without a message in which the sockets are read to their end, s."""
 MAX_DRAIN_SEC = 60.0
-"""And while messages come: a publisher may send faster than they can be taken."""
+"""The same while messages come, s: a publisher may send faster than they can be handled."""
 
 
 class Subscriptions:
-    """Subscriptions to topics of any type, all with one callback. Thread-safe."""
+    """The subscriptions to topics of any type, all with one callback. Thread-safe."""
 
     def __init__(self, callback: Callback, tcp_nodelay: bool = False) -> None:
         self._callback = callback
@@ -42,7 +42,7 @@ class Subscriptions:
 
     @property
     def topics(self) -> list[str]:
-        """The topics that are subscribed to."""
+        """Names of the subscribed topics."""
         with self._mutex:
             return list(self._subscribers)
 
@@ -53,29 +53,29 @@ class Subscriptions:
                 self._subscribers[topic] = subscribe(topic, self._callback, self._nodelay)
 
     def remove(self, topics: Iterable[str]) -> None:
-        """Leave topics: nothing comes from them any more."""
+        """Unsubscribe from topics: their callback is not called any more."""
         with self._mutex:
-            left = [self._subscribers.pop(topic, None) for topic in topics]
-        for subscriber in left:
+            subscribers = [self._subscribers.pop(topic, None) for topic in topics]
+        for subscriber in subscribers:
             if subscriber is not None:
                 subscriber.unregister()
 
     def unheard(self) -> set[str]:
-        """Return the topics of which no publisher was ever connected."""
+        """Return the topics to which no publisher was ever connected."""
         with self._mutex:
             return {t for t, subscriber in self._subscribers.items() if not was_heard(subscriber)}
 
     def warn_of_names(self) -> None:
-        """Warn of topics that nobody publishes (yet): the name may be mistyped."""
+        """Warn of topics that have no publisher (yet): the name may be mistyped."""
         published = _publishers(None)
         for topic in self.topics:
             if published and topic not in published:
                 near = get_close_matches(topic, sorted(published), 3)
                 meant = f"; did you mean {' or '.join(near)}?" if near else ""
-                _log.warning("nobody publishes %s yet%s", topic, meant)
+                _log.warning("topic %s has no publisher yet%s", topic, meant)
 
     def await_publishers(self, hurry: threading.Event) -> None:
-        """Return when the publishers that exist are connected, in a hurry, or after a while."""
+        """Wait until the existing publishers are connected, or ``hurry`` is set, or CONNECT_SEC."""
         ends = time.monotonic() + CONNECT_SEC
         with self._mutex:
             subscribers = dict(self._subscribers)
@@ -89,8 +89,8 @@ class Subscriptions:
             hurry.wait(0.02)
         if missing and not hurry.is_set():
             _log.warning(
-                "no connection yet to all publishers of %s: their messages are recorded only from "
-                "when it stands (is their node alive, and ROS_IP or ROS_HOSTNAME right?)",
+                "not all publishers of %s are connected yet: their messages are recorded only from "
+                "then on (is their node alive, and ROS_IP or ROS_HOSTNAME right?)",
                 ", ".join(sorted(missing)),
             )
 
@@ -100,14 +100,15 @@ class Subscriptions:
         count: Callable[[str], int],
         give_up: Callable[[], bool],
     ) -> list[str]:
-        """Wait until each connection was seen empty once: until then it lags behind the end.
+        """Wait until each connection was empty once: then all earlier messages were handled.
 
         Args:
-            count: Tells how many messages of a topic have come.
-            give_up: Tells whether nobody wants to wait any longer.
+            topics: Names of the topics.
+            count: Returns the number of received messages of a topic.
+            give_up: Returns whether to stop waiting.
 
         Returns:
-            The topics of which something could not be read to its end.
+            The topics whose connections could not be read to their end.
         """
         with self._mutex:
             left = {t: subscriber for t, subscriber in self._subscribers.items() if t in topics}
@@ -123,27 +124,27 @@ class Subscriptions:
             time.sleep(0.01)
         if left:
             _log.warning(
-                "what the publishers of %s had sent last is not recorded: "
-                "it could not be read to its end",
+                "the last messages of the publishers of %s are not recorded: their connections "
+                "could not be read to their end",
                 ", ".join(sorted(left)),
             )
         return sorted(left)
 
 
 def published_topics() -> list[str]:
-    """List the topics that somebody publishes; raises one of MASTER_ERRORS."""
+    """Return the topics that have a publisher; raises one of MASTER_ERRORS."""
     _, _, published = rospy.get_master().getPublishedTopics("")
     return [topic for topic, _ in published]
 
 
 def subscribed_topics(node: str) -> list[str]:
-    """List the topics that a node subscribes to; raises one of MASTER_ERRORS."""
+    """Return the topics that a node subscribes to; raises one of MASTER_ERRORS."""
     _, _, (_, subscribers, _) = rospy.get_master().getSystemState()
     return [topic for topic, nodes in subscribers if node in nodes]
 
 
 def _publishers(topics: Optional[Collection[str]]) -> dict[str, int]:
-    """Return how many publishers each topic has, where it has any; None = of all topics."""
+    """Return the number of publishers of each topic that has any; None = all topics."""
     try:
         _, _, (publishers, _, _) = rospy.get_master().getSystemState()
     except MASTER_ERRORS:

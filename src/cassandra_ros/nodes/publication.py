@@ -2,15 +2,15 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Publishers of serialised messages, of types that need not be installed.
 
-What differs from ``rospy.Publisher``:
+They differ from ``rospy.Publisher``:
 
-* Type, md5 and definition are texts; no class of messages is made, no definition run.
-* Of a latched topic the last message of each source goes to a late subscriber, not only the last:
-  two nodes may have latched their part of /tf_static.
-* A message is sent from the thread that publishes as far as that does not block, so that it is on
-  time, and never copied where it is large. What waits for a slow subscriber is bounded; what it
-  misses is counted.
-* What waits at the end can be waited for.
+* Type, md5 and definition are texts; no message class is made, and no definition is executed.
+* A late subscriber of a latched topic gets the last message of each source, not only the very last
+  one: two nodes may each have latched their part of /tf_static.
+* The publishing thread sends a message itself as far as that does not block, so that it is on time,
+  and never copies a large one. The queue of a slow subscriber is bounded, and the messages that it
+  misses are counted.
+* The end can wait until the queued messages are sent.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from rospy.topics import _PublisherImpl, _TopicImpl
 from cassandra_ros.errors import TypeMismatch
 
 BATCH_BYTES = 256 * 1024
-"""Small messages that wait are sent together up to this size."""
+"""Maximum size of small queued messages that are sent together, bytes."""
 PIECE_BYTES = 8 * 1024 * 1024
-"""Large messages are sent in pieces of this size, so that it is seen that they move."""
+"""Size of the pieces in which large messages are sent, bytes; each piece shows progress."""
 
 ANY = "*"
-"""Type or md5 of what is stored without: anybody may take it."""
+"""Type or md5 of messages that were stored without one: it matches every subscriber."""
 
 _length = struct.Struct("<I").pack
 
 
 @dataclass(frozen=True)
 class MessageKind:
-    """What a publisher says of its messages, as the class of messages that rospy asks."""
+    """The type of a publisher's messages, in the form of a message class for rospy."""
 
     _type: str
     _md5sum: str
@@ -52,26 +52,26 @@ class MessageKind:
 
     @classmethod
     def of(cls, type_: str, md5sum: str, definition: str) -> MessageKind:
-        """Make the kind of a type, its md5 and its definition; bytes may be surrogates."""
+        """Return the kind for a type, its md5 and its definition, which may have surrogates."""
         text = definition.encode("utf-8", "surrogateescape")
         return cls(type_ or ANY, md5sum or ANY, text)
 
 
 class _Link:
-    """One subscriber: what waits for it, and the thread that sends it.
+    """The connection to one subscriber: its queue, and the thread that sends.
 
-    Has what rospy asks of a transport. At most ``bound`` messages wait (0 = any number); when one
-    more comes the oldest is dropped.
+    It has the attributes of a transport of rospy. At most ``bound`` messages are queued (0 = no
+    maximum); then the oldest is dropped for a new one.
     """
 
     def __init__(self, transport: Transport, bound: int) -> None:
         self.transport = transport
         self.missed = 0
         self.moved = time.monotonic()
-        """When bytes last went out, or something came that waits for it."""
+        """Last time at which bytes were sent or sending began, monotonic clock, s."""
         self._bound = bound or 2**62
         self._queue: deque[bytes] = deque()
-        self._rest: Optional[memoryview] = None  # of a message that is half sent
+        self._rest: Optional[memoryview] = None  # unsent end of a message
         self._busy = False
         self._changed = threading.Condition()
         transport.set_cleanup_callback(self._closed)
@@ -88,19 +88,19 @@ class _Link:
 
     @property
     def is_idle(self) -> bool:
-        """Whether everything was handed to the system, or nobody is there to take it."""
+        """Whether all messages were handed to the system, or the subscriber is gone."""
         with self._changed:
             waits = self._queue or self._rest is not None or self._busy
             return bool(self.transport.done or not waits)
 
     @property
     def is_full(self) -> bool:
-        """Whether the next message would drop one."""
+        """Whether the queue is full, so that the next message would drop the oldest."""
         with self._changed:
             return not self.transport.done and len(self._queue) >= self._bound
 
     def latched(self, wires: Sequence[bytes]) -> None:
-        """Send what is latched, whatever the bound is."""
+        """Queue the latched messages in addition to the maximum."""
         with self._changed:
             self._bound += len(wires)
             self.moved = time.monotonic()
@@ -108,15 +108,15 @@ class _Link:
             self._changed.notify_all()
 
     def abandon(self) -> None:
-        """Send nothing more; what waits is missed, where there still is a subscriber."""
+        """Drop the queue; its messages count as missed if the subscriber is still connected."""
         with self._changed:
             if not self.transport.done:
-                begun = self._rest is not None or self._busy
-                self.missed += len(self._queue) + begun
+                half_sent = self._rest is not None or self._busy
+                self.missed += len(self._queue) + half_sent
             self._queue.clear()
 
     def offer(self, wire: bytes) -> None:
-        """Send a message now, or as soon as the subscriber takes it."""
+        """Send a message now, or queue it if the subscriber is slow."""
         try:
             with self._changed:
                 if self.transport.done:
@@ -132,7 +132,7 @@ class _Link:
                 self._queue.append(wire)
                 self._changed.notify_all()
         except OSError:
-            self.transport.close()  # not under our lock: it calls back
+            self.transport.close()  # not under our lock: it calls _closed
 
     def _send_now(self, wire: bytes) -> None:
         parts = (_length(len(wire)), wire)
@@ -141,10 +141,10 @@ class _Link:
         except BlockingIOError:
             sent = 0
         except AttributeError:
-            return  # closed meanwhile: there is no socket any more
+            return  # closed meanwhile: the transport has no socket any more
         self._count(sent, 1)
         if sent < len(wire) + 4:
-            # A large message is never copied; of one that is not begun nothing is lost.
+            # A large message is never copied unless none of it was sent.
             whole = memoryview(wire if sent >= 4 else b"".join(parts))
             self._rest = whole[sent - 4 if sent >= 4 else sent :]
             self._changed.notify_all()
@@ -168,13 +168,13 @@ class _Link:
                 self._count(0, messages)
 
     def _take(self) -> tuple[list[Union[bytes, memoryview]], int]:
-        """Return what is to be sent next, and how many messages begin in it."""
+        """Return the buffers to be sent next, and the number of messages that begin in them."""
         if self._rest is not None:
             rest, self._rest = self._rest, None
             return [rest], 0
         if len(self._queue[0]) > BATCH_BYTES:
             wire = self._queue.popleft()
-            # Length and first piece together: a packet of four bytes alone would be waited for.
+            # Length and first piece together: the four bytes alone would be a packet of their own.
             return [_length(len(wire)) + wire[:1024], memoryview(wire)[1024:]], 1
         taken: list[bytes] = []
         nbytes = 0
@@ -199,27 +199,27 @@ class _Link:
 
 
 class Publication(_PublisherImpl):
-    """A topic that is published by bytes. Made by ``advertise``."""
+    """A topic on which serialised messages are published. Made by ``advertise``."""
 
     def __init__(self, topic: str, kind: MessageKind, latched: bool, queue_size: int) -> None:
         super().__init__(topic, kind)
-        self.is_latch = latched  # rospy says so in the connection header
+        self.is_latch = latched  # rospy writes it to the connection header
         self.ref_count = 1
         self._kind = kind
         self.published = 0
         self._queue_size = queue_size
-        self._missed = 0  # by subscribers that are gone
+        self._missed = 0  # number of messages that former subscribers missed
         self._latched: dict[Hashable, bytes] = {}
-        self._sending = threading.RLock()  # rospy's own is gone when it closes the topic
+        self._sending = threading.RLock()  # rospy deletes its own lock when it closes the topic
 
     @property
     def topic(self) -> str:
-        """Its name, resolved."""
+        """Resolved name of the topic."""
         return str(self.resolved_name)
 
     @property
     def kind(self) -> MessageKind:
-        """What it says of its messages."""
+        """Type of its messages."""
         return self._kind
 
     def publish_wire(self, wire: bytes, source: Optional[Hashable] = None) -> None:
@@ -227,8 +227,8 @@ class Publication(_PublisherImpl):
 
         Args:
             wire: The message.
-            source: Where the message is latched, who latches it: late subscribers get the last
-                message of each source, in the order in which these were published.
+            source: For a latched message, the key of its source; late subscribers get the last
+                message of each source, in the order of publication. None = not latched.
         """
         with self._sending:
             if source is not None:
@@ -240,13 +240,13 @@ class Publication(_PublisherImpl):
                 link.offer(wire)
 
     def forget_latched(self) -> None:
-        """Let late subscribers get nothing of what was latched before."""
+        """Forget the latched messages, so that late subscribers do not get them."""
         with self._sending:
             self._latched.clear()
 
     def add_connection(self, c: Transport) -> bool:
-        """Take a subscriber; it gets what is latched."""
-        # What waits is joined by us; the kernel would hold a small message back for an answer.
+        """Add a subscriber and send it the latched messages."""
+        # Small messages are joined here; the kernel would delay them until an acknowledgement.
         c.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         link = _Link(c, self._queue_size)
         with self._sending:
@@ -254,13 +254,13 @@ class Publication(_PublisherImpl):
             return bool(_TopicImpl.add_connection(self, link))
 
     def remove_connection(self, c: Union[_Link, Transport]) -> None:
-        """Forget a subscriber, also while the topic is left: rospy's listeners are gone then."""
+        """Remove a subscriber, also while the topic is closed and rospy's listeners are gone."""
         _TopicImpl.remove_connection(self, c)
         for listener in list(self.subscriber_listeners or ()):
             listener.peer_unsubscribe(self.resolved_name, self.get_num_connections())
 
     def _remove_connection(self, connections: list[_Link], c: Union[_Link, Transport]) -> None:
-        """Forget a subscriber; rospy would take it by its file descriptor, which is used again."""
+        """Remove a subscriber; rospy would find it by its file descriptor, which may be reused."""
         link = next((one for one in connections if c in (one, one.transport)), None)
         if link is None:
             return
@@ -269,25 +269,30 @@ class Publication(_PublisherImpl):
         try:
             self.connection_poll.remove_fd(link.transport.fileno())
         except (OSError, KeyError, ValueError):
-            pass  # it is closed, and was never or is no longer looked at
+            pass  # it is closed and not polled
         link.transport.close()
 
     @property
     def subscribers(self) -> int:
-        """How many connections stand."""
+        """Number of connected subscribers."""
         return int(self.get_num_connections())
 
     @property
     def missed(self) -> int:
-        """How many messages slow subscribers missed, in all."""
+        """Number of messages that slow subscribers missed, summed over all of them."""
         return self._missed + sum(int(link.missed) for link in list(self.connections))
 
     def await_room(self, stop: Callable[[], bool], stalled_sec: float) -> None:
-        """Wait until no subscriber's queue is full; not for one that takes nothing for a while."""
+        """Wait until no subscriber's queue is full.
+
+        Args:
+            stop: Returns whether to stop waiting.
+            stalled_sec: Time without progress after which a subscriber is not waited for, s.
+        """
         self._await(lambda link: link.is_full, stop, stalled_sec)
 
     def drain(self, stop: Callable[[], bool], stalled_sec: float) -> None:
-        """Wait until everything is sent; not to one that takes nothing for a while."""
+        """Wait until all queued messages are sent; arguments as for ``await_room``."""
         self._await(lambda link: not link.is_idle, stop, stalled_sec)
 
     def _await(
@@ -300,7 +305,7 @@ class Publication(_PublisherImpl):
             time.sleep(0.001)
 
     def unregister(self) -> None:
-        """Do not publish the topic any more; what was not drained is missed."""
+        """Unregister the topic; messages that are still queued count as missed."""
         for link in list(self.connections):
             link.abandon()
         manager = get_topic_manager()
@@ -311,7 +316,7 @@ class Publication(_PublisherImpl):
 
 
 class SharedPublication:
-    """A topic that this process publishes already with a class, as every node does /rosout."""
+    """A topic that this process publishes already with a message class, for example /rosout."""
 
     def __init__(self, impl: _PublisherImpl) -> None:
         self._impl = impl
@@ -335,37 +340,37 @@ class SharedPublication:
         self.published += 1
 
     def forget_latched(self) -> None:
-        """Do nothing: what is latched is not ours."""
+        """Do nothing: another publisher of this process latched the messages."""
 
     @property
     def subscribers(self) -> int:
-        """How many connections stand."""
+        """Number of connected subscribers."""
         return int(self._impl.get_num_connections())
 
     def await_room(self, stop: Callable[[], bool], stalled_sec: float) -> None:
-        """Do nothing: rospy has no way to tell."""
+        """Do nothing: rospy does not show the queues of its subscribers."""
 
     def drain(self, stop: Callable[[], bool], stalled_sec: float) -> None:
-        """Do nothing: rospy has no way to tell."""
+        """Do nothing: rospy does not show the queues of its subscribers."""
 
     def unregister(self) -> None:
-        """Do nothing: the topic is not ours."""
+        """Do nothing: another publisher of this process uses the topic."""
 
 
 AnyPublication = Union[Publication, SharedPublication]
 
 
 def advertise(topic: str, kind: MessageKind, latched: bool, queue_size: int) -> AnyPublication:
-    """Publish a topic, by its name before remapping.
+    """Publish a topic.
 
     Args:
-        topic: Its name.
-        kind: What is said of its messages.
-        latched: Whether the connection header says so.
-        queue_size: How many messages may wait for each subscriber; 0 = any number.
+        topic: Name of the topic before remapping.
+        kind: Type of its messages.
+        latched: Whether the connection header has latching=1.
+        queue_size: Maximum number of messages queued for each subscriber; 0 = no maximum.
 
     Raises:
-        TypeMismatch: This process publishes it already with another type.
+        TypeMismatch: This process publishes the topic already with another type.
     """
     manager = get_topic_manager()
     name = rospy.resolve_name(topic)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Becoming a node: its name, its log on /rosout, its time."""
+"""The name, the log on /rosout and the clock of a node of this package."""
 
 from __future__ import annotations
 
@@ -24,21 +24,25 @@ from cassandra_ros.printable import shown_lines
 
 _OURS = "cassandra_ros"
 _ROSPY = "rosout"
-"""The logger behind rospy.logwarn and its like."""
+"""Name of the logger that rospy.logwarn and similar functions use."""
 _LOG = "/rosout"
 _STAMP = struct.Struct("<II")
 REMAP = "__name:="
+"""Start of the command line word that sets the name of a node."""
 _TIMEOUT_SEC = 2.0
+"""Maximum time to connect to another node, s."""
 MASTER_SEC = 5.0
-"""How long an answer of the master is waited for."""
+"""Maximum time for an answer of the master, s."""
 MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
-"""What asking a master raises that is away, or dies in the middle of its answer."""
+"""Exceptions of a request to a master that does not answer, or ends while it answers."""
 
 
 def own_name(default: str, argv: Sequence[str]) -> tuple[str, str, bool]:
-    """Return a node's base name, its full name in our namespace, and whether such a node lives.
+    """Return the name of a node, its full name, and whether a node of that name is running.
 
-    The base name is ``default`` where the command line has no ``__name:=x``.
+    Args:
+        default: Name if the command line has no ``__name:=x``.
+        argv: The command line.
     """
     given = [word[len(REMAP) :] for word in argv if word.startswith(REMAP)]
     name = given[-1] if given else default
@@ -47,7 +51,7 @@ def own_name(default: str, argv: Sequence[str]) -> tuple[str, str, bool]:
 
 
 def _is_taken(full_name: str) -> bool:
-    """Say whether a node of this name lives; False also where no master answers yet."""
+    """Return whether a node of this name is running; False also if no master answers yet."""
     try:
         code, _, uri = rospy.get_master().lookupNode(full_name)
     except MASTER_ERRORS:
@@ -58,28 +62,29 @@ def _is_taken(full_name: str) -> bool:
     try:
         socket.create_connection((where.hostname, where.port), _TIMEOUT_SEC).close()
     except ConnectionRefusedError:
-        return False  # it died without a word
+        return False  # it ended without unregistering
     except OSError:
-        return True  # out of reach is not dead
+        return True  # it may be running out of reach
     return True
 
 
 class _Forwarder(logging.Handler):
-    """Hands records to rospy's logger, with the place in the code that they come from."""
+    """A handler that hands log records to the logger of rospy, with their place in the code."""
 
     def emit(self, record: logging.LogRecord) -> None:
         target = logging.getLogger(_ROSPY)
         if target.isEnabledFor(record.levelno):
             safe = copy.copy(record)
-            # rospy prints it: names of topics and publishers come from outside.
+            # Escaped because rospy prints it: names of topics and publishers come from outside.
             safe.msg, safe.args = shown_lines(record.getMessage()), None
             target.handle(safe)
 
 
 def log_as_rosout() -> None:
-    """Log on /rosout whatever that is remapped to; call it after an init_node without rosout.
+    """Write the log to /rosout itself, also where /rosout is remapped.
 
-    A node that plays a stored /rosout under another name would write its own log there.
+    Call it after an ``init_node`` with ``disable_rosout``. Otherwise a node that plays a stored
+    /rosout under another name would write its own log under that name.
     """
     mappings = rospy.names.get_resolved_mappings()
     renamed = mappings.pop(_LOG, None)
@@ -90,7 +95,7 @@ def log_as_rosout() -> None:
 
 
 def forward_logging() -> None:
-    """Forward the logger ``cassandra_ros``; call it after rospy.init_node."""
+    """Forward the logger ``cassandra_ros`` to rospy; call it after rospy.init_node."""
     logger = logging.getLogger(_OURS)
     if any(isinstance(handler, _Forwarder) for handler in logger.handlers):
         return
@@ -98,29 +103,29 @@ def forward_logging() -> None:
     logger.setLevel(logging.INFO)
     logger.propagate = False  # rospy's logger writes to the node's log file already
     for name in list(logging.root.manager.loggerDict):
-        # init_node configures logging anew, which disables loggers that exist.
+        # init_node configures logging again, which disables existing loggers.
         if name.split(".")[0] == _OURS:
             logging.getLogger(name).disabled = False
-    # The driver's own warnings speak of things that its caller chose.
+    # The driver warns of settings that this package has chosen.
     logging.getLogger("cassandra").setLevel(logging.ERROR)
 
 
 def bound_master_calls() -> None:
-    """Let rospy give up a call to its master that is not answered; call it after rospy.init_node.
+    """Set a timeout for rospy's calls to its master; call it after rospy.init_node.
 
-    It would wait for ever: a robot that has left the network could not end a recording.
+    Without it rospy waits for ever, so that a robot outside the network could not end a recording.
     """
-    # In their place: others hold them, too, as the log's own look for a parameter.
+    # The existing proxies are changed: other parts of rospy hold references to them.
     for proxy in rospy.core._xmlrpc_cache.values():
         proxy._ServerProxy__transport = MasterTransport(MASTER_SEC)
 
 
 def follow_clock() -> None:
-    """Let rospy's time be the simulated one where /use_sim_time says so.
+    """Set rospy's time from /clock if /use_sim_time is set.
 
-    rospy subscribes to /clock itself with a queue of one message, which a second subscription in
-    the process then shares: a recorder of /clock would lose most of it. So the node is started with
-    ``disable_rostime=True``, and /clock is followed here.
+    rospy itself would subscribe to /clock with a queue of one message, which any other subscription
+    of the process shares: a recorder of /clock would lose most of its messages. So nodes are
+    started with ``disable_rostime=True``, and this function subscribes to /clock.
     """
     if rospy.get_param("/use_sim_time", False):
         rospy.rostime._set_rostime(rospy.Time(0, 0))
@@ -128,7 +133,11 @@ def follow_clock() -> None:
 
 
 def now_ns() -> int:
-    """Tell the time; exactly, while rospy's wall clock goes through a float."""
+    """Return the time, ns, without the rounding of rospy's wall clock, which uses a float.
+
+    Raises:
+        ClockNotSet: Simulated time is in use and no /clock message has been received.
+    """
     if rospy.rostime.is_wallclock():
         return time.time_ns()
     now = int(rospy.rostime.get_rostime().to_nsec())
