@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from urllib.parse import quote, urlencode
 
 from cassandra_ros.viewing.routes import ROUTES
-from cassandra_ros.viewing.serving import listening
+from cassandra_ros.viewing.viewer_server import listening
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 

@@ -9,9 +9,9 @@ import pytest
 from mapping.room import SHIFT, T0, driven, joined
 
 from cassandra_ros.errors import StoreUnavailable
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.near_routes import ROUTES
-from cassandra_ros.viewing.shared import Shared
+from cassandra_ros.viewing.viewer_context import ViewerContext
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 SEC = 10**9
@@ -65,17 +65,17 @@ def test_what_a_lasso_encloses(viewer, store):
 def test_who_leaves_ends_the_search_also_where_nothing_is_found(store):
     (route,) = (route for route in ROUTES if route.path == "/api/near")
     asked = {"x": ["900"], "y": ["900"], "radius": ["1"]}
-    call = Call(Shared(store, ViewerSettings()), route, asked, {})
+    call = ApiCall(ViewerContext(store, ViewerSettings()), route, asked, {})
     assert route.answer(call)["stays"] == []
     call.gone.set()
-    with pytest.raises(StoreUnavailable, match="nobody waits"):
+    with pytest.raises(StoreUnavailable, match="the client does not wait"):
         route.answer(call)
 
 
 @pytest.mark.parametrize(
     ("parameters", "text"),
     [
-        ({}, "say where"),
+        ({}, "give a region"),
         ({"polygon": "0,0;1,1"}, "3 to 1000 corners"),
         ({"polygon": "0,0;1;2,2"}, "give x,y;x,y;x,y"),
         ({"x": 0, "y": 0, "radius": -1}, "0 or more metres"),

@@ -21,7 +21,7 @@ from nodes.children import Child, await_true
 
 from cassandra_ros.cli.viewer import _require_pages, make_parser, read_settings
 from cassandra_ros.errors import MissingDependency
-from cassandra_ros.viewing.serving import address
+from cassandra_ros.viewing.viewer_server import address
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 VIEWER = [sys.executable, ROOT / "scripts" / "viewer"]

@@ -224,8 +224,8 @@ def test_pages_are_sent_with_what_they_may_do(open_viewer):
     assert open_viewer.ask("/studio/a.js").headers["Cache-Control"] == "private, max-age=86400"
 
 
-def test_nobody_listens_for_others_without_a_token():
-    for host in ("0.0.0.0", "10.0.0.1", "::", "robot", ""):  # noqa: S104 -- nobody listens there
+def test_a_viewer_for_other_machines_needs_a_token():
+    for host in ("0.0.0.0", "10.0.0.1", "::", "robot", ""):  # noqa: S104 -- only checked
         with pytest.raises(InvalidOption, match="set a token"):
             make_application(ViewerSettings(host=host), None, ROUTES)
         make_application(ViewerSettings(host=host, token="x"), None, ROUTES)  # noqa: S106

@@ -81,19 +81,19 @@ def test_the_newest_file_of_a_request_is_the_one_that_was_opened_last(spool):
     assert spool.latest("r").key == "b"
 
 
-def test_what_nobody_waits_for_is_not_written_to_its_end(spool):
+def test_a_file_without_a_waiting_client_is_not_written_to_its_end(spool):
     writing, first, second = Writing(), threading.Event(), threading.Event()
     with ThreadPoolExecutor(2) as pool:
         asked = [pool.submit(get, spool, writing, gone=gone) for gone in (first, second)]
         assert writing.begun.wait(PATIENCE_SEC)
         writing.let(1)
         first.set()
-        with pytest.raises(StoreUnavailable, match="nobody waits"):
+        with pytest.raises(StoreUnavailable, match="the client does not wait"):
             asked[0].result(PATIENCE_SEC)
         writing.let(1)
         assert not writing.ended.is_set()  # the other one still waits
         second.set()
-        with pytest.raises(StoreUnavailable, match="nobody waits"):
+        with pytest.raises(StoreUnavailable, match="the client does not wait"):
             asked[1].result(PATIENCE_SEC)
     writing.let(1)
     assert writing.ended.wait(PATIENCE_SEC)
@@ -137,7 +137,7 @@ def test_what_is_written_anew_meanwhile_does_not_stay_twice(spool):
     assert get(spool, Writing()) == b"own"
 
 
-def test_a_folder_that_somebody_cleaned_up_is_made_again(spool):
+def test_a_folder_that_was_cleaned_up_is_made_again(spool):
     shutil.rmtree(spool._folder)
     writing = Writing(b"a")
     writing.let()
@@ -204,7 +204,7 @@ def test_what_is_in_use_does_not_go(spool):
     first.let()
     second.let()
     get(spool, first, "a")
-    with pytest.raises(StoreUnavailable, match="take all of their room: ask again later"):
+    with pytest.raises(StoreUnavailable, match="use all of their space on disk: ask again later"):
         get(spool, second, "b")
     assert get(spool, first, "a") == b"1" * 600
 
@@ -216,7 +216,7 @@ def test_what_took_long_to_write_is_opened_before_it_goes(spool):
     with spool.lease("a", "a", "a.bag", first) as lease:
         path = lease.wait(threading.Event())
         lease.entry.used -= 2 * module._KEPT_SEC
-    with pytest.raises(StoreUnavailable, match="take all of their room"):
+    with pytest.raises(StoreUnavailable, match="use all of their space"):
         get(spool, second, "b")
     assert path.read_bytes() == b"1" * 600
 
@@ -227,10 +227,10 @@ def test_no_more_than_some_may_wait(tmp_path):
     with ThreadPoolExecutor(1) as pool:
         asked = pool.submit(get, spool, writing, gone=gone)
         assert writing.begun.wait(PATIENCE_SEC)
-        with pytest.raises(StoreUnavailable, match="1 wait for files already"):
+        with pytest.raises(StoreUnavailable, match="1 requests wait for files already"):
             get(spool, Writing(), "other")
         gone.set()
-        with pytest.raises(StoreUnavailable, match="nobody waits"):
+        with pytest.raises(StoreUnavailable, match="the client does not wait"):
             asked.result(PATIENCE_SEC)
     writing.let(1)
     spool.close()

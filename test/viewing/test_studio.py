@@ -243,7 +243,7 @@ def test_a_person_is_asked_once_at_the_first_start(registry, capsys, monkeypatch
     monkeypatch.setattr(studio_offer, "person_reads", lambda: sys.stdin.isatty())
     monkeypatch.setattr("sys.stdin", io.StringIO())
     studio_offer.offer("viewer", folder)
-    assert "--install-studio" in capsys.readouterr().err  # nobody to be asked
+    assert "--install-studio" in capsys.readouterr().err  # no terminal to ask on
     monkeypatch.setattr("sys.stdin", Terminal("n\n"))
     studio_offer.offer("viewer", folder)
     assert "[y/N]" in capsys.readouterr().err

@@ -137,7 +137,7 @@ def test_robots_runs_conditions_and_what_was_latched(store, viewer, tmp_path):
     where = f"/fix: {condition}"
     assert counts(topics="/fix", where=where) == {"/fix": few} and 0 < few < 95
     assert counts(nodes="husky,turtle", where=where) == {**both, "/fix": few}
-    # The last of a latched topic stands at the start, unless somebody does not want it.
+    # The last message of a latched topic comes at the start, unless latched=0.
     late = {"nodes": "turtle", "start": "2014-03-31T19:25:00Z"}
     assert "/tf_static" in counts(**late)
     assert "/tf_static" not in counts(**late, latched="false")
@@ -189,7 +189,7 @@ def test_what_fails_says_why(viewer):
     for parameters, text in (
         ({"topics": "/fixx"}, "did you mean /fix"),
         ({"runs": "nobody"}, "there is no run 'nobody'"),
-        ({"start": "5", "end": "4"}, "is later than end"),
+        ({"start": "5", "end": "4"}, "lies after end"),
         ({"where": "altitude > 3"}, "is not of the form"),
         ({"where": ["/fix: altitude > 3", "fix: altitude > 4"]}, "two conditions for /fix"),
         ({"where": "/fix: altitud > 3"}, "no field altitud"),

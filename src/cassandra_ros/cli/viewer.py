@@ -125,7 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         install(studio_folder())
         return 0
     optional_module("aiohttp", "the viewer")
-    from cassandra_ros.viewing.serving import serve
+    from cassandra_ros.viewing.viewer_server import serve
 
     settings = read_settings(options)
     _require_pages(settings.web)

@@ -1,7 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The viewer's HTTP server: what is stored, for a browser.
+"""The viewer's HTTP server, which shows stored messages in a browser.
 
-A path of its API is a line in the table ROUTES of a module ``…_routes``, and a plain function; from
-the tables come the router (application.py) and the description (openapi.py).
+Each path of its API is an entry in the table ROUTES of a module ``…_routes``, with a plain function
+as its handler. The router (application.py) and the API description (openapi.py) are made from these
+tables.
 """

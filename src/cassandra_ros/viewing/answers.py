@@ -1,9 +1,8 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a handler may return: anything JSON can hold, or one of these.
+"""The answers that a handler may return: JSON, or one of these types.
 
-Of the JSON ours is strict: NaN and the infinities, which JSON does not know, are refused. Who may
-meet them writes null or a text.
+NaN and the infinities, which are no JSON, are refused: handlers write null or a text for them.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ BYTES = "application/octet-stream"
 
 @dataclass(frozen=True)
 class Bytes:
-    """A body that is small and whole."""
+    """A body that is complete in memory."""
 
     data: bytes
     content_type: str = BYTES
@@ -31,11 +30,11 @@ class Bytes:
 
 @dataclass(frozen=True)
 class Stream:
-    """A body that is made while it is sent, never faster than the browser takes it.
+    """A body that is made while it is sent, never faster than the browser reads it.
 
-    The chunks are asked for one after the other, each on some thread of the pool. Where the browser
-    goes away the iterator is closed. Until the first chunk is there an error is told as one; after
-    it the connection is cut, so that nobody takes a part for the whole.
+    The chunks are made one after the other, each on any thread of the pool. If the browser
+    disconnects, the iterator is closed. An error before the first chunk becomes a status; a later
+    one closes the connection, so that the client does not take the body for complete.
     """
 
     chunks: Iterator[bytes]
@@ -45,11 +44,11 @@ class Stream:
 
 @dataclass(frozen=True)
 class SpooledFile:
-    """A finished file on our disk, of which a browser may ask for parts (Range, If-Range, HEAD)."""
+    """A finished file on disk; a client may request parts of it (Range, If-Range, HEAD)."""
 
     path: Path
     name: str
-    """As which it is saved, like 'window.bag'."""
+    """Name under which a browser saves it, like 'window.bag'."""
     content_type: str
     etag: str
     """Tag of the content, without quotes."""
@@ -59,10 +58,10 @@ Answer = Union[Json, Bytes, Stream, SpooledFile]
 
 
 def json_bytes(answer: Json) -> bytes:
-    """Write the JSON of an answer, row by row.
+    """Return the JSON of an answer, written row by row.
 
     Raises:
-        AnswerTooLarge: It has more bytes than one answer may have.
+        AnswerTooLarge: The answer is larger than an answer may be.
     """
     bound = AnswerBound("the answer", "ask for a shorter time, fewer topics or fewer columns")
     parts: list[bytes] = []
@@ -74,7 +73,7 @@ def json_bytes(answer: Json) -> bytes:
 
 
 def _texts(answer: Json) -> Iterator[str]:
-    """Yield the JSON of an answer, each row of the lists that an object holds by itself."""
+    """Yield the JSON of an answer in pieces: each row of the lists in an object is one."""
     if not isinstance(answer, Mapping):
         yield _text(answer)
         return

@@ -20,18 +20,20 @@ from cassandra_ros.errors import (
     TransformException,
 )
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.handling import Handling
+from cassandra_ros.viewing.handler_threads import HandlerThreads
 from cassandra_ros.viewing.route import Route
 from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.security import Guard, check_settings
-from cassandra_ros.viewing.shared import Shared
+from cassandra_ros.viewing.viewer_context import ViewerContext
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _ASKED_AGAIN = "no-cache"
-"""Files are asked for again each time, which 304 answers mostly."""
+"""Cache-Control of the pages: browsers check them at each use, mostly with the answer 304."""
 _PINNED = "private, max-age=86400"
-"""Those of the Studio are pinned by their hash. Of 22 MB of script that it need not ask for again a
-browser also keeps what its compiler made."""
+"""Cache-Control of the Studio's files, whose versions are fixed.
+
+For its 22 MB of script the browser then also keeps the compiled code.
+"""
 
 
 def make_application(
@@ -40,16 +42,16 @@ def make_application(
     """Return the viewer's application.
 
     Args:
-        settings: Where it listens (told only so that it knows whom to let in), what it may take.
-        store: Connected to the keyspace that is shown. It stays the caller's to close; the
-            application's cleanup closes it only where a handler does not end otherwise.
-        routes: The API.
+        settings: Settings of the viewer; its address is used for the access rules only.
+        store: The connected store. The caller closes it; the application's cleanup closes it only
+            if a handler does not end otherwise.
+        routes: Routes of the API.
 
     Raises:
-        InvalidOption: The settings would let everybody in.
+        InvalidOption: Other machines could read the store without a token.
     """
     check_settings(settings)
-    guard, handling = Guard(settings), Handling(Shared(store, settings))
+    guard, handling = Guard(settings), HandlerThreads(ViewerContext(store, settings))
     application = web.Application(middlewares=[_errors_told, guard.check])
     application.on_response_prepare.append(guard.protect)
     application.on_shutdown.append(handling.stop)
@@ -61,16 +63,16 @@ def make_application(
 
 
 def _add_pages(router: web.UrlDispatcher, settings: ViewerSettings) -> None:
-    """Serve our pages at the root, and what others made below its name, where it is installed."""
+    """Serve the viewer's pages at the root, and Studio and dygraphs under their names."""
     router.add_get("/", _files_of(settings.web, "index.html"))
     router.add_get("/studio/{name:.+}", _files_of(settings.studio, kept=_PINNED))
     router.add_get("/dygraphs/{name:.+}", _files_of(settings.dygraphs))
-    # Of the API what is not there is not found there, or asked by another method.
+    # Unknown paths of the API are errors of the API, with status 404 or 405.
     router.add_get("/{name:(?!api/).+}", _files_of(settings.web))
 
 
 def _files_of(folder: Path, only: str = "", kept: str = _ASKED_AGAIN) -> Handler:
-    """Return what sends the files of a folder, and none beside it; it may be missing, or come."""
+    """Return a handler that sends the files of a folder, which may be missing or made later."""
 
     async def send(request: web.Request) -> web.StreamResponse:
         path = _inside(folder, only or request.match_info["name"])
@@ -82,9 +84,9 @@ def _files_of(folder: Path, only: str = "", kept: str = _ASKED_AGAIN) -> Handler
 
 
 def _inside(folder: Path, name: str) -> Path | None:
-    """Return a file of a folder, also of one that a link in it names; None: it is not there.
+    """Return the path of a file in a folder, also behind links in it; None = no such file.
 
-    Nothing is found beside the folder, and nothing hidden: '..' begins with a point, too.
+    Hidden files are not found, nor files outside the folder: '..' begins with a dot, too.
     """
     parts = name.split("/")
     if any(not part or part.startswith(".") or "\0" in part for part in parts):
@@ -98,7 +100,7 @@ def _inside(folder: Path, name: str) -> Path | None:
 
 @web.middleware
 async def _errors_told(request: web.Request, handler: Handler) -> web.StreamResponse:
-    """Answer errors as the clients of the API read them; to who opens a page, as text."""
+    """Answer errors as JSON for the API, and as text for pages."""
     try:
         return await handler(request)
     except CassandraRosError as exc:
@@ -117,7 +119,7 @@ def _text_of(request: web.Request, error: web.HTTPError) -> str:
     if isinstance(error, web.HTTPMethodNotAllowed):
         return f"{request.path} takes {error.headers['Allow']}, not {request.method}"
     if isinstance(error, web.HTTPNotFound):
-        return f"there is no {request.path}; /api/openapi.json says what there is"
+        return f"there is no {request.path}; /api/openapi.json lists all paths"
     return error.text or error.reason
 
 
@@ -129,10 +131,10 @@ def _told(status: int, name: str, text: str, error: Exception) -> web.Response:
 
 
 def status_of(error: CassandraRosError) -> int:
-    """Return the status that tells an error: whose fault it is, and whether to try again."""
+    """Return the HTTP status of an error: 503 = try again, 404 and 400 = change the request."""
     if isinstance(error, (ConnectionFailed, StoreUnavailable)):
         return 503
-    # TopicNotFound and its like are KeyErrors.
+    # TopicNotFound and similar errors are KeyErrors.
     if isinstance(error, (KeyError, KeyspaceNotFound, TransformException)):
         return 404
     return 400 if isinstance(error, ValueError) else 500

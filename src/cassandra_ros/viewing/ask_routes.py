@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Statements: completed, explained, answered and plotted."""
+"""Routes for statements: rows, explanation, completion and plots."""
 
 from __future__ import annotations
 
@@ -36,41 +36,43 @@ from cassandra_ros.query.tree.syntax import (
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.lossless_json import Cells
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_ROWS = 200
+"""Default number of rows of a page."""
 MOST_ROWS = 10_000
+"""Maximum number of rows of a page."""
 PAGE_BYTES = 8 * 1024 * 1024
-"""A page ends where its values take about so much."""
+"""Approximate size of the values of a page at which it ends, bytes."""
 BUDGET_SEC = 0.6
-"""So long a plot is read before what is known is answered."""
+"""Default time after which an incomplete plot is answered, s."""
 
 
-class Gone(CassandraRosError):
-    """Nobody waits for the answer any more."""
+class ClientGone(CassandraRosError):
+    """The client does not wait for the answer any more."""
 
 
-def _watch(call: Call) -> Callable[[], None]:
-    """Return what ends the reading for a browser that went away."""
+def _watch(call: ApiCall) -> Callable[[], None]:
+    """Return a function that raises ClientGone if the client has disconnected."""
 
     def watch() -> None:
         if call.gone.is_set():
-            raise Gone("whoever asked does not wait for the answer any more")
+            raise ClientGone("the client does not wait for the answer any more")
 
     return watch
 
 
-def _one(call: Call, name: str) -> str | None:
-    """Return the robot or the run that is asked for, None where it is none, or several."""
+def _one(call: ApiCall, name: str) -> str | None:
+    """Return the value of a parameter nodes or runs; None if none or several are given."""
     given = call.texts(name) or ()
     return given[0] if len(given) == 1 else None
 
 
-def _statement(call: Call) -> Select:
-    """Return the statement, asked of several robots and runs where several are given."""
+def _statement(call: ApiCall) -> Select:
+    """Return the statement, restricted to the robots and runs if several are given."""
     select = parse_select(call.text("q") or "")
     terms: list[Expression] = []
     for name, operand in (("nodes", NodeOperand(0)), ("runs", RunOperand(0))):
@@ -81,15 +83,12 @@ def _statement(call: Call) -> Select:
 
 
 def _narrowed(select: Select, terms: Sequence[Expression]) -> Select:
-    every = (*terms, *(() if select.condition is None else (select.condition,)))
-    return replace(select, condition=All(every)) if terms else select
+    conditions = (*terms, *(() if select.condition is None else (select.condition,)))
+    return replace(select, condition=All(conditions)) if terms else select
 
 
-# ---------------------------------------------------------------- rows
-
-
-def _query(call: Call) -> Json:
-    """Answer a page of a statement's rows."""
+def _query(call: ApiCall) -> Json:
+    """Answer with a page of a statement's rows."""
     limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
     result = call.store.statements.select(
         _windowed(call),
@@ -102,8 +101,8 @@ def _query(call: Call) -> Json:
         return _page(call, result, limit)
 
 
-def _windowed(call: Call) -> Select:
-    """Return the statement, asked of the messages of a window alone; rows made of several stay."""
+def _windowed(call: ApiCall) -> Select:
+    """Return the statement restricted to start and end; groups are not restricted."""
     select = _statement(call)
     tables = call.store.statements.topic_of(select).tables
     low, high = call.time_ns("start"), call.time_ns("end")
@@ -118,7 +117,7 @@ def _windowed(call: Call) -> Select:
     return _narrowed(select, terms)
 
 
-def _page(call: Call, result: QueryResult, limit: int) -> Json:
+def _page(call: ApiCall, result: QueryResult, limit: int) -> Json:
     cells = Cells(call.count("cut"))
     rows: list[Json] = []
     times: list[Json] = []
@@ -128,7 +127,7 @@ def _page(call: Call, result: QueryResult, limit: int) -> Json:
             rows.append([cells.shown(value) for value in row])
         except AnswerTooLarge:
             if rows:
-                break  # the next page begins with it
+                break  # the next page begins with this row
             raise
         at = result.position
         times.append(cells.time_in(row) if at is None else str(at.t))
@@ -148,15 +147,15 @@ def _page(call: Call, result: QueryResult, limit: int) -> Json:
     }
 
 
-def _kinds(call: Call, result: QueryResult) -> Json:
-    """Return of each column what its values are: a type of ROS, with [] for each array."""
+def _kinds(call: ApiCall, result: QueryResult) -> Json:
+    """Return the type of each column: a type of ROS, with [] for each level of arrays."""
     tables = call.store.statements.topic_of(result.select).tables
     kinds = column_types(result.select, tables)
     return ["int" if kind.kind == "sum" else kind.kind + "[]" * kind.depth for _, kind in kinds]
 
 
-def _explain(call: Call) -> Json:
-    """Run a statement to its end, and say how it was answered."""
+def _explain(call: ApiCall) -> Json:
+    """Run a statement to its end and answer how it was run."""
     found = call.store.statements.explain(
         _statement(call), node=_one(call, "nodes"), run=_one(call, "runs"), watch=_watch(call)
     )
@@ -180,11 +179,8 @@ def _explain(call: Call) -> Json:
     }
 
 
-# ---------------------------------------------------------------- completion
-
-
-def _complete(call: Call) -> Json:
-    """Offer what may stand at a place of a statement."""
+def _complete(call: ApiCall) -> Json:
+    """Answer with the completions at a position of a statement."""
     text, store = call.text("q") or "", call.store
     cursor = call.count("at")
 
@@ -208,29 +204,26 @@ def _complete(call: Call) -> Json:
     return {"start": found.start, "offers": offers}
 
 
-# ---------------------------------------------------------------- plots
-
-
 def _cache(catalog: Catalog, settings: ViewerSettings) -> EnvelopeCache:
     return EnvelopeCache()
 
 
-def _plot(call: Call) -> Json:
-    """Answer the least and the greatest number of each pixel."""
+def _plot(call: ApiCall) -> Json:
+    """Answer with the minimum and the maximum of each pixel."""
     pixels = call.count("pixels") or PIXELS
     if pixels > MOST_PIXELS:
         raise InvalidOption(f"pixels {pixels}: at most {MOST_PIXELS}")
     seconds = call.number("seconds")
     low, high = call.time_ns("start"), call.time_ns("end")
     if low is not None and high is not None and low > high:
-        raise InvalidOption("start lies behind end")
+        raise InvalidOption("start lies after end")
     window = Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
     found = call.store.statements.series(
         _statement(call),
         window=window,
         node=_one(call, "nodes"),
         run=_one(call, "runs"),
-        cache=call.shared(_cache),
+        cache=call.cached(_cache),
         watch=_watch(call),
     )
     return _shown(found)
@@ -243,7 +236,7 @@ def _shown(found: Series) -> Json:
         low, high = points.low[n], points.high[n]
         shown: dict[str, Json] = {"name": column.name, "unit": column.unit}
         shown["low"] = [_finite(value) for value in low.tolist()]
-        # What is a line needs one of them only.
+        # Minimum and maximum are equal in all pixels: one of them is enough.
         one = bool(((low == high) | (low != low)).all())
         shown["high"] = None if one else [_finite(value) for value in high.tolist()]
         columns.append(shown)
@@ -270,24 +263,24 @@ def _finite(value: float) -> Json:
 
 
 def _how(found: Series) -> str:
-    """Say in what the answer is not what a complete one would be; '' = it is complete."""
+    """Return why the plot is incomplete, for the user; '' = it is complete."""
     if found.share < 1.0:
         return (
-            f"{found.share:.0%} of what is stored was read, spread over the whole time; "
-            "ask again for more"
+            f"{found.share:.0%} of the stored messages were read, spread over the whole time "
+            "range; ask again for more"
         )
     if found.edges:
         return (
-            f"all was read; {found.edges} blocks lie across the edges of pixels, which may seem to "
-            "hold more than they do; ask again to have them unpacked"
+            f"all messages were read; {found.edges} blocks lie across the edges of pixels, whose "
+            "minimum and maximum may be too wide; ask again to have the blocks unpacked"
         )
     return ""
 
 
 _STATEMENT = Parameter("q", "text", "The statement: a SELECT.", required=True)
 _WHOSE = (
-    Parameter("nodes", "texts", "Only messages of these robots."),
-    Parameter("runs", "texts", "Only messages of these recordings or imports."),
+    Parameter("nodes", "texts", "nodeIDs of the robots; missing: all robots."),
+    Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs."),
 )
 
 ROUTES: tuple[Route, ...] = (
@@ -295,21 +288,25 @@ ROUTES: tuple[Route, ...] = (
         "/api/query",
         _query,
         "A page of the rows of a statement: columns, kinds (types of ROS), rows, times (of the "
-        "message of each row), and after, with which the next page is asked for ('' = no more). "
-        "Times and durations are texts of ns, as are integers beyond 2^53; bytes are base64; NaN "
-        "and the infinities the texts 'nan', 'inf', '-inf'.",
+        "message of each row), and after, the cursor of the next page ('' = the last page). "
+        "Times and durations are texts of ns, and integers above 2^53 are texts, too; bytes are "
+        "base64; NaN and the infinities are the texts 'nan', 'inf', '-inf'.",
         (
             _STATEMENT,
             Parameter(
-                "limit", "count", f"Rows of the page, at most {MOST_ROWS}.", False, PAGE_ROWS
+                "limit",
+                "count",
+                f"Number of rows of the page, maximum {MOST_ROWS}.",
+                False,
+                PAGE_ROWS,
             ),
-            Parameter("after", "text", "The after of the page before."),
-            Parameter("start", "time", "Only messages from here on; not of groups and the like."),
-            Parameter("end", "time", "Only messages up to here, included; not of groups either."),
+            Parameter("after", "text", "Cursor: after of the page before."),
+            Parameter("start", "time", "First time, included; not used for groups."),
+            Parameter("end", "time", "Last time, included; not used for groups."),
             Parameter(
                 "cut",
                 "count",
-                "Of arrays, texts and bytes no more than so many elements: "
+                "Maximum number of elements of an array, text or bytes: "
                 "longer ones become {first, of}.",
             ),
             *_WHOSE,
@@ -318,34 +315,46 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/explain",
         _explain,
-        "How a statement is answered: it is run to its end, what the server checked and what was "
-        "read is counted, and text says it for people.",
+        "How a statement is answered: it is run to its end, and the answer counts what the server "
+        "checked and what was read; text is for people.",
         (_STATEMENT, *_WHOSE),
     ),
     Route(
         "/api/complete",
         _complete,
-        "What may stand at a place of a statement: offers (text, kind, note), each in place of "
-        "what stands from start to the place.",
+        "Completions at a position of a statement: offers (text, kind, note), each of which "
+        "replaces the text from start to the position.",
         (
             Parameter("q", "text", "The statement, as far as it is typed.", default=""),
-            Parameter("at", "count", "The place, in characters; without it the end."),
+            Parameter("at", "count", "Position in characters; missing: the end."),
         ),
     ),
     Route(
         "/api/plot",
         _plot,
-        "The numbers of a statement over time: of each pixel in which something lies its time "
-        "(ns), how many rows (0 = unknown), and of each column low and high, its least and "
-        "greatest number (high null: all are the same as low). Answered within about a second: "
-        "while complete is false, how says what is missing, and to ask again gives more. Rows of "
-        "groups and of LIMIT are always complete.",
+        "The numbers of a statement over time: for each pixel that is not empty its time (ns), the "
+        "number of rows (0 = unknown), and for each column low and high, its minimum and maximum "
+        "(high null: all are the same as low). Answered within about a second: while complete is "
+        "false, how says what is missing, and another request gives more. Rows of groups and of "
+        "LIMIT are always complete.",
         (
             _STATEMENT,
-            Parameter("start", "time", "The first time; without it that of the first message."),
-            Parameter("end", "time", "The last time; without it that of the last message."),
-            Parameter("pixels", "count", f"At most so many, up to {MOST_PIXELS}.", False, PIXELS),
-            Parameter("seconds", "number", "Answer about then what is known.", False, BUDGET_SEC),
+            Parameter("start", "time", "First time; missing: that of the first message."),
+            Parameter("end", "time", "Last time, included; missing: that of the last message."),
+            Parameter(
+                "pixels",
+                "count",
+                f"Maximum number of pixels, up to {MOST_PIXELS}.",
+                False,
+                PIXELS,
+            ),
+            Parameter(
+                "seconds",
+                "number",
+                "Time after which an incomplete plot is answered, s.",
+                False,
+                BUDGET_SEC,
+            ),
             *_WHOSE,
         ),
     ),

@@ -14,16 +14,16 @@ from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.call import Call
-from cassandra_ros.viewing.choice import TOPICS
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import TOPICS
 
 MAX_LISTED = 10_000
-"""Runs or marks in one answer."""
+"""Maximum number of runs or marks in one answer."""
 _USUAL_RUNS = 500
 
 
-def _keyspace(call: Call) -> Json:
+def _keyspace(call: ApiCall) -> Json:
     store = call.store
     keyspaces: List[Json] = [
         {
@@ -43,7 +43,7 @@ def _keyspace(call: Call) -> Json:
     }
 
 
-def _topics(call: Call) -> Json:
+def _topics(call: ApiCall) -> Json:
     store, names = call.store, call.texts("topics")
     topics = [store.getTopic(name) for name in names] if names else store.getAllTopics()
     if not call.flag("counts"):
@@ -55,7 +55,7 @@ def _topics(call: Call) -> Json:
 
 
 def _topic(topic: CassandraTopic) -> Dict[str, Json]:
-    """Say what a topic is; nothing of it grows with its messages."""
+    """Return the description of a topic, without anything that is counted over its messages."""
     tables = [table.metadata for table in topic.tables]
     return {
         "topic": topic.name,
@@ -74,7 +74,7 @@ def _distinct(texts: Iterable[str]) -> List[Json]:
 
 
 def _counts(infos: Sequence[TopicInfo]) -> Dict[str, Json]:
-    """Say how much there is of a topic, in all and by table and robot."""
+    """Return the counts of a topic, in total and by table and robot."""
     starts = [info.first_ns for info in infos if info.first_ns is not None]
     ends = [info.last_ns for info in infos if info.last_ns is not None]
     fullest = max(infos, key=lambda info: info.count, default=None)
@@ -86,7 +86,7 @@ def _counts(infos: Sequence[TopicInfo]) -> Dict[str, Json]:
         "bytes": sum(info.bytes for info in infos),
         "start": shown_ns(min(starts, default=None)),
         "end": shown_ns(max(ends, default=None)),
-        # Two robots do not send twice as often.
+        # The rate of one robot: the sum over several robots would mislead.
         "rate_hz": None if fullest is None else fullest.rate_hz,
         "lost": sum(lost.values()),
         "tables": [_table(info) for info in infos],
@@ -110,39 +110,39 @@ def _table(info: TopicInfo) -> Json:
 
 
 def shown_ns(ns: Optional[int]) -> Optional[str]:
-    """Write a time, ns since 1970, as answers have it: JavaScript's numbers cannot hold it."""
+    """Return a time, ns since 1970, as a text: JavaScript's numbers cannot hold it."""
     return None if ns is None else str(ns)
 
 
 def shown_time(time: Optional[datetime]) -> Optional[str]:
-    """Write a time of the registry, UTC, as answers have times."""
+    """Return a time of the registry, UTC, as a text of ns since 1970."""
     return None if time is None else str(to_ns(time))
 
 
-def _runs(call: Call) -> Json:
-    wanted, limit = call.texts("runs"), listed_at_most(call)
+def _runs(call: ApiCall) -> Json:
+    names, limit = call.texts("runs"), listed_at_most(call)
     by_topic, counts = call.flag("by_topic"), call.flag("counts")
-    # Those of runs that did not end are counted in all tables of the keyspace.
-    known = call.store.runs() if counts else list_runs(call.catalog.keyspace, ())
-    every = [run for run in known if not wanted or _names(run, wanted)]
-    every.sort(key=lambda run: str(run.started), reverse=True)
-    listed: List[Json] = [_run(run, by_topic, counts) for run in every[:limit]]
-    return {"runs": listed, "left_off": max(len(every) - limit, 0)}
+    # Messages of runs that did not end are counted in all tables of the keyspace.
+    runs = call.store.runs() if counts else list_runs(call.catalog.keyspace, ())
+    selected = [run for run in runs if not names or _names(run, names)]
+    selected.sort(key=lambda run: str(run.started), reverse=True)
+    listed: List[Json] = [_run(run, by_topic, counts) for run in selected[:limit]]
+    return {"runs": listed, "left_off": max(len(selected) - limit, 0)}
 
 
 def _names(run: Run, names: Sequence[str]) -> bool:
     return run.name in names or str(run.writer) in names
 
 
-def listed_at_most(call: Call) -> int:
+def listed_at_most(call: ApiCall) -> int:
     """Return the parameter limit.
 
     Raises:
-        InvalidOption: It is above MAX_LISTED.
+        InvalidOption: The limit is above MAX_LISTED.
     """
     limit = call.count("limit")
     if limit is None or limit > MAX_LISTED:
-        raise InvalidOption(f"limit {limit}: an answer lists {MAX_LISTED} at most")
+        raise InvalidOption(f"limit {limit}: an answer lists at most {MAX_LISTED}")
     return limit
 
 
@@ -172,29 +172,31 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/keyspace",
         _keyspace,
-        "The keyspace that is shown, and those beside it that hold topics.",
+        "The keyspace that is shown, and the other keyspaces that have topics.",
     ),
     Route(
         "/api/topics",
         _topics,
-        "Topics, sorted by name: types, formats, what is stored of them and when.",
+        "Topics, sorted by name: types, formats, number of messages and time range.",
         (
             TOPICS,
-            Parameter("counts", "flag", "Count messages, by the directory.", default=True),
+            Parameter("counts", "flag", "Count messages, from the directory.", default=True),
         ),
     ),
     Route(
         "/api/runs",
         _runs,
-        "Recordings and imports, the latest first: state, labels, what they stored and lost.",
+        "Recordings and imports, the latest first: state, labels, stored and lost messages.",
         (
-            Parameter("runs", "texts", "Only runs of these names or ids; missing: all."),
-            Parameter("limit", "count", f"So many at most, to {MAX_LISTED}.", default=_USUAL_RUNS),
-            Parameter("by_topic", "flag", "Tell stored_of and lost_of, messages by topic, too."),
+            Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs."),
+            Parameter(
+                "limit", "count", f"Maximum number of runs, to {MAX_LISTED}.", default=_USUAL_RUNS
+            ),
+            Parameter("by_topic", "flag", "Add stored_of and lost_of, messages by topic."),
             Parameter(
                 "counts",
                 "flag",
-                "Count messages of runs that did not end, too, by the directory.",
+                "Count messages of runs that did not end, too, from the directory.",
                 default=True,
             ),
         ),

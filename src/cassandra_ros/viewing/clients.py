@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Accept the connections of a viewer within limits: how many there are, and how long they may wait.
+"""The connections of a viewer's clients, and the limits of their number and waiting time.
 
-Idle connections are closed by aiohttp (``keepalive_timeout``), clients that do not read by the
-kernel (TCP_USER_TIMEOUT). Only what neither of them does is here.
+aiohttp closes idle connections (``keepalive_timeout``), the kernel those of clients that do not
+read (TCP_USER_TIMEOUT). This module does the rest.
 """
 
 from __future__ import annotations
@@ -18,34 +18,34 @@ from aiohttp.typedefs import Handler
 from cassandra_ros.viewing.viewer_settings import Limits
 
 _ACCEPTING_SEC = 1.0
-"""Longest time from the acceptance of a connection until the server has got it, s."""
+"""Maximum time from the acceptance of a connection until the server lists it, s."""
 _REFUSED_SEC = 1.0
-"""How long a connection above the limit may take to send its request, before it is closed, s."""
+"""Time that a connection above the limit has to send its request before it is closed, s."""
 
 
 class Clients:
     """The protocol factory of a viewer's socket.
 
     Args:
-        limits: How many connections, and how long they may take for their first head.
+        limits: Maximum number of connections, and maximum time for the head of their first request.
     """
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._server: Optional[web.Server] = None
         self._awaited: Dict[web.RequestHandler, asyncio.TimerHandle] = {}
-        """Connections of which no request has come, and what closes them."""
+        """Timers that close the connections that have not sent a request yet."""
 
     @web.middleware
     async def heard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Note that a connection has sent the head of a request."""
+        """Cancel the timer of a connection: it has sent the head of a request."""
         timer = self._awaited.pop(request.protocol, None)
         if timer is not None:
             timer.cancel()
         return await handler(request)
 
     async def listen(self, server: Optional[web.Server], host: str, port: int) -> asyncio.Server:
-        """Listen for the connections of a server, and hand them over.
+        """Listen on an address and hand the connections to a server.
 
         Raises:
             OSError: The address cannot be used.
@@ -58,7 +58,7 @@ class Clients:
         return listener
 
     def _accept(self) -> asyncio.BaseProtocol:
-        """Return what answers a new connection."""
+        """Return the protocol of a new connection."""
         server, loop = self._server, asyncio.get_running_loop()
         if server is None or self._connections(server, loop.time()) >= self._limits.clients:
             return _Refusal(self._limits.clients)
@@ -67,7 +67,7 @@ class Clients:
         return protocol
 
     def _connections(self, server: web.Server, now: float) -> int:
-        """Count the connections, with those that are accepted and that the server has not got."""
+        """Count the connections, including accepted ones that the server does not list yet."""
         accepted = now + self._limits.head_sec - _ACCEPTING_SEC
         coming = sum(
             protocol.transport is None and timer.when() > accepted
@@ -82,7 +82,7 @@ class Clients:
 
 
 class _Refusal(asyncio.Protocol):
-    """Answers 503 to whatever is asked, and closes the connection.
+    """A connection above the limit, which is answered with 503 and closed.
 
     Args:
         clients: Maximum number of connections, for the text.
@@ -107,7 +107,7 @@ class _Refusal(asyncio.Protocol):
         self._end = loop.call_later(_REFUSED_SEC, transport.close)
 
     def data_received(self, data: bytes) -> None:
-        """Close the connection: closed before its request came it might not get the answer."""
+        """Close the connection; closing it before its request came could discard the answer."""
         self._transport.close()
 
     def connection_lost(self, exc: Optional[Exception]) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Single messages: as JSON, and of images their pictures."""
+"""Routes for a single message: its JSON, and the picture of an image message."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from cassandra_ros.topics.key_selection import AnyKey
 from cassandra_ros.topics.message_text import MessageText
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.viewing.answers import Bytes
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
 
 MAX_WIDTH = 16_384
-"""Pixels."""
+"""Maximum width of a picture, pixels."""
 _KEPT = {"Cache-Control": "private, max-age=3600"}
-"""What lies at a position stays the same, until it is deleted."""
+"""Headers of a picture that is found by its position: it never changes."""
 
 
-def _message(call: Call) -> Bytes:
+def _message(call: ApiCall) -> Bytes:
     row = _row(call)
     known = {
         "topic": row.topic,
@@ -43,7 +43,7 @@ def _message(call: Call) -> Bytes:
     return Bytes(body.encode("utf-8", "surrogatepass"), "application/json")
 
 
-def _image(call: Call) -> Bytes:
+def _image(call: ApiCall) -> Bytes:
     width = call.count("width")
     if width is not None and not 1 <= width <= MAX_WIDTH:
         raise InvalidOption(f"width {width} is no number of pixels of 1 to {MAX_WIDTH}")
@@ -51,17 +51,18 @@ def _image(call: Call) -> Bytes:
     return Bytes(jpeg_of(row, width), "image/jpeg", _KEPT if call.text("position") else {})
 
 
-def _row(call: Call) -> StoredRow:
-    """Find the message that a call is about.
+def _row(call: ApiCall) -> StoredRow:
+    """Return the message that a call selects.
 
     Raises:
-        InvalidOption: Not one of position and key is given.
-        MessageNotFound, TopicNotFound, InvalidKey: There is none; the key is none.
+        InvalidOption: Neither or both of position and key are given.
+        MessageNotFound, TopicNotFound: The message or the topic is not stored.
+        InvalidKey: The key cannot be read.
     """
     topic = call.store.getTopic(call.text("topic") or "")
     position, text = call.text("position"), call.text("key")
     if (position is None) == (text is None):
-        raise InvalidOption("give position or key, which tell the message")
+        raise InvalidOption("give either position or key of the message")
     nearest = None
     if position is not None:
         key: AnyKey = _key_at(decode_cursor(position))
@@ -69,7 +70,7 @@ def _row(call: Call) -> StoredRow:
         key, nearest = topic.keyOfText(text or ""), call.text("nearest")
     row = topic.getRow(key, nearest=nearest)
     if row is None:
-        topic.getData(key, nearest=nearest)  # its error says what lies near
+        topic.getData(key, nearest=nearest)  # its error has the nearest keys
         raise MessageNotFound(f"topic {topic.name} has no message at {key!r:.80}")
     return row
 
@@ -81,46 +82,50 @@ def _key_at(position: Position) -> AnyKey:
 
 
 _ONE = (
-    Parameter("topic", "text", "Its topic.", required=True),
-    Parameter("position", "text", "Its place: the cursor that another answer gave for it."),
+    Parameter("topic", "text", "Name of its topic.", required=True),
+    Parameter("position", "text", "Position of the message: its cursor in another answer."),
     Parameter(
         "key",
         "text",
-        "Instead: its time in nanoseconds or ISO 8601, or what else the topic's keys are.",
+        "Instead of position: its time in nanoseconds or ISO 8601, or another key of the topic.",
     ),
     Parameter(
         "nearest",
         "text",
-        "With key: before (at it or before), after or either (default: only at the key itself).",
+        "With key: before, after or either selects the nearest message; missing: only the key.",
     ),
 )
 ROUTES: tuple[Route, ...] = (
     Route(
         "/api/message",
         _message,
-        "A message as JSON: its place and its content, as rosbridge writes it. Numbers have all "
-        "their digits, which JavaScript rounds above 2**53.",
+        "A message as JSON: its position and its content, as rosbridge writes it. Numbers have all "
+        "their digits; JavaScript rounds those above 2**53.",
         (
             *_ONE,
             Parameter(
-                "elements", "count", "Of longer arrays only type and length (default: all of it)."
+                "elements",
+                "count",
+                "Maximum number of elements of an array; longer ones become type and length.",
             ),
             Parameter(
-                "characters", "count", "Of longer strings only the length, bytes (default: all)."
+                "characters",
+                "count",
+                "Maximum length of a string, bytes; longer ones become their length.",
             ),
         ),
     ),
     Route(
         "/api/image",
         _image,
-        "The picture of a sensor_msgs/Image or CompressedImage, as JPEG; depths from black (the "
-        "least) to white.",
+        "The picture of a sensor_msgs/Image or CompressedImage, as JPEG; depths from black "
+        "(minimum) to white (maximum).",
         (
             *_ONE,
             Parameter(
                 "width",
                 "count",
-                f"Pixels, 1 to {MAX_WIDTH}: shrink it to so many (default: its own).",
+                f"Maximum width, pixels, 1 to {MAX_WIDTH}; missing: that of the image.",
             ),
         ),
         "image/jpeg",

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages as they were sent, for the Studio: its topics, pages of a window, what was sent last."""
+"""Routes of messages for the Studio: topics, pages of a time range, and last messages."""
 
 from __future__ import annotations
 
@@ -19,36 +19,42 @@ from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, Stream
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import shown_ns
-from cassandra_ros.viewing.choice import (
+from cassandra_ros.viewing.look_window import WindowContent, default_window
+from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
+from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import (
     END,
     NODES,
     RUNS,
     START,
     TOPICS,
-    tables_chosen,
-    whose_chosen,
+    tables_of,
+    whose_of,
 )
-from cassandra_ros.viewing.look_window import Held, default_window
-from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
-from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.studio import STUDIO_VERSION, studio_installed
 from cassandra_ros.viewing.timeline_routes import timeline_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_BYTES = 4 * 2**20
+"""Default size of the messages of a page, bytes."""
 MAX_PAGE_BYTES = 64 * 2**20
+"""Maximum size of the messages of a page, bytes."""
 _MAX_FINDERS = 16
+"""Maximum number of cached lists of latched topics."""
 _FINDER_SEC = 30
-"""So long somebody who began to latch may stay unnoticed."""
+"""How long the list of latched topics is cached, s.
+
+A publisher that starts latching is seen after this time at the latest.
+"""
 
 
-def _connections(call: Call) -> Json:
-    whose = whose_chosen(call)
+def _connections(call: ApiCall) -> Json:
+    whose = whose_of(call)
     problems: list[Json] = []
     shown: dict[str, list[TopicTable]] = {}
-    for table in tables_chosen(call):
+    for table in tables_of(call):
         reason = _reason_not_shown(table)
         if reason:
             problems.append({"topic": table.metadata.topic, "text": reason})
@@ -57,8 +63,8 @@ def _connections(call: Call) -> Json:
     view = View(cells=1, topics=sorted(shown), whose=whose)
     window = _window(call, view)
     view = replace(view, start=window.low, end=window.high)
-    lanes = call.shared(timeline_of).picture(view, call.gone).lanes
-    whole = Held.of_lanes(lane for lane in lanes if not _is_named(shown[lane.topic]))
+    lanes = call.cached(timeline_of).picture(view, call.gone).lanes
+    whole = WindowContent.of_lanes(lane for lane in lanes if not _is_named(shown[lane.topic]))
     window = _cut(call, window, whole)
     return {
         "start": str(window.low),
@@ -70,20 +76,24 @@ def _connections(call: Call) -> Json:
     }
 
 
-def _window(call: Call, view: View) -> TimeRange:
-    """Return the window that was asked for, or is meant; view: of all that could be shown."""
+def _window(call: ApiCall, view: View) -> TimeRange:
+    """Return the requested or default time range.
+
+    Args:
+        view: All messages that can be shown.
+    """
     start, end, moment = (call.time_ns(name) for name in ("start", "end", "time"))
     newest = None
     if start is None and end is None and moment is None:
-        extent = call.shared(timeline_of).picture(view, call.gone).extent
+        extent = call.cached(timeline_of).picture(view, call.gone).extent
         newest = extent[1] if extent else None
     window = default_window(start, end, moment, newest)
     _check_order(window)
     return window
 
 
-def _cut(call: Call, window: TimeRange, held: Held) -> TimeRange:
-    """Let a window end where its messages do, at an end that nobody gave."""
+def _cut(call: ApiCall, window: TimeRange, held: WindowContent) -> TimeRange:
+    """Cut a time range to its messages, except at a start or end of the request."""
     if held.first is None or held.last is None:
         return window
     low, high = max(window.low, held.first), min(window.high, held.last)
@@ -93,27 +103,27 @@ def _cut(call: Call, window: TimeRange, held: Held) -> TimeRange:
 
 
 def _reason_not_shown(table: TopicTable) -> str:
-    """Say why nobody can look at a table's messages; '' where he can."""
+    """Return why the messages of a table cannot be shown; '' = they can."""
     topic = table.metadata.topic
     if table.definition is None:
-        return f"the messages of {topic} cannot be shown: their definition is none that can be read"
+        return f"the messages of {topic} cannot be shown: their definition cannot be read"
     if table.metadata.key_format == "hash":
-        return f"the messages of {topic} cannot be shown: by key format hash they have no time"
+        return f"the messages of {topic} cannot be shown: with key format hash they have no time"
     return ""
 
 
 def _is_named(tables: Sequence[TopicTable]) -> bool:
-    """Say whether messages are kept under names: when they were stored bounds no window."""
+    """Return whether messages are stored under names: their times limit no time range."""
     return all(table.named for table in tables)
 
 
 def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> Json:
     held = (
-        Held()
+        WindowContent()
         if _is_named(tables)
-        else Held.of_lanes(each for each in lanes if each.topic == topic)
+        else WindowContent.of_lanes(each for each in lanes if each.topic == topic)
     )
-    # One type for the panels; messages of the others are read by their own.
+    # The panels get one type; messages of other types have their own channel.
     newest = max(tables, key=lambda table: (table.metadata.date, table.name))
     return {
         **describe_channel(newest),
@@ -124,7 +134,7 @@ def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> J
     }
 
 
-def _messages(call: Call) -> Stream:
+def _messages(call: ApiCall) -> Stream:
     start, end = call.time_ns("start"), call.time_ns("end")
     time_range = TimeRange(0 if start is None else start, LAST_NS if end is None else end)
     _check_order(time_range)
@@ -132,26 +142,26 @@ def _messages(call: Call) -> Stream:
     limit = call.count("bytes") or PAGE_BYTES
     if limit > MAX_PAGE_BYTES:
         raise InvalidOption(f"bytes={limit}: give at most {MAX_PAGE_BYTES}")
-    # What is kept under names has no place among what passes by: /api/latest has it.
+    # Messages stored under names are not played: /api/latest has them.
     rows = call.catalog.keyspace.rows.read(
         [table for table in _shown(call) if not table.named],
-        Read(time_range, whose_chosen(call), after=None if after is None else decode_cursor(after)),
+        Read(time_range, whose_of(call), after=None if after is None else decode_cursor(after)),
     )
     return Stream(frames(_until_gone(call, rows), limit), CONTENT_TYPE)
 
 
-def _latest(call: Call) -> Stream:
+def _latest(call: ApiCall) -> Stream:
     t, since = call.time_ns("time"), call.time_ns("start")
-    finder = call.shared(_Finders).of(_shown(call), whose_chosen(call))
+    finder = call.cached(_Finders).of(_shown(call), whose_of(call))
     rows = finder.before(LAST_NS - 1 if t is None else t, 0 if since is None else since)
     return Stream(frames(_until_gone(call, iter(rows))), CONTENT_TYPE)
 
 
-def _shown(call: Call) -> list[TopicTable]:
-    return [table for table in tables_chosen(call) if not _reason_not_shown(table)]
+def _shown(call: ApiCall) -> list[TopicTable]:
+    return [table for table in tables_of(call) if not _reason_not_shown(table)]
 
 
-def _until_gone(call: Call, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+def _until_gone(call: ApiCall, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
     for row in rows:
         if call.gone.is_set():
             return
@@ -160,15 +170,15 @@ def _until_gone(call: Call, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
 
 def _check_order(time_range: TimeRange) -> None:
     if time_range.low > time_range.high:
-        raise InvalidOption(f"start={time_range.low} lies behind end={time_range.high}")
+        raise InvalidOption(f"start={time_range.low} lies after end={time_range.high}")
 
 
-def _studio(call: Call) -> Json:
+def _studio(call: ApiCall) -> Json:
     return {"installed": studio_installed(call.settings.studio), "version": STUDIO_VERSION}
 
 
 class _Finders:
-    """Keeps what finds the last messages of some topics: it knows which of them are latched."""
+    """A cache of finders of last messages, which know the latched topics."""
 
     def __init__(self, catalog: Catalog, settings: ViewerSettings) -> None:
         self._keyspace = catalog.keyspace
@@ -188,29 +198,31 @@ class _Finders:
 
 
 _WINDOW = (TOPICS, START, END, NODES, RUNS)
-_TIME = Parameter("time", "time", "The moment that is looked at.")
+_TIME = Parameter("time", "time", "Time that is shown first.")
 
 ROUTES: tuple[Route, ...] = (
-    Route("/api/studio", _studio, "Whether the Studio is here that Look shows messages in."),
+    Route(
+        "/api/studio", _studio, "Whether the Studio, in which Look shows messages, is installed."
+    ),
     Route(
         "/api/connections",
         _connections,
-        "The topics of a window, how much of them lies in it, and how their messages are read.",
+        "The topics of a time range, their number of messages in it, and their schemas.",
         (*_WINDOW, _TIME),
     ),
     Route(
         "/api/messages",
         _messages,
-        "A page of the messages of a window as they were sent, in the order of their key times: "
+        "A page of the serialised messages of a time range, in the order of their key times: "
         "frames of uint32 channel, uint32 size, int64 time (ns), all little endian, and size "
         "bytes; those of channel 0 are JSON (channel, problem, end).",
         (
             *_WINDOW,
-            Parameter("after", "text", "Read on behind this place: what end.next says."),
+            Parameter("after", "text", "Cursor: end.next of the page before."),
             Parameter(
                 "bytes",
                 "count",
-                f"The page ends behind so many bytes of messages, 1 to {MAX_PAGE_BYTES}.",
+                f"Size of messages after which the page ends, bytes, 1 to {MAX_PAGE_BYTES}.",
                 default=PAGE_BYTES,
             ),
         ),
@@ -219,12 +231,12 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/latest",
         _latest,
-        "The last message of each topic at or before a moment, as frames: of transforms those of "
-        "the second before, of latched topics each publisher's, whenever that was sent.",
+        "The last message of each topic at or before a time, as frames: for transforms those of "
+        "the second before, for latched topics the last one of each publisher, however old.",
         (
             TOPICS,
-            Parameter("time", "time", "The moment, included; missing: now."),
-            Parameter("start", "time", "What is not latched counts from here on."),
+            Parameter("time", "time", "Last time, included; missing: now."),
+            Parameter("start", "time", "First time of messages that are not latched."),
             NODES,
             RUNS,
         ),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The window of time that Look opens, and how much of each topic lies in it."""
+"""The time range that Look opens, and the number of messages of each topic in it."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ DAY_NS = 24 * 3600 * SECOND_NS
 def default_window(
     start: int | None, end: int | None, time: int | None, newest: int | None
 ) -> TimeRange:
-    """Return the window that is meant where an end of it is missing: a day.
+    """Return the time range to open; one day if start or end is missing.
 
-    Half a day on both sides of the moment that is looked at, else a day from its one end on, else
-    the last day that there is.
+    It is half a day on both sides of ``time``, else one day from the given end on, else the last
+    day with messages.
 
     Args:
-        start, end, time: As they were asked for, ns; None = not given.
-        newest: When the last message came, ns; None = there is none.
+        start, end, time: Times of the request, ns; None = not given.
+        newest: Time of reception of the last message, ns; None = no message is stored.
     """
     if start is not None and end is not None:
         return TimeRange(start, end)
@@ -39,19 +39,21 @@ def default_window(
     return TimeRange(max(0, end - DAY_NS), end)
 
 
-class Held(NamedTuple):
-    """What lies in a window, to the accuracy of the directory."""
+class WindowContent(NamedTuple):
+    """The messages in a time range, as accurate as the directory."""
 
     messages: int = 0
+    """Number of messages."""
     size: int = 0
-    """Bytes of the messages."""
+    """Size of the messages, bytes."""
     first: int | None = None
+    """Time of reception of the first message, ns; None = no message."""
     last: int | None = None
-    """When the first and the last of them came, ns; None: there is none."""
+    """Time of reception of the last message, ns; None = no message."""
 
     @classmethod
-    def of_lanes(cls, lanes: Iterable[Lane]) -> Held:
-        """Return what some lanes hold together."""
+    def of_lanes(cls, lanes: Iterable[Lane]) -> WindowContent:
+        """Return the sum over some lanes."""
         lanes = list(lanes)
         firsts, lasts = ([lane.times[end] for lane in lanes] for end in (0, 1))
         return cls(

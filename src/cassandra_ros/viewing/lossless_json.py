@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Values of a result as JSON that loses nothing: what JavaScript's numbers cannot hold is text."""
+"""Values of a result as JSON without loss: numbers that JavaScript cannot hold become texts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cassandra_ros.viewing.answers import Json
 
 _EXACT = 2**53
 _FLOAT_BYTES = 20
-"""About the length of a float with all its digits."""
+"""Approximate length of a float with all its digits, characters."""
 _FEWER = (
     "select fewer columns, one element of an array as data[0], or len(…) of it, or give cut, which "
     "shortens long values"
@@ -22,12 +22,13 @@ _FEWER = (
 
 
 class Cells:
-    """Turns values into JSON.
+    """A converter of values to JSON for one answer.
 
     Args:
-        cut: Of longer arrays, texts and bytes only so many elements, as {first, of}; None = all.
+        cut: Maximum number of elements of arrays, texts and bytes; longer ones become {first, of}.
+            None = all elements.
 
-    A value raises AnswerTooLarge where all of them would take more than one answer may.
+    Converting raises AnswerTooLarge when all values together are larger than an answer may be.
     """
 
     def __init__(self, cut: int | None) -> None:
@@ -36,11 +37,11 @@ class Cells:
 
     @property
     def size(self) -> int:
-        """About what the values so far take, bytes."""
+        """Approximate size of the values converted so far, bytes."""
         return self._bound.bytes
 
     def shown(self, value: object) -> Json:
-        """Return a value of a row; AnswerTooLarge: there is no room for it."""
+        """Return a value of a row as JSON; raises AnswerTooLarge."""
         self._bound.take(_FLOAT_BYTES if isinstance(value, float) else 8)
         if isinstance(value, (str, bytes, bytearray, list)):
             return self._several(value)
@@ -65,7 +66,7 @@ class Cells:
         return found if first is value else {"first": found, "of": count}
 
     def time_in(self, row: Sequence[object]) -> Json:
-        """Return the first value of a row that is a time, ns; None: there is none."""
+        """Return the first value of a row that is a time, ns; None = the row has no time."""
         found = next((value for value in row if is_time(value)), None)
         to_nsec = getattr(found, "to_nsec", None)
         return None if to_nsec is None else str(to_nsec())

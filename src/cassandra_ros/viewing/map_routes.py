@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Occupancy grids made of stored scans and clouds."""
+"""Route of maps: occupancy grids made from stored scans and point clouds."""
 
 from __future__ import annotations
 
@@ -16,25 +16,26 @@ from cassandra_ros.mapping.sensor_poses import PoseChoice
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Bytes
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 USUAL_MESSAGES = 1000
+"""Default maximum number of messages for a map."""
 _KEPT = 8
-"""Pictures that are kept for those who ask for the same."""
+"""Maximum number of cached pictures."""
 
 
 class MapCache:
-    """The pictures that were asked for last; one that is being made is made once."""
+    """The last requested pictures. Two requests for the same picture make it once."""
 
     def __init__(self, catalog: Catalog, settings: ViewerSettings) -> None:
         self._made: OrderedDict[Hashable, Bytes] = OrderedDict()
         self._making = threading.Lock()
 
     def get(self, key: Hashable, make: Callable[[], Bytes]) -> Bytes:
-        """Return what is kept under a key, else what ``make`` returns."""
-        # One at a time: each takes a processor for itself.
+        """Return the picture of a key, made by ``make`` if it is not cached."""
+        # One at a time: each uses a whole processor.
         with self._making:
             if key not in self._made:
                 self._made[key] = make()
@@ -44,7 +45,7 @@ class MapCache:
             return self._made[key]
 
 
-def _map(call: Call) -> Bytes:
+def _map(call: ApiCall) -> Bytes:
     store, name = call.store, call.text("topic") or ""
     topic, runs = store.getTopic(name), _writers(call)
     nodes = call.texts("nodes") or None
@@ -61,7 +62,7 @@ def _map(call: Call) -> Bytes:
 
     def progress(done: int, total: int) -> None:
         if call.gone.is_set():
-            raise StoreUnavailable(f"nobody waits for the map of {name} any more")
+            raise StoreUnavailable(f"the client does not wait for the map of {name} any more")
 
     def make() -> Bytes:
         made = makeMap(
@@ -78,19 +79,19 @@ def _map(call: Call) -> Bytes:
         )
         return _answer(made)
 
-    # More may have been stored since.
+    # The key includes the stored messages: further ones need a new picture.
     last = topic.last()
     asked = (topic.name, str(start), str(end), nodes, runs, call.text("name"), options, choice)
-    return call.shared(MapCache).get((*asked, topic.countTopicData(), str(last)), make)
+    return call.cached(MapCache).get((*asked, topic.countTopicData(), str(last)), make)
 
 
-def _stamp(call: Call, name: str) -> Optional[Stamp]:
+def _stamp(call: ApiCall, name: str) -> Optional[Stamp]:
     ns = call.time_ns(name)
     return None if ns is None else Stamp.from_ns(ns)
 
 
-def _writers(call: Call) -> Optional[FrozenSet[int]]:
-    """Return the writer ids of all runs that are asked for; None = of any."""
+def _writers(call: ApiCall) -> Optional[FrozenSet[int]]:
+    """Return the writer ids of the requested runs; None = all runs."""
     names = call.texts("runs")
     if not names:
         return None
@@ -117,34 +118,37 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/map",
         _map,
-        "An occupancy grid as a picture: a pixel a cell, dark where something is, transparent "
-        "where nothing was seen. Header X-Map says as JSON where it lies (frame, resolution in "
-        "metres, pose x, y, yaw of the lower left corner), what it was made of, and as pose_topics "
-        "which topics tell poses, the best first: share is that of the messages that lie between "
-        "two of its poses, taken says whether the map was made of them.",
+        "An occupancy grid as a picture with one pixel for each cell: dark = occupied, transparent "
+        "= not seen. Header X-Map has, as JSON, its place (frame, resolution in metres, pose x, y, "
+        "yaw of the lower left corner), the messages that it was made from, and as pose_topics the "
+        "topics with poses, the best first: share is the share of messages between two of its "
+        "poses, taken is true for the topic whose poses were used.",
         (
             Parameter(
                 "topic",
                 "text",
-                "Topic of LaserScan or PointCloud2, or of OccupancyGrid, of which the newest is "
+                "Topic of LaserScan or PointCloud2; or of OccupancyGrid, whose newest message is "
                 "shown as it is stored.",
                 required=True,
             ),
-            Parameter("start", "time", "First time (default: that of all)."),
-            Parameter("end", "time", "Last time, included (default: that of all)."),
-            Parameter("nodes", "texts", "Only of these robots (nodeIDs); without: of all."),
-            Parameter("runs", "texts", "Only of these runs; without: of all."),
-            Parameter("name", "text", "Of maps that are stored under names this one."),
+            Parameter("start", "time", "First time, included; missing: that of the first message."),
+            Parameter("end", "time", "Last time, included; missing: that of the last message."),
+            Parameter("nodes", "texts", "nodeIDs of the robots; missing: all robots."),
+            Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs."),
+            Parameter("name", "text", "Name of the map, if maps are stored under names."),
             Parameter(
                 "resolution", "number", "Length of a cell, metres.", default=DEFAULT_RESOLUTION
             ),
-            Parameter("max_range", "number", "What is further away is left out, metres."),
-            Parameter("min_height", "number", "What lies below is floor, metres."),
-            Parameter("max_height", "number", "What lies above is left out, metres."),
-            Parameter("frame", "text", "The map's frame (default: map, odom, or the topmost)."),
-            Parameter("odom", "text", "Topic of the robot's poses (default: tf, else the best)."),
+            Parameter("max_range", "number", "Maximum distance of used points, metres."),
+            Parameter("min_height", "number", "Height below which points are floor, metres."),
+            Parameter("max_height", "number", "Maximum height of used points, metres."),
+            Parameter("frame", "text", "Frame of the map; missing: map, odom, or the topmost."),
+            Parameter("odom", "text", "Topic of the robot's poses; missing: tf, else the best."),
             Parameter(
-                "scans", "count", "So many messages at most, evenly spread.", default=USUAL_MESSAGES
+                "scans",
+                "count",
+                "Maximum number of messages, evenly spread.",
+                default=USUAL_MESSAGES,
             ),
         ),
         kind="image/png",

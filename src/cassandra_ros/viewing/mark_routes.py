@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What happened when, for a timeline: recordings that began and ended, and what was lost.
+"""Route of the marks on a timeline: starts and ends of recordings, and losses.
 
-A snapshot is a recording of its own: it begins when somebody asked for it. Of an import is known
-when it was made, not when its bag was recorded: it makes no marks.
+A snapshot is a recording that starts when it is requested. Imports have no marks, because only the
+time of the import is known, not that of the recording of its bag.
 """
 
 from __future__ import annotations
@@ -15,35 +15,35 @@ from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.read import LAST_NS, TimeRange
 from cassandra_ros.tables.registry import Loss, Run
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
-from cassandra_ros.viewing.choice import END, NODES, RUNS, START, whose_chosen
 from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, whose_of
 
 _USUAL_MARKS = 2000
 
 
 @dataclass(frozen=True)
 class Mark:
-    """Something that happened at a time, or in a stretch of it."""
+    """An event at a time or in a time range."""
 
     kind: str
     """'begin' or 'end' of a recording, or 'loss'."""
     first_ns: int
     last_ns: int
-    """The same as first_ns, but of a loss; included."""
+    """End of a loss, included, ns; the same as first_ns for other kinds."""
     node: str
     run: str
-    """Its name, or its id where it has none."""
+    """Name of the run, or its writer id if it has no name."""
     text: str
-    """Labels of a recording; why messages were lost."""
+    """Labels of a recording, or reason of a loss."""
     topic: str = ""
-    """'' = of all topics."""
+    """Name of the topic; '' = all topics."""
     count: Optional[int] = None
-    """How many messages were lost; None: nobody knows."""
+    """Number of lost messages; None = not known."""
 
     def answer(self) -> Dict[str, Json]:
-        """Return it as JSON."""
+        """Return the mark as JSON."""
         return {
             "kind": self.kind,
             "start": str(self.first_ns),
@@ -56,10 +56,10 @@ class Mark:
         }
 
 
-def _marks(call: Call) -> Json:
+def _marks(call: ApiCall) -> Json:
     start, end = call.time_ns("start"), call.time_ns("end")
     time_range = TimeRange(start or 0, LAST_NS if end is None else end)
-    whose, limit, keyspace = whose_chosen(call), listed_at_most(call), call.catalog.keyspace
+    whose, limit, keyspace = whose_of(call), listed_at_most(call), call.catalog.keyspace
     runs = {(run.writer, run.node): run for run in keyspace.registry.runs()}
     losses = keyspace.runs.losses(call.texts("topics") or None, time_range, whose)
     found = [_of_loss(loss, runs) for loss in losses]
@@ -105,14 +105,16 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/marks",
         _marks,
-        "What happened when: recordings that began and ended, and losses, the earliest first.",
+        "Starts and ends of recordings, and losses, the earliest first.",
         (
             START,
             END,
-            Parameter("topics", "texts", "Losses of these topics only; missing: of all."),
+            Parameter("topics", "texts", "Topics whose losses are listed; missing: all topics."),
             NODES,
             RUNS,
-            Parameter("limit", "count", f"So many at most, to {MAX_LISTED}.", default=_USUAL_MARKS),
+            Parameter(
+                "limit", "count", f"Maximum number of marks, to {MAX_LISTED}.", default=_USUAL_MARKS
+            ),
         ),
     ),
 )

@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Messages for a browser as a stream of frames: the bytes as they were sent, and how to read them.
+"""Messages for a browser as a stream of frames: the serialised bytes, and schemas to read them.
 
 A frame is a head of 16 bytes, little endian (uint32 channel, uint32 size, int64 time in ns since
 1970), and ``size`` bytes. Those of channel 0 are JSON, an object of one key:
 
 * ``channel``: ``{id, topic, type, md5sum, schema}``, before the first message of channel ``id``;
 * ``problem``: ``{topic, text}``, in place of a message that cannot be read;
-* ``end``: ``{next}``, the last frame. What was cut off by a bound is read on with ``after=next``,
-  null where nothing is left. Without it the stream was cut.
+* ``end``: ``{next}``, the last frame. If a limit ended the stream, the next page begins with
+  ``after=next``; null = no message is left. A stream without this frame was cut off.
 
 A schema is ``{root, types}``: types by name, each a list of fields and constants. The names in it
-were checked (messages/spec.py): no text of a definition reaches the browser as it was recorded.
+were checked (messages/spec.py): the browser never gets the recorded text of a definition.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from cassandra_ros.viewing.answers import Json
 CONTENT_TYPE = "application/x-cassandra-ros-frames"
 CONTROL = 0
 CHUNK_BYTES = 256 * 1024
-"""Of a stream are made at a time; a larger message goes out in pieces of this size."""
+"""Maximum size of a chunk of the stream, bytes; larger messages are sent in several chunks."""
 _HEAD = struct.Struct("<IIq")
 _EXACT = 2**53
-"""Beyond it a number of JavaScript is no longer every integer."""
+"""Maximum integer up to which JavaScript's numbers are exact."""
 
 
 def frames(rows: Iterable[StoredRow], limit_bytes: int | None = None) -> Iterator[bytes]:
@@ -45,24 +45,24 @@ def frames(rows: Iterable[StoredRow], limit_bytes: int | None = None) -> Iterato
     Memory: one message and CHUNK_BYTES.
 
     Args:
-        rows: In the order in which they are sent.
-        limit_bytes: After so many bytes of messages the stream ends, with at least one message in
-            it; None = with the last row.
+        rows: The messages, in the order of sending.
+        limit_bytes: Size of messages after which the stream ends, bytes; it has at least one
+            message. None = it ends with the last row.
 
     Raises:
-        StoreUnavailable, ConnectionFailed: As of reading; what came before was sent.
+        StoreUnavailable, ConnectionFailed: Rows could not be read; those before were sent.
     """
     channels: dict[str, int] = {}
     waiting, sent, cursor = bytearray(), 0, None
     for row in rows:
-        for part in _message(row, channels):
-            if waiting and len(waiting) + len(part) > CHUNK_BYTES:
+        for data in _message(row, channels):
+            if waiting and len(waiting) + len(data) > CHUNK_BYTES:
                 yield bytes(waiting)
                 waiting.clear()
-            if len(part) > CHUNK_BYTES:
-                yield from _pieces(part)
+            if len(data) > CHUNK_BYTES:
+                yield from _pieces(data)
             else:
-                waiting += part
+                waiting += data
         sent += row.size
         if limit_bytes is not None and sent >= limit_bytes:
             cursor = encode_cursor(row.position)
@@ -72,7 +72,7 @@ def frames(rows: Iterable[StoredRow], limit_bytes: int | None = None) -> Iterato
 
 
 def _message(row: StoredRow, channels: dict[str, int]) -> Iterator[bytes]:
-    """Yield a message's head and bytes, before them its channel where that is new."""
+    """Yield the head and the bytes of a message, after the frame of its channel if that is new."""
     channel = channels.get(row.table.name)
     if channel is None:
         channel = channels[row.table.name] = len(channels) + 1
@@ -98,9 +98,9 @@ def _control(key: str, value: Json, t: int = 0) -> bytes:
 
 
 def describe_channel(table: TopicTable) -> dict[str, Json]:
-    """Describe what the messages of a table are and how they are read, as JSON.
+    """Return topic, type and schema of a table's messages, as JSON.
 
-    The schema is null where the definition is unusable: nobody can read these bytes.
+    The schema is null if the definition cannot be used, so that the bytes cannot be read.
     """
     definition = table.definition
     return {
@@ -113,7 +113,7 @@ def describe_channel(table: TopicTable) -> dict[str, Json]:
 
 @lru_cache(maxsize=256)
 def describe_schema(definition: Definition) -> dict[str, Json]:
-    """Describe a type and all that it uses, as JSON; not to be changed."""
+    """Return the schema of a type and of all types that it uses; it must not be changed."""
     types: dict[str, Json] = {}
     for name, spec in definition.specs.items():
         types[name] = [*map(_constant, spec.constants), *map(_field, spec.fields)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""When robots were near a place, or in what a lasso encloses; and where they were."""
+"""Routes for places: when robots were in a region, and the tracks of robots."""
 
 from __future__ import annotations
 
@@ -12,23 +12,29 @@ from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.regions import DiskRegion, Polygon, Region
 from cassandra_ros.places.tracks import find_tracks
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.call import Call
-from cassandra_ros.viewing.choice import whose_chosen
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import whose_of
 
 MOST_STAYS = 1000
+"""Maximum number of stays in one answer."""
 USUAL_STAYS = 200
+"""Default number of stays in one answer."""
 MOST_POINTS = 20_000
+"""Maximum number of points of a track."""
 USUAL_POINTS = 2000
-_FRAME = Parameter("frame", "text", "Of the coordinates; missing: map, odom, or what there is.")
-_ROBOT = Parameter(
-    "robot", "text", "The frame that moves, or a topic of poses; missing: to be found out."
+"""Default number of points of a track."""
+_FRAME = Parameter(
+    "frame", "text", "Frame of the coordinates; missing: map, odom, or the only one there is."
 )
-_NODES = Parameter("nodes", "texts", "Only of these robots (nodeIDs); without: of all.")
-_RUNS = Parameter("runs", "texts", "By the poses of these runs, where they recorded any.")
+_ROBOT = Parameter(
+    "robot", "text", "Frame of the robot, or a topic of its poses; missing: found by the viewer."
+)
+_NODES = Parameter("nodes", "texts", "nodeIDs of the robots; missing: all robots.")
+_RUNS = Parameter("runs", "texts", "Runs whose poses are used, if they recorded any.")
 
 
-def _near(call: Call) -> Json:
+def _near(call: ApiCall) -> Json:
     limit = call.count("limit")
     limit = USUAL_STAYS if limit is None else limit
     if not 1 <= limit <= MOST_STAYS:
@@ -37,7 +43,7 @@ def _near(call: Call) -> Json:
     places = call.catalog.places
     low, high = _ends(call)
     found: List[Json] = []
-    nodes, writers = call.texts("nodes"), whose_chosen(call).writers
+    nodes, writers = call.texts("nodes"), whose_of(call).writers
     asked = places.within(_region(call), frame or places.usual_frame(), robot, nodes, writers)
     more = False
     for node in asked.nodes:
@@ -50,7 +56,7 @@ def _near(call: Call) -> Json:
     return {"stays": found, "more": more}
 
 
-def _places(call: Call) -> Json:
+def _places(call: ApiCall) -> Json:
     points = call.count("points")
     points = USUAL_POINTS if points is None else points
     if not 2 <= points <= MOST_POINTS:
@@ -62,30 +68,30 @@ def _places(call: Call) -> Json:
         places,
         (frame, robot),
         call.texts("nodes"),
-        whose_chosen(call).writers,
+        whose_of(call).writers,
         (low, high, points),
         lambda: _check_waited_for(call),
     )
     return {"frame": frame, "tracks": [track.told() for track in tracks]}
 
 
-def _check_waited_for(call: Call) -> None:
+def _check_waited_for(call: ApiCall) -> None:
     if call.gone.is_set():
-        raise StoreUnavailable("nobody waits for the answer any more")
+        raise StoreUnavailable("the client does not wait for the answer any more")
 
 
-def _ends(call: Call) -> Tuple[int, int]:
+def _ends(call: ApiCall) -> Tuple[int, int]:
     low, high = call.time_ns("start"), call.time_ns("end")
     return 0 if low is None else low, MAX_NS if high is None else high
 
 
-def _region(call: Call) -> Region:
+def _region(call: ApiCall) -> Region:
     corners = call.text("polygon")
     x, y, radius = (call.number(name) for name in ("x", "y", "radius"))
     if corners:
         return Polygon(_corners(corners))
     if x is None or y is None or radius is None:
-        raise InvalidOption("say where: x, y and radius, or polygon=x,y;x,y;x,y, in metres")
+        raise InvalidOption("give a region: x, y and radius, or polygon=x,y;x,y;x,y, in metres")
     if radius < 0:
         raise InvalidOption(f"radius is {radius}: it is 0 or more metres")
     return DiskRegion(x, y, radius)
@@ -100,33 +106,41 @@ def _corners(text: str) -> Sequence[Tuple[float, float]]:
 
 
 _TIMES = (
-    Parameter("start", "time", "First time (default: that of all)."),
-    Parameter("end", "time", "Last time, included (default: that of all)."),
+    Parameter("start", "time", "First time, included; missing: that of the first message."),
+    Parameter("end", "time", "Last time, included; missing: that of the last message."),
 )
 ROUTES: tuple[Route, ...] = (
     Route(
         "/api/near",
         _near,
-        "When robots were on a disk, or in what a polygon encloses: time ranges by robot, "
-        "with both ends; more says that there are others behind the last.",
+        "When robots were in a disk or a polygon: time ranges by robot, both ends included; more "
+        "is true if there are further time ranges.",
         (
-            Parameter("x", "number", "Of the middle of a disk, metres."),
-            Parameter("y", "number", "Of the middle of a disk, metres."),
-            Parameter("radius", "number", "Of a disk, 0 or more metres, the rim included."),
-            Parameter("polygon", "text", "Corners in metres, x,y;x,y;x,y …: instead of a disk."),
+            Parameter("x", "number", "x of the centre of the disk, metres."),
+            Parameter("y", "number", "y of the centre of the disk, metres."),
+            Parameter("radius", "number", "Radius of the disk, metres, 0 or more; rim included."),
+            Parameter(
+                "polygon", "text", "Corners of a polygon, metres: x,y;x,y;x,y …; instead of a disk."
+            ),
             _FRAME,
             _ROBOT,
             *_TIMES,
             _NODES,
             _RUNS,
-            Parameter("limit", "count", f"So many at most, 1 to {MOST_STAYS}.", False, USUAL_STAYS),
+            Parameter(
+                "limit",
+                "count",
+                f"Maximum number of time ranges, 1 to {MOST_STAYS}.",
+                False,
+                USUAL_STAYS,
+            ),
         ),
     ),
     Route(
         "/api/places",
         _places,
-        "Where robots were: for each a track of times and of x and y in metres, thinned; joined "
-        "says of each point whether the way from the one before is known.",
+        "The tracks of robots: for each robot times, and x and y in metres, thinned; joined has, "
+        "for each point, whether the way from the point before is known.",
         (
             *_TIMES,
             _NODES,
@@ -134,7 +148,11 @@ ROUTES: tuple[Route, ...] = (
             _FRAME,
             _ROBOT,
             Parameter(
-                "points", "count", f"Of a track, at most, 2 to {MOST_POINTS}.", False, USUAL_POINTS
+                "points",
+                "count",
+                f"Maximum number of points of a track, 2 to {MOST_POINTS}.",
+                False,
+                USUAL_POINTS,
             ),
         ),
     ),

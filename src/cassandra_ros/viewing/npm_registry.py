@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where npm's packages are fetched from: the registry of npm's configuration, else its usual one.
+"""The addresses of npm packages: in the registry that npm is configured for, or its usual one.
 
 The configuration is read as npm reads it, without npm: npm_config_registry, then the user's .npmrc
-and those of the machine. Without any, packageurl knows the address that belongs to an npm package.
+and those of the machine. If it names no registry, packageurl has the address of an npm package.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cassandra_ros.errors import DownloadFailed, MissingDependency
 from cassandra_ros.installation import optional_module
 
 MACHINE_FILES = ("/usr/local/etc/npmrc", "/usr/etc/npmrc", "/etc/npmrc")
-"""npm's global configuration: below the prefix that npm was built for, in /etc on Debian."""
+"""Files of npm's global configuration: below the prefix of npm's build; on Debian in /etc."""
 _SETTING = re.compile(r"([^;#=\s][^=]*?)\s*=\s*(.*?)\s*")
 _VARIABLE = re.compile(r"\$\{([^}]+)\}")
 
@@ -26,12 +26,12 @@ def tarball_address(name: str, version: str) -> str:
     """Return the URL of a package's tarball.
 
     Args:
-        name: As npm writes it: 'react', '@scope/name'.
-        version: As '17.0.2'.
+        name: Name of the package, as 'react' or '@scope/name'.
+        version: Version of the package, as '17.0.2'.
 
     Raises:
-        DownloadFailed: npm's configuration names something else than an HTTP address, or it names
-            no registry and packageurl is not installed.
+        DownloadFailed: The configured registry is not an HTTP address; or no registry is configured
+            and packageurl is not installed.
     """
     scope, _, file = name.rpartition("/")
     configuration = _configuration()
@@ -58,7 +58,7 @@ def _usual_address(scope: str, file: str, version: str) -> str:
 
 
 def _configuration() -> dict[str, str]:
-    """Return npm's settings; the strongest source of each wins."""
+    """Return npm's settings; for each setting the source with the highest precedence wins."""
     environment = {
         name[len("npm_config_") :].lower(): value
         for name, value in os.environ.items()
@@ -71,7 +71,7 @@ def _configuration() -> dict[str, str]:
 
 
 def _settings_of(path: Path) -> dict[str, str]:
-    """Return what an npmrc file sets; a file that cannot be read sets nothing, as for npm."""
+    """Return the settings of an npmrc file; a file that cannot be read has none, as for npm."""
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The API's description by OpenAPI 3.0, made of the routes."""
+"""The description of the API in OpenAPI 3.0, made from the routes."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ _ERROR: dict[str, Json] = {
     "required": ["error", "text"],
     "properties": {
         "error": {"type": "string", "description": "The name of an error of cassandra_ros."},
-        "text": {"type": "string", "description": "What failed, on what, and what to do."},
-        "position": {"type": "integer", "description": "InvalidQuery: where in the statement."},
+        "text": {"type": "string", "description": "Cause, place and remedy."},
+        "position": {"type": "integer", "description": "InvalidQuery: position in the statement."},
     },
 }
 _INTRODUCTION = (
-    "What an Apache Cassandra keeps of the topics of ROS, read only. Times in answers are decimal "
-    "texts of nanoseconds since 1970, for JavaScript's numbers cannot hold them; the ends of a "
-    "time range are included. Errors are JSON: error (its name) and text."
+    "ROS topics that are stored in Apache Cassandra, read only. Times in answers are decimal texts "
+    "of nanoseconds since 1970, because JavaScript's numbers cannot hold them; both ends of a time "
+    "range are included. Errors are JSON: error (its name) and text."
 )
 
 
 def describe(routes: Iterable[Route]) -> Json:
-    """Return the document; each route is in it with all its parameters."""
+    """Return the document, which has each route with all its parameters."""
     paths: dict[str, dict[str, Json]] = {}
     for route in routes:
         paths[route.path] = {"get": _operation(route)}
@@ -57,7 +57,7 @@ def _operation(route: Route) -> dict[str, Json]:
         "parameters": [_parameter(each) for each in (*route.parameters, KEYSPACE)],
         "responses": {
             "200": {"description": route.summary, "content": _content(route)},
-            "default": {"description": "It failed.", "content": error},
+            "default": {"description": "An error.", "content": error},
         },
     }
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A route: one path of the API, what it takes and who answers. All else is made of these."""
+"""A route: one path of the API with its parameters and its handler."""
 
 from __future__ import annotations
 
@@ -9,52 +9,52 @@ from typing import TYPE_CHECKING, Callable, Union
 
 if TYPE_CHECKING:
     from cassandra_ros.viewing.answers import Answer
-    from cassandra_ros.viewing.call import Call
+    from cassandra_ros.viewing.api_call import ApiCall
 
 KINDS = {
     "text": "text",
     "texts": "texts, divided by commas, or the parameter several times",
-    "lines": "a text, in which commas are no signs; the parameter may be given several times",
+    "lines": "a text, which commas do not divide; the parameter may be given several times",
     "time": "a time: seconds since 1970 (1368021980.25), ISO 8601 (2013-05-08T14:06:20Z, no zone "
-    "means UTC), or nanoseconds since 1970, for which 13 digits or more are taken",
+    "means UTC), or nanoseconds since 1970, if it has 13 digits or more",
     "number": "a finite number",
     "count": "a whole number from 0",
     "flag": "true or false (1 or 0; without a value: true)",
 }
-"""What a parameter may be, and how it is written."""
+"""Kinds of parameters, each with a description of its values."""
 
 Value = Union[str, "tuple[str, ...]", int, float, bool, None]
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter in a path's query."""
+    """A parameter in the query of a path."""
 
     name: str
     kind: str
     """One of KINDS."""
     summary: str
-    """One sentence, with unit and bounds."""
+    """Description: one sentence with unit and limits."""
     required: bool = False
     default: Value = None
 
 
 KEYSPACE = Parameter(
-    "keyspace", "text", "Of this keyspace; missing: of that with which the viewer was started."
+    "keyspace", "text", "Name of the keyspace; missing: that with which the viewer was started."
 )
-"""A parameter that each route takes."""
+"""Parameter that every route has."""
 
 
 @dataclass(frozen=True)
 class Route:
-    """A path and the function that answers GET and HEAD there, on a thread of the pool."""
+    """A path and its handler for GET and HEAD, which is called on a thread."""
 
     path: str
-    answer: Callable[[Call], Answer]
-    """Raises errors of our tree, which become statuses and JSON."""
+    answer: Callable[[ApiCall], Answer]
+    """Handler. Its errors of the tree in errors.py become a status and JSON."""
     summary: str
-    """One sentence."""
+    """Description: one sentence."""
     parameters: tuple[Parameter, ...] = ()
-    """Without KEYSPACE."""
+    """Parameters in addition to KEYSPACE."""
     kind: str = "json"
-    """What is answered: json, or a content type as image/jpeg."""
+    """Type of the answer: json, or a content type like image/jpeg."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""All routes of the viewer. The router and the API's description are made of them."""
+"""All routes of the viewer. The router and the API's description are made from them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from cassandra_ros.viewing import (
     window_routes,
 )
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.openapi import describe
 from cassandra_ros.viewing.route import Route
 
 
-def _describe(call: Call) -> Json:
+def _describe(call: ApiCall) -> Json:
     return describe(ROUTES)
 
 
@@ -35,5 +35,5 @@ ROUTES: tuple[Route, ...] = (
     *image_routes.ROUTES,
     *near_routes.ROUTES,
     *map_routes.ROUTES,
-    Route("/api/openapi.json", _describe, "This description of the API, by OpenAPI 3."),
+    Route("/api/openapi.json", _describe, "This description of the API, in OpenAPI 3."),
 )

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Whom the viewer answers, and what a page of it may do in a browser.
+"""The access rules of the viewer, and the policy for its pages in a browser.
 
-Who listens on loopback only can be asked by every page that a browser on this machine shows: the
-Host header tells a name that somebody made point here (DNS rebinding) from ours. Who listens for
-others asks them for a token: in the address once, afterwards it is a cookie. Pages of other sites
-read nothing, but of those that ``allow_origin`` names.
+A viewer on loopback can be reached by every page that a browser on this machine shows: the Host
+header shows whether the page used a foreign name that points here (DNS rebinding). A viewer that
+other machines can reach requires a token: in the address once, afterwards as a cookie. Pages of
+other sites can read answers only if ``allow_origin`` lists their site.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ PAGE_POLICY = (
     "img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self'; "
     "worker-src 'self' blob:; base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
-"""What our pages may load. Styles may stand in elements: plots and the Studio set them so."""
+"""Content security policy of the viewer's pages. Plots and the Studio need inline styles."""
 POLICIES: dict[str, str] = {
     "/look.html": f"{PAGE_POLICY}; frame-src 'self'",
-    # The Studio, which Look frames, makes functions of texts of its own and runs WebAssembly. Of
-    # what is stored nothing is made a program: definitions come as data, links carry no scripts.
+    # The Studio, which Look shows in a frame, compiles its own texts and runs WebAssembly. Stored
+    # data never becomes code: definitions are sent as data, and links have no scripts.
     "/studio.html": PAGE_POLICY.replace(
         "script-src 'self'", "script-src 'self' 'unsafe-eval'"
     ).replace("frame-ancestors 'none'", "frame-ancestors 'self'"),
 }
-"""Those of pages that need another one, by path."""
+"""Content security policies of pages that need another one, by path."""
 _ANSWERS = ("/api/", "/window")
-"""Paths below which answers are made, and no page or file of one lies."""
+"""Beginnings of paths that are answered by handlers instead of files."""
 _COOKIE_SEC = 30 * 86_400
 _READABLE = "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag"
 _REFUSED = (
@@ -46,7 +46,7 @@ _REFUSED = (
 
 
 def is_loopback(host: str) -> bool:
-    """Say whether an address is reached from this machine only."""
+    """Return whether an address can be reached from this machine only."""
     if host == "localhost":
         return True
     try:
@@ -56,14 +56,14 @@ def is_loopback(host: str) -> bool:
 
 
 def check_settings(settings: ViewerSettings) -> None:
-    """Refuse to listen for others without a token.
+    """Check that a viewer that other machines can reach has a token.
 
     Raises:
-        InvalidOption: So it would be, or an origin is none.
+        InvalidOption: It has no token, or an allowed origin cannot be read.
     """
     if not (is_loopback(settings.host) or settings.token):
         raise InvalidOption(
-            f"others reach {settings.host}, and could read all that is stored: set a token, too"
+            f"other machines reach {settings.host} and could read all stored messages: set a token"
         )
     for origin in settings.allow_origin:
         parts = urlsplit(origin)
@@ -75,15 +75,15 @@ def check_settings(settings: ViewerSettings) -> None:
 
 
 def policy_of(path: str) -> str:
-    """Return what may be loaded by what lies at a path; workers have their script's policy."""
+    """Return the content security policy of a path; workers have that of their script."""
     return POLICIES.get("/studio.html" if path.startswith("/studio/") else path, PAGE_POLICY)
 
 
 class Guard:
-    """Lets a request through, or not, and adds the headers that protect who asked.
+    """A check of all requests, which also adds the security headers to answers.
 
     Args:
-        settings: Of the viewer.
+        settings: Settings of the viewer.
     """
 
     def __init__(self, settings: ViewerSettings) -> None:
@@ -91,14 +91,14 @@ class Guard:
         self._loopback = is_loopback(settings.host)
         self._token = settings.token
         self._origins = settings.allow_origin
-        # What a browser keeps is made of the token and does not tell it. Cookies know no ports:
-        # those of two viewers have two names.
+        # The cookie is derived from the token, which cannot be computed from it. Cookies of all
+        # ports are shared, so those of two viewers need different names.
         self._kept = hmac.new(self._token.encode(), b"cookie", "sha256").hexdigest()
         self._cookie = f"cassandra_ros_{self._kept[:8]}"
 
     @web.middleware
     async def check(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        """Answer a request by ``handler``, if it may be answered."""
+        """Answer a request by ``handler`` if the access rules allow it."""
         self._check_host(request)
         self._check_site(request)
         if request.method == "OPTIONS" and self._allowed(request):
@@ -111,7 +111,7 @@ class Guard:
         return await handler(request)
 
     async def protect(self, request: web.Request, response: web.StreamResponse) -> None:
-        """Add the headers; aiohttp calls it before any answer is sent."""
+        """Add the security headers; aiohttp calls this before an answer is sent."""
         headers = response.headers
         headers["X-Content-Type-Options"] = "nosniff"
         headers["Referrer-Policy"] = "no-referrer"
@@ -126,19 +126,19 @@ class Guard:
         if request.method == "OPTIONS":
             headers["Access-Control-Allow-Methods"] = "GET, HEAD"
             headers["Access-Control-Allow-Headers"] = "Authorization, If-Range, Range"
-            # Chrome asks so before a page of the internet reaches into a private network.
+            # Chrome requires it before a page of the internet may reach a private network.
             headers["Access-Control-Allow-Private-Network"] = "true"
             headers["Access-Control-Max-Age"] = "600"
 
     def _allowed(self, request: web.Request) -> str:
-        """Return the origin of the page that asks, if it is one that may; else ''."""
+        """Return the origin of the requesting page if it is allowed, else ''."""
         origin = request.headers.get("Origin", "")
         return origin if origin in self._origins else ""
 
     def _may_lead_here(self, request: web.Request) -> bool:
-        """Say whether the page with a link, or that opens an address, is of a site that may.
+        """Return whether the page with the followed link belongs to an allowed site.
 
-        Browsers send no Origin then; where the page hides its referrer it is not let in.
+        Browsers send no Origin then; a page that hides its referrer is refused.
         """
         referrer = request.headers.get("Referer", "")
         return any(f"{referrer}/".startswith(f"{origin}/") for origin in self._origins)
@@ -155,11 +155,11 @@ class Guard:
             )
 
     def _check_site(self, request: web.Request) -> None:
-        """Refuse what the page of another site asks for behind its reader's back.
+        """Refuse requests that a page of another site makes without its reader's knowledge.
 
-        A link on it may lead to our pages. It may not lead to an answer: a page could have many
-        expensive ones made by opening them. Clients that do not say from where they ask (curl, old
-        browsers) go on.
+        A link on such a page may lead to the viewer's pages, but not to an answer: the page could
+        have many expensive answers made by opening them. Clients that do not send their origin
+        (curl, old browsers) are accepted.
         """
         headers = request.headers
         origin = headers.get("Origin", "")
@@ -182,13 +182,13 @@ class Guard:
             (bearer if scheme.lower() == "bearer" else "", self._token),
             (request.cookies.get(self._cookie, ""), self._kept),
         )
-        return any(hmac.compare_digest(_bytes(text), _bytes(wanted)) for text, wanted in given)
+        return any(hmac.compare_digest(_bytes(text), _bytes(secret)) for text, secret in given)
 
     def _keep_token(self, request: web.Request) -> web.Response:
-        """Put the token into a cookie, and send the browser to the address without it."""
+        """Set the cookie and redirect the browser to the address without the token."""
         rest = [(name, text) for name, text in request.query.items() if name != "token"]
         query = f"?{urlencode(rest)}" if rest else ""
-        # Relative, of one name: whatever the path, it leads to no other site.
+        # Relative, with one name: it cannot lead to another site.
         there = f"./{request.rel_url.raw_name}{query}"
         response = web.Response(status=303, headers={"Location": there})
         response.set_cookie(
@@ -198,10 +198,10 @@ class Guard:
 
 
 def _refuse(request: web.Request) -> web.Response:
-    """Refuse who does not know the token.
+    """Refuse a client without the token.
 
-    A strict cookie is not sent where a link on another site was followed. The page that comes then
-    loads itself again, as a page of ours: now it is sent, if there is one.
+    Browsers do not send a strict cookie when a link on another site was followed. The page answered
+    then reloads itself: now the request comes from this site, with the cookie if there is one.
     """
     if not _is_page(request):
         raise web.HTTPUnauthorized(text=_REFUSED + "\n")
@@ -215,7 +215,7 @@ def _refuse(request: web.Request) -> web.Response:
 
 
 def _is_page(request: web.Request) -> bool:
-    """Say whether a person opens a page, rather than a program a file or an answer."""
+    """Return whether the request is for a page, rather than for a file or an answer."""
     return request.method == "GET" and (request.path == "/" or request.path.endswith(".html"))
 
 

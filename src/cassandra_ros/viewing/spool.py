@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Files that are made of what is stored, on disk while browsers ask for them.
+"""Files that are made from stored messages and kept on disk while clients request them.
 
-A file has a key, which tells its content. Who asks for one that is there, or is being written, gets
-that one; the writing ends when nobody waits for it any more. What the files take together is
-bounded: those that were asked for longest ago go first.
+A file has a key that identifies its content. Requests for the same key share one file, also while
+it is being written; writing ends when no request waits for the file any more. The total size is
+bounded: the files whose last request is the oldest are deleted first.
 """
 
 from __future__ import annotations
@@ -23,34 +23,35 @@ from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.errors import CassandraRosError, InvalidOption, StoreUnavailable
 
 Write = Callable[[Path, MessageProgress], None]
-"""Makes a file at a path; meanwhile it calls with (messages, bytes) that were written."""
+"""Function that writes a file at a path and reports its progress: messages and bytes written."""
 _PREFIX = "cassandra_ros_viewer_"
 _LOCK = "lock"
 _AT_ONCE = 4
-"""Files that are being written; others wait."""
+"""Maximum number of files that are written at the same time; others wait."""
 _LOOK_BYTES = 1 << 22
-"""After so many bytes of messages it is looked how large a file has become."""
+"""Size of written messages between two checks of the size of a file, bytes."""
 _LOOK_SEC = 0.2
-"""How often who waits looks whether somebody still waits for him."""
+"""Interval at which a request that waits for a file checks whether its client is connected, s."""
 _KEPT_SEC = 10.0
-"""So long a file stays after it was asked for: it is opened meanwhile."""
+"""Minimum time that a finished file is kept after the last request for it, s."""
 _ORPHAN_SEC = 60.0
-"""A folder that nobody has locked is an orphan from this age on."""
+"""Age above which an unlocked folder of another viewer is removed, s."""
 _PATIENCE_SEC = 2.0
-"""So long the end waits for what is being written."""
+"""Maximum time that the end waits for files that are being written, s."""
 _CHUNK_BYTES = 1 << 18
+"""Size of the chunks in which a file is read while it is written, bytes."""
 
 
 class _AbandonedError(Exception):
-    """Nobody waits for the file any more."""
+    """No request waits for the file any more."""
 
 
 class SpoolEntry:
-    """A file that is there or is being written.
+    """A file that exists or is being written.
 
     Attributes:
-        path: Where it lies.
-        key, request: As Spool.lease was given them.
+        path: Path of the file.
+        key, request: Identity of content and request, see Spool.lease.
     """
 
     def __init__(self, path: Path, key: str, request: str) -> None:
@@ -68,7 +69,7 @@ class SpoolEntry:
         return self.done.is_set() and self.error is None
 
     def measure(self) -> int:
-        """Return how many bytes it takes now."""
+        """Return the present size of the file, bytes."""
         for path in (_active(self.path), self.path):
             with suppress(OSError):
                 self.bytes = path.stat().st_size
@@ -77,7 +78,7 @@ class SpoolEntry:
 
 
 class Lease:
-    """Somebody's waiting for a file; a context manager, whose end tells that he waits no more."""
+    """One request's use of a file; a context manager, at whose end the request stops waiting."""
 
     def __init__(self, spool: Spool, entry: SpoolEntry) -> None:
         self._spool = spool
@@ -90,32 +91,32 @@ class Lease:
         self._spool.release(self.entry)
 
     def wait(self, gone: threading.Event) -> Path:
-        """Wait until the file is complete, and return where it lies.
+        """Wait until the file is complete; return its path.
 
         Args:
-            gone: Set where nobody waits any more.
+            gone: Set when the client has disconnected.
 
         Raises:
-            StoreUnavailable: So it is; or the store failed.
-            CassandraRosError: What its writing failed of.
+            StoreUnavailable: The client has disconnected, or the store does not answer.
+            CassandraRosError: The error that ended the writing.
         """
         entry = self.entry
         while not entry.done.wait(_LOOK_SEC):
             if gone.is_set():
-                raise StoreUnavailable(f"nobody waits for {entry.path.name} any more")
+                raise StoreUnavailable(f"the client does not wait for {entry.path.name} any more")
         if entry.error is not None:
             raise entry.error
         return entry.path
 
     def follow(self, gone: threading.Event) -> Iterator[bytes]:
-        """Yield the bytes of a file that is written front to back, while it is.
+        """Yield the bytes of a file while it is written from its beginning to its end.
 
-        Args and errors are those of wait; an error may come behind the first bytes.
+        Arguments and errors are those of ``wait``; an error may come after the first bytes.
         """
         entry, stream = self.entry, None
         try:
             while not gone.is_set():
-                done = entry.done.is_set()  # before it is read: what is read then is all
+                done = entry.done.is_set()  # checked first: bytes read after it are complete
                 stream = stream or _open_any(entry.path)
                 chunk = stream.read(_CHUNK_BYTES) if stream is not None else b""
                 if chunk:
@@ -158,7 +159,7 @@ class Spool:
         self._threads: set[threading.Thread] = set()
 
     def latest(self, request: str) -> SpoolEntry | None:
-        """Return the newest complete file of a request, whatever was stored since; or None."""
+        """Return the newest complete file of a request, even if its content is old; or None."""
         with self._mutex:
             found = [e for e in self._entries.values() if e.request == request and e.ready]
             if not found:
@@ -167,23 +168,25 @@ class Spool:
             return found[-1]
 
     def lease(self, key: str, request: str, name: str, write: Write) -> Lease:
-        """Join those who wait for a file, the first of whom has it written.
+        """Return a lease of a file, which the first request for it has written.
 
         Args:
-            key: Tells the content: hexadecimal digits.
-            request: Tells what was asked for, whose content may change.
-            name: Of the file, with its ending.
-            write: Makes it, on a thread of its own.
+            key: Identity of the content: hexadecimal digits.
+            request: Identity of the request, whose content may change.
+            name: Name of the file, with its ending.
+            write: Writes the file; called on another thread.
 
         Raises:
-            StoreUnavailable: Too many wait already.
+            StoreUnavailable: Too many requests wait for files.
         """
         with self._mutex:
             entry = self._entries.get(key)
             if entry is None or entry.abandoned:
                 waiting = sum(e.waiting for e in self._entries.values() if not e.done.is_set())
                 if waiting >= self._most_waiting:
-                    raise StoreUnavailable(f"{waiting} wait for files already: ask again later")
+                    raise StoreUnavailable(
+                        f"{waiting} requests wait for files already: ask again later"
+                    )
                 entry = self._begin(key, request, name, write)
             entry.waiting += 1
             entry.used = time.monotonic()
@@ -191,7 +194,7 @@ class Spool:
 
     def _begin(self, key: str, request: str, name: str, write: Write) -> SpoolEntry:
         try:
-            # Whoever cleans up among temporary files may have taken it.
+            # A cleaner of temporary files may have removed it.
             self._folder.mkdir(0o700, exist_ok=True)
             folder = Path(tempfile.mkdtemp(prefix=f"{key[:16]}_", dir=self._folder))
         except OSError as exc:
@@ -207,10 +210,10 @@ class Spool:
         return entry
 
     def release(self, entry: SpoolEntry) -> None:
-        """Note that somebody waits no more."""
+        """End a request's use of a file."""
         with self._mutex:
             entry.waiting -= 1
-            entry.used = time.monotonic()  # it may have waited long, and opens the file now
+            entry.used = time.monotonic()  # the request may have waited long and opens the file now
             if not entry.waiting and not entry.done.is_set():
                 entry.abandoned = True
 
@@ -238,7 +241,7 @@ class Spool:
             entry.error = exc
         finally:
             with self._mutex:
-                # Who left meanwhile gave up nothing that is there, unless another one writes it.
+                # A complete file stays although no request waits, unless another entry replaced it.
                 replaced = self._entries.get(entry.key) is not entry
                 entry.abandoned = replaced or entry.error is not None
                 if entry.abandoned:
@@ -247,7 +250,7 @@ class Spool:
                 entry.done.set()
 
     def _make_room(self, entry: SpoolEntry) -> None:
-        """Remove old files until this one has room; see the bound."""
+        """Remove old files until this one fits into the maximum size."""
         own = entry.measure()
         if own > self._most_bytes:
             raise InvalidOption(
@@ -265,7 +268,9 @@ class Spool:
                     taken -= old.bytes
                     self._drop(old)
         if taken > self._most_bytes:
-            raise StoreUnavailable("the viewer's files take all of their room: ask again later")
+            raise StoreUnavailable(
+                "the viewer's files use all of their space on disk: ask again later"
+            )
 
     def _drop(self, entry: SpoolEntry) -> None:
         if self._entries.get(entry.key) is entry:
@@ -273,10 +278,10 @@ class Spool:
         shutil.rmtree(entry.path.parent, ignore_errors=True)
 
     def close(self) -> None:
-        """End what is being written and remove all files. Twice is harmless.
+        """End the writing and remove all files; a second call does nothing.
 
-        What looks for messages that satisfy a condition, and finds none, notices that when it finds
-        the next one, or when the store is closed.
+        A writer that searches for messages that satisfy a condition ends when it finds the next
+        one, or when the store is closed.
         """
         with self._mutex:
             threads = list(self._threads)
@@ -290,7 +295,7 @@ class Spool:
 
 
 def _active(path: Path) -> Path:
-    """Return how a file is called until it is complete, see FileWriter."""
+    """Return the path of a file until it is complete, see FileWriter."""
     return path.with_name(path.name + ".active")
 
 
@@ -302,7 +307,7 @@ def _open_any(path: Path) -> IO[bytes] | None:
 
 
 def _remove_orphans(base: Path) -> None:
-    """Remove the folders of viewers that were killed: nobody holds their locks."""
+    """Remove the folders of viewers that were killed: their locks are free."""
     for lock in base.glob(f"{_PREFIX}*/{_LOCK}"):
         with suppress(OSError), lock.open("rb") as stream:
             state = os.fstat(stream.fileno())

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The Studio, which Look shows messages in: fetched from npm's registry, whole or not at all.
+"""Installation of the Studio, in which Look shows messages: fetched from npm's registry.
 
-It is Foxglove Studio as it was published last under MPL-2.0, and what it is mounted with. Of each
-package one version is known here, with the hash that npm states for it; neither npm nor node is
-needed. Nothing of it is part of this package.
+It is the last version of Foxglove Studio under MPL-2.0, with the packages that it needs. This
+module has one version of each package, with the hash that npm states for it. Neither npm nor node
+is needed. The Studio is no part of this package, and is installed completely or not at all.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _PAUSE_SEC = 2.0
 _TIMEOUT_SEC = 60.0
 _CHUNK_BYTES = 1 << 20
 _NEEDED_BYTES = 200 << 20
-"""Free space: the largest tarball and all that is unpacked."""
+"""Free space needed for the largest tarball and all unpacked files, bytes."""
 _MAX_FILE_BYTES = 64 << 20
 _MAX_FILES = 1000
-# The inline map of a file made for debugging: two thirds of it, and it is read each time.
+# The inline source map of a script, for debugging: two thirds of the file, loaded each time.
 _SOURCE_MAP = re.compile(rb"\n//# sourceMappingURL=data:[^\n]*\s*\Z")
 
 
@@ -49,11 +49,11 @@ class Package:
     name: str
     version: str
     integrity: str
-    """As npm states it: 'sha512-' and the tarball's hash in base64."""
+    """Hash that npm states: 'sha512-' and the tarball's hash in base64."""
     size: int
-    """Bytes of the tarball, about, for who waits."""
+    """Approximate size of the tarball, bytes."""
     keep: str
-    """What of it is kept: a regular expression, for names below 'package/'."""
+    """Regular expression of the files that are installed, by their names below 'package/'."""
 
 
 PACKAGES = (
@@ -84,38 +84,38 @@ STUDIO_VERSION = PACKAGES[0].version
 
 
 def studio_folder() -> Path:
-    """Return where the Studio lies, in a folder of its version that all viewers of a user share.
+    """Return the folder of the Studio's version, which all viewers of a user share.
 
-    That is below $CASSANDRA_ROS_STUDIO, else below the ROS home: $ROS_HOME, else ~/.ros.
+    It is in $CASSANDRA_ROS_STUDIO, else in the ROS home: $ROS_HOME, else ~/.ros.
     """
     named = os.environ.get("CASSANDRA_ROS_STUDIO")
     return (Path(named) if named else home_folder() / "studio") / STUDIO_VERSION
 
 
 def studio_installed(folder: Path) -> bool:
-    """Tell whether a folder holds the Studio, complete, and of the versions that are known here."""
+    """Return whether a folder has the complete Studio, in the versions of PACKAGES."""
     try:
-        return bool(json.loads((folder / _MARKER).read_text(encoding="utf-8")) == _wanted())
+        return bool(json.loads((folder / _MARKER).read_text(encoding="utf-8")) == _hashes())
     except (OSError, ValueError):
         return False
 
 
-def _wanted() -> dict[str, str]:
+def _hashes() -> dict[str, str]:
     return {package.name: package.integrity for package in PACKAGES}
 
 
 def install_studio(folder: Path, say: Callable[[str], None]) -> bool:
-    """Fetch the Studio where it is missing; return whether it was.
+    """Fetch the Studio if it is missing; return whether it was.
 
-    The registry is that of npm's configuration; a proxy that of $https_proxy.
+    The registry is that of npm's configuration, the proxy that of $https_proxy.
 
     Args:
-        folder: Where it is to lie; what lay there is replaced.
-        say: Is told each step, a line each.
+        folder: Folder to install it in; its old content is replaced.
+        say: Prints a line for each step.
 
     Raises:
-        DownloadFailed: It could not be fetched again and again, is not what npm published, there
-            is no room for it, or no registry is known.
+        DownloadFailed: Several attempts failed, the packages are not those that npm published, the
+            disk has too little space, or no registry is known.
     """
     if studio_installed(folder):
         return False
@@ -131,7 +131,7 @@ def install_studio(folder: Path, say: Callable[[str], None]) -> bool:
         try:
             for package in PACKAGES:
                 _install(package, draft, say)
-            (draft / _MARKER).write_text(json.dumps(_wanted()), encoding="utf-8")
+            (draft / _MARKER).write_text(json.dumps(_hashes()), encoding="utf-8")
             draft.chmod(0o755)
             _put_in_place(draft, folder)
         finally:
@@ -146,7 +146,7 @@ def _put_in_place(draft: Path, folder: Path) -> None:
     try:
         os.replace(draft, folder)
     except OSError:
-        # Another viewer was quicker: what it fetched is the same.
+        # Another viewer has installed the same packages meanwhile.
         if not studio_installed(folder):
             raise
 
@@ -163,7 +163,7 @@ def _install(package: Package, draft: Path, say: Callable[[str], None]) -> None:
 
 
 def _fetch(package: Package, url: str, file: IO[bytes], say: Callable[[str], None]) -> None:
-    """Download a tarball and check its hash, again where that failed: what is cut off is not it."""
+    """Download a tarball and check its hash; try again after a failure."""
     problem = ""
     for attempt in range(1, _ATTEMPTS + 1):
         if attempt > 1:
@@ -185,7 +185,7 @@ def _fetch(package: Package, url: str, file: IO[bytes], say: Callable[[str], Non
 
 
 def _download(url: str, file: IO[bytes], size: int) -> str:
-    """Write what lies at an address into a file; return its hash as npm writes it."""
+    """Download an address into a file; return the hash of the content as npm writes it."""
     file.seek(0)
     file.truncate()
     digest, got = hashlib.sha512(), 0
@@ -203,19 +203,19 @@ def _download(url: str, file: IO[bytes], size: int) -> str:
 
 
 def unpack(file: IO[bytes], target: Path, keep: re.Pattern[str]) -> None:
-    """Unpack what is wanted of a tarball of npm, files only, each below the target.
+    """Unpack the selected files of a tarball of npm into a folder; skip links and devices.
 
     Args:
         file: The tarball, at its beginning.
-        target: A folder that is there.
-        keep: Matches the whole names, below the tarball's own folder, of what is wanted.
+        target: An existing folder.
+        keep: Matches the whole names of selected files, below the tarball's top folder.
 
     Raises:
-        DownloadFailed: It is no tarball, or has a file that is too large, or one too many.
+        DownloadFailed: The file is no tarball, has a file that is too large, or has too many files.
     """
     try:
         with tarfile.open(fileobj=file, mode="r|gz") as archive:
-            for count, (name, data) in enumerate(_wanted_files(archive, keep), 1):
+            for count, (name, data) in enumerate(_selected_files(archive, keep), 1):
                 if count > _MAX_FILES:
                     raise DownloadFailed(f"a package has over {_MAX_FILES} files")
                 path = target.joinpath(*name.parts)
@@ -225,7 +225,7 @@ def unpack(file: IO[bytes], target: Path, keep: re.Pattern[str]) -> None:
         raise DownloadFailed(f"a package is no tarball that can be read: {exc}") from exc
 
 
-def _wanted_files(
+def _selected_files(
     archive: tarfile.TarFile, keep: re.Pattern[str]
 ) -> Iterator[tuple[PurePosixPath, bytes]]:
     for member in archive:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What is stored when, for Home's timeline."""
+"""Route of the timeline on Home: message counts of topics and robots over time."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ from cassandra_ros.overview.timeline.time_cells import (
 )
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Json
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import shown_ns
-from cassandra_ros.viewing.choice import END, NODES, RUNS, START, TOPICS, whose_chosen
 from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, TOPICS, whose_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _PIXELS = 1000
+"""Default number of cells."""
 
 
 def timeline_of(catalog: Catalog, settings: ViewerSettings) -> Timeline:
-    """Make what a viewer's calls share; see Call.shared."""
+    """Make the timeline that the calls on one keyspace share; see ApiCall.cached."""
     return Timeline(catalog)
 
 
-def _answer(call: Call) -> Json:
+def _answer(call: ApiCall) -> Json:
     view = View(
         start=call.time_ns("start"),
         end=call.time_ns("end"),
         cells=call.count("pixels") or 0,
         topics=call.texts("topics") or None,
-        whose=whose_chosen(call),
+        whose=whose_of(call),
         detail=call.flag("detail"),
     )
-    picture = call.shared(timeline_of).picture(view, call.gone)
+    picture = call.cached(timeline_of).picture(view, call.gone)
     (first, last), scale = picture.extent or (None, None), picture.scale
     names = {run.writer: run.name for run in call.catalog.keyspace.registry.runs()}
     lanes: List[Json] = [_lane(lane, scale) for lane in picture.lanes]
@@ -100,19 +101,21 @@ ROUTES: Tuple[Route, ...] = (
     Route(
         "/api/timeline",
         _answer,
-        "How many messages of each topic and robot lie in equal cells of a window of time. "
-        "`counts` has runs of cells that are not empty: the first cell, then the count of each. "
-        "Over the cells of `even`, three and more, messages are spread of which is only known that "
-        "they lie there; "
-        "in those of `unknown` nobody has counted. `gaps` are pauses of a run, between two "
-        "messages. `eras` are the times in which messages lie, with ten years or more without a "
-        "message between two of them. Where `exact` is false, messages and bytes are estimates. It "
-        "is told by the directory, at a cost that does not grow with the messages.",
+        "The number of messages of each topic and robot in equal cells of a time range. "
+        "`counts` has sequences of cells that are not empty: the first cell, then the count of "
+        "each. `even` are ranges of three or more cells over which messages of unknown position "
+        "are spread evenly; in the cells of `unknown` messages have not been counted. `gaps` are "
+        "pauses of a run between two messages. `eras` are the time ranges with messages, separated "
+        "by ten years or more without a message. If `exact` is false, messages and bytes are "
+        "estimates. The answer comes from the directory; its cost does not grow with the messages.",
         (
-            Parameter("start", START.kind, f"{START.summary} Missing: the first message's."),
-            Parameter("end", END.kind, f"{END.summary} Missing: the last message's."),
+            Parameter("start", START.kind, f"{START.summary} Missing: that of the first message."),
+            Parameter("end", END.kind, f"{END.summary} Missing: that of the last message."),
             Parameter(
-                "pixels", "count", f"So many cells at most, 1 to {MAX_CELLS}.", default=_PIXELS
+                "pixels",
+                "count",
+                f"Maximum number of cells, 1 to {MAX_CELLS}.",
+                default=_PIXELS,
             ),
             TOPICS,
             NODES,
@@ -120,7 +123,7 @@ ROUTES: Tuple[Route, ...] = (
             Parameter(
                 "detail",
                 "flag",
-                "Look into buckets that cover several cells, as far as a bound of keys allows.",
+                "Read keys of buckets that cover several cells, up to a maximum number of keys.",
             ),
         ),
     ),

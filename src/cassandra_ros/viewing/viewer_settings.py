@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What a viewer is started with."""
+"""The settings of a viewer."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from cassandra_ros.viewing.studio import studio_folder
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
 DEFAULT_SPOOL_BYTES = 4 * 10**9
+"""Default maximum size of all spooled files, bytes."""
 DEFAULT_THREADS = 16
+"""Default number of handler threads."""
 
 
 def _web_folder() -> Path:
@@ -22,7 +24,7 @@ def _web_folder() -> Path:
 
 @dataclass(frozen=True)
 class Limits:
-    """What all clients of a viewer together, and each of them, may take."""
+    """Limits for each client of a viewer, and for all clients together."""
 
     clients: int = 128
     """Maximum number of connections. A further one is answered with 503 and closed."""
@@ -31,38 +33,38 @@ class Limits:
     idle_sec: float = 60.0
     """Time within which the head of each further request must have come, s."""
     stalled_sec: float = 60.0
-    """Time after which a client that takes nothing of its answer is disconnected, s."""
+    """Time after which a client that does not read its answer is disconnected, s."""
     piece_bytes: int = 256 * 1024
-    """Maximum number of bytes of an answer that are handed to a connection at once."""
+    """Maximum size of a piece of an answer that is handed to a connection at once, bytes."""
     answers_bytes: int = 128 * 1024 * 1024
-    """Maximum number of bytes of all answers that are being sent together. A further answer is
-    refused with 503."""
+    """Maximum size of all answers that are being sent, bytes. A further answer is refused with
+    503."""
 
 
 @dataclass(frozen=True)
 class ViewerSettings:
-    """Where a viewer listens, whom it lets in, and what it may take of the disk."""
+    """The address of a viewer, its access rules, its folders and its limits."""
 
     host: str = DEFAULT_HOST
-    """The address that it listens on."""
+    """Address on which it listens."""
     port: int = DEFAULT_PORT
-    """0 = one that is free."""
+    """Port on which it listens; 0 = any free port."""
     token: str = ""
-    """What who asks must know; '' = nobody is asked."""
+    """Secret that each client must send; '' = none."""
     allow_origin: tuple[str, ...] = ()
     """Other sites whose pages may read the answers, as 'https://app.foxglove.dev'."""
     spool: Path | None = None
-    """A folder for files that are being sent; None = a new one below the temporary folder. What
-    the viewer has put there is gone when it has ended."""
+    """Folder for files that are being sent; None = a new one in the temporary folder. The viewer
+    deletes its files when it ends."""
     spool_bytes: int = DEFAULT_SPOOL_BYTES
-    """What the files in it take together, at most."""
+    """Maximum size of all files in it, bytes."""
     threads: int = DEFAULT_THREADS
-    """Questions that are answered at the same time; others wait."""
+    """Maximum number of requests that are answered at the same time; further ones wait."""
     limits: Limits = Limits()
-    """What clients may take."""
+    """Limits for clients."""
     web: Path = field(default_factory=_web_folder)
-    """Our own pages."""
+    """Folder of the viewer's own pages."""
     studio: Path = field(default_factory=studio_folder)
-    """The packages of the Studio, each in a folder of its name; may be missing."""
+    """Folder of the packages of the Studio, each in a subfolder of its name; may be missing."""
     dygraphs: Path = Path("/usr/share/javascript/dygraphs")
-    """Debian's libjs-dygraphs; may be missing."""
+    """Folder of Debian's libjs-dygraphs; may be missing."""

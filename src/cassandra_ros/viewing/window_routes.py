@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Windows of time as files: /window.bag and /window.mcap, for rosbag, Foxglove, Lichtblick, curl.
+"""Time ranges as files: /window.bag and /window.mcap, for rosbag, Foxglove, Lichtblick and curl.
 
-A window is written to disk as it is read, and sent from there, in parts where parts are asked for:
-Foxglove and Lichtblick open a file by asking for all of it, look how long it is, and then take the
-parts that they show. Its ETag tells the content: what was stored since makes it another one. Parts
-that are asked for without If-Range are of the file that was opened last, so that one that is looked
-at while it is recorded stays one file.
+The messages are written to a file on disk, which is sent as a whole or in requested parts:
+Foxglove and Lichtblick open a file by requesting all of it, read its length, and then request the
+parts that they show. The ETag identifies the content: it changes when further messages are stored.
+Parts requested without If-Range are taken from the file that was requested last, so that a client
+that looks at a topic while it is recorded gets all parts of one file.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from cassandra_ros.overview.content_version import content_version
 from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Answer, SpooledFile, Stream
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.message_selection import SELECTION, MessageSelection, read_selection
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selected import SELECTION, Selected, selected
 from cassandra_ros.viewing.spool import Spool
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
@@ -36,28 +36,28 @@ _COMPRESSIONS = {"bag": ("none", "lz4", "bz2"), "mcap": ("none", "lz4", "zstd")}
 _STREAM = Parameter(
     "stream",
     "flag",
-    "Send the file while it is written: at once, but without its length and not in parts, which "
+    "Send the file while it is written: it begins at once, but has no length and no parts, which "
     "Foxglove and Lichtblick need.",
 )
 
 
 def make_spool(settings: ViewerSettings) -> Spool:
-    """Make the spool of a viewer; half of those who are answered at a time may wait for files."""
+    """Return the spool of a viewer; at most half of the handler threads may wait for files."""
     return Spool(settings.spool, settings.spool_bytes, max(1, settings.threads // 2))
 
 
-def _answer(call: Call, ending: str) -> Answer:
-    wanted, compression = selected(call), _compression(call, ending)
+def _answer(call: ApiCall, ending: str) -> Answer:
+    selection, compression = read_selection(call), _compression(call, ending)
     latched, streamed = call.flag("latched"), ending == "mcap" and call.flag("stream")
-    spool, name = call.shared_by_all(make_spool), _name(call.catalog, wanted, ending)
-    request = _digest(repr((ending, wanted, compression, latched, call.catalog.keyspace.name)))
+    spool, name = call.cached_by_viewer(make_spool), _name(call.catalog, selection, ending)
+    request = _digest(repr((ending, selection, compression, latched, call.catalog.keyspace.name)))
     headers = call.headers
     if "range" in headers and not {"if-range", "if-match"}.intersection(headers):
         known = spool.latest(request)
         if known is not None:
             return SpooledFile(known.path, name, _CONTENT_TYPES[ending], known.key)
-    key = _digest(request + _version(call.catalog, wanted, latched))
-    write = partial(_write, call.store, wanted, compression, latched)
+    key = _digest(request + _version(call.catalog, selection, latched))
+    write = partial(_write, call.store, selection, compression, latched)
 
     def chunks() -> Iterator[bytes]:
         with spool.lease(key, request, name, write) as lease:
@@ -74,7 +74,7 @@ def _answer(call: Call, ending: str) -> Answer:
         return SpooledFile(lease.wait(call.gone), name, _CONTENT_TYPES[ending], key)
 
 
-def _compression(call: Call, ending: str) -> str | None:
+def _compression(call: ApiCall, ending: str) -> str | None:
     found, known = call.text("compression"), _COMPRESSIONS[ending]
     if found is not None and found not in known:
         raise InvalidOption(
@@ -83,9 +83,9 @@ def _compression(call: Call, ending: str) -> str | None:
     return found
 
 
-def _name(catalog: Catalog, wanted: Selected, ending: str) -> str:
-    """Return as which a window is saved: of letters that every file system takes."""
-    begin = "" if wanted.start is None else "_" + iso_time(wanted.start.ns)[:19]
+def _name(catalog: Catalog, selection: MessageSelection, ending: str) -> str:
+    """Return the name under which a browser saves the file, valid in every file system."""
+    begin = "" if selection.start is None else "_" + iso_time(selection.start.ns)[:19]
     return f"{catalog.keyspace.name}{begin}.{ending}".replace(":", "-")
 
 
@@ -93,26 +93,26 @@ def _digest(text: str) -> str:
     return hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:32]
 
 
-def _version(catalog: Catalog, wanted: Selected, latched: bool) -> str:
-    """Return what tells the content of a window; of the directory."""
-    topics, time_range, before = wanted.topics, wanted.time_range, []
-    if latched and wanted.start is not None:
+def _version(catalog: Catalog, selection: MessageSelection, latched: bool) -> str:
+    """Return a text that identifies the content of a selection, computed from the directory."""
+    topics, time_range, before = selection.topics, selection.time_range, []
+    if latched and selection.start is not None:
         before = latched_before(
             catalog,
             time_range.low,
             topics,
             to=time_range.high,
-            nodeID=wanted.node,
-            run=wanted.whose.writers,
-            where=wanted.where or None,
+            nodeID=selection.node,
+            run=selection.whose.writers,
+            where=selection.where or None,
         )
     tables = catalog.tables(topics)
-    return content_version(catalog.keyspace.directory, tables, time_range, wanted.whose, before)
+    return content_version(catalog.keyspace.directory, tables, time_range, selection.whose, before)
 
 
 def _write(
     store: RosCassandra,
-    wanted: Selected,
+    selection: MessageSelection,
     compression: str | None,
     latched: bool,
     path: Path,
@@ -122,18 +122,18 @@ def _write(
         export_bag(
             store,
             path,
-            topics=wanted.topics,
-            start=wanted.start,
-            end=wanted.end,
-            nodeID=wanted.node,
+            topics=selection.topics,
+            start=selection.start,
+            end=selection.end,
+            nodeID=selection.node,
             compression=compression,
             progress=progress,
-            where=wanted.where or None,
-            run=wanted.whose.writers,
+            where=selection.where or None,
+            run=selection.whose.writers,
             latched=latched,
         )
     except MessageNotFound as exc:
-        reason = why_empty(store.catalog, wanted.topics, wanted.node, wanted.whose.writers)
+        reason = why_empty(store.catalog, selection.topics, selection.node, selection.whose.writers)
         raise MessageNotFound(f"there is no such message: {reason}") from exc
 
 
@@ -146,7 +146,7 @@ def _parameters(ending: str) -> tuple[Parameter, ...]:
         Parameter(
             "latched",
             "flag",
-            "Begin with what was latched before the start: the last such message of each "
+            "Begin with the messages latched before the start: the last one of each "
             "publisher, at the time of the start.",
             default=True,
         ),
@@ -158,7 +158,7 @@ ROUTES: tuple[Route, ...] = tuple(
     Route(
         f"/window.{ending}",
         partial(_answer, ending=ending),
-        f"Messages as {what}, as cassandra_bag export writes it; also in parts (Range).",
+        f"Messages as {what}, as written by cassandra_bag export; Range gives parts of it.",
         _parameters(ending),
         _CONTENT_TYPES[ending],
     )

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Serve a viewer until somebody ends it."""
+"""The server of a viewer: it listens, answers, and ends with a signal."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from cassandra_ros.viewing.security import is_loopback
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 MAX_LINE_BYTES = 64 * 1024
-"""Of an address: who ticks hundreds of topics has them all in it; aiohttp's own bound is 8 KB."""
+"""Maximum length of an address, bytes. It may name hundreds of topics; aiohttp allows 8 KB."""
 LAST_ANSWERS_SEC = 0.5
-"""How long answers that are being sent may go on at the end."""
+"""Maximum time at the end for answers that are being sent, s."""
 
 
 def serve(settings: ViewerSettings, store: RosCassandra, ready: Callable[[str], None]) -> None:
     """Serve until Ctrl-C or SIGTERM; called from the main thread.
 
     Args:
-        settings: Where, for whom.
-        store: Connected; stays the caller's to close.
-        ready: Told the address to open, with the token, once it can be asked.
+        settings: Settings of the viewer.
+        store: The connected store; the caller closes it.
+        ready: Called with the address for a browser, with the token, once the viewer listens.
 
     Raises:
-        InvalidOption: Nobody can listen there; the text says why.
+        InvalidOption: The viewer cannot listen on this address; the text says why.
     """
     asyncio.run(_serve(settings, store, ready))
 
@@ -58,7 +58,7 @@ async def _serve(
         ready(address(settings, port))
         await ended.wait()
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.remove_signal_handler(number)  # a second Ctrl-C waits for nobody
+            loop.remove_signal_handler(number)  # a second Ctrl-C ends at once
 
 
 @contextlib.asynccontextmanager
@@ -68,7 +68,7 @@ async def listening(
     """Listen and answer while the context is open; yield the port.
 
     Raises:
-        InvalidOption: Nobody can listen there; the text says why.
+        InvalidOption: The viewer cannot listen on this address; the text says why.
     """
     clients = Clients(settings.limits)
     application = make_application(settings, store, routes)
@@ -78,7 +78,7 @@ async def listening(
         access_log=None,
         keepalive_timeout=settings.limits.idle_sec,
         max_line_size=MAX_LINE_BYTES,
-        handler_cancellation=True,  # who goes away ends what was read for him
+        handler_cancellation=True,  # a client that disconnects ends its handler
         shutdown_timeout=LAST_ANSWERS_SEC,
     )
     await runner.setup()
@@ -96,7 +96,7 @@ async def listening(
 
 
 def address(settings: ViewerSettings, port: int) -> str:
-    """Return what is typed into a browser, with the token where there is one."""
+    """Return the address to open in a browser, with the token if there is one."""
     host = settings.host
     if host in ("", "0.0.0.0", "::"):  # noqa: S104 -- not listened on here
         host = socket.gethostname()
@@ -115,4 +115,4 @@ def _why_not(settings: ViewerSettings, error: OSError) -> str:
     if error.errno == errno.EACCES:
         return f"{where}: you may not listen there; give --port of 1024 or more"
     hint = "" if is_loopback(settings.host) else ": --host is an address of this machine"
-    return f"nobody can listen on {where}{hint} ({error.strerror or error})"
+    return f"the viewer cannot listen on {where}{hint} ({error.strerror or error})"

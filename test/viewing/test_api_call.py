@@ -10,7 +10,7 @@ import pytest
 
 from cassandra_ros.cli.options import read_times
 from cassandra_ros.errors import InvalidKey, InvalidOption
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import KINDS, Parameter, Route
 from cassandra_ros.viewing.routes import ROUTES
 
@@ -19,17 +19,17 @@ NS = 1368021980238582676
 
 def call_of(kind, query, **options):
     route = Route("/x", lambda call: None, "X.", (Parameter("a", kind, "A.", **options),))
-    return Call(None, route, query, {})
+    return ApiCall(None, route, query, {})
 
 
 READERS = {
-    "text": Call.text,
-    "texts": Call.texts,
-    "lines": Call.lines,
-    "time": Call.time_ns,
-    "number": Call.number,
-    "count": Call.count,
-    "flag": Call.flag,
+    "text": ApiCall.text,
+    "texts": ApiCall.texts,
+    "lines": ApiCall.lines,
+    "time": ApiCall.time_ns,
+    "number": ApiCall.number,
+    "count": ApiCall.count,
+    "flag": ApiCall.flag,
 }
 
 

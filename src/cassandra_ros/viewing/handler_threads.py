@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Runs handlers on threads and sends what they return. Only here and in serving.py is async code.
+"""Runs handlers on threads and sends their answers.
 
-While a handler runs the connection is watched: where the browser goes away ``call.gone`` is set,
-and what a stream reads is closed.
+Only this module, viewer_server.py, clients.py and file_answer.py have async code. If the browser
+disconnects while a handler runs, ``call.gone`` is set and the iterator of a stream is closed.
 """
 
 from __future__ import annotations
@@ -21,46 +21,47 @@ from aiohttp.typedefs import Handler
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
 from cassandra_ros.viewing.answers import Bytes, SpooledFile, Stream, json_bytes
-from cassandra_ros.viewing.call import Call
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.file_answer import send_file
 from cassandra_ros.viewing.route import Route
-from cassandra_ros.viewing.shared import Shared
+from cassandra_ros.viewing.viewer_context import ViewerContext
 
 PATIENCE_SEC = 2.0
-"""How long handlers may go on at the end, before the store is closed under them."""
+"""Maximum time that running handlers get at the end before the store is closed, s."""
 _POLL_SEC = 0.01
+"""Interval at which the end checks for running handlers, s."""
 T = TypeVar("T")
 _log = logging.getLogger(__name__)
 
 
-class Handling:
-    """The threads of a viewer, and what runs on them.
+class HandlerThreads:
+    """The threads of a viewer and the calls that they answer.
 
     Args:
-        shared: The store, the settings and what handlers keep; closed with this.
+        shared: The store, the settings and the caches of the viewer; ``close`` closes it.
     """
 
-    def __init__(self, shared: Shared) -> None:
+    def __init__(self, shared: ViewerContext) -> None:
         self._shared = shared
         self._threads = ThreadPoolExecutor(shared.settings.threads, "viewer")
-        self._calls: set[Call] = set()
+        self._calls: set[ApiCall] = set()
         self._held_bytes = 0
-        """Bytes of the answers that are being sent."""
+        """Size of the answers that are being sent, bytes."""
 
     def handler(self, route: Route) -> Handler:
         """Return the coroutine that answers a route."""
 
         async def answer(request: web.Request) -> web.StreamResponse:
             headers = _headers(request)
-            call = Call(self._shared, route, _query(request), headers, request.method)
+            call = ApiCall(self._shared, route, _query(request), headers, request.method)
             self._calls.add(call)
             try:
-                found = await self._run(partial(_work, route, call))
-                if isinstance(found, _Chunks):
-                    return await self._send_stream(request, call, found)
-                if isinstance(found, SpooledFile):
-                    return await send_file(request, found)
-                return await self._send_bytes(request, found)
+                body = await self._run(partial(_work, route, call))
+                if isinstance(body, _Chunks):
+                    return await self._send_stream(request, call, body)
+                if isinstance(body, SpooledFile):
+                    return await send_file(request, body)
+                return await self._send_bytes(request, body)
             finally:
                 call.gone.set()
                 self._calls.discard(call)
@@ -68,23 +69,23 @@ class Handling:
         return answer
 
     def _run(self, work: Callable[[], T]) -> asyncio.Future[T]:
-        # Of a task that is cancelled the thread cannot be: it looks at call.gone.
+        # Cancelling the task does not end the thread: it checks call.gone.
         return asyncio.wrap_future(self._threads.submit(work))
 
-    async def _send_bytes(self, request: web.Request, found: Bytes) -> web.StreamResponse:
-        """Send an answer piece by piece: a connection does not copy a large one as a whole."""
+    async def _send_bytes(self, request: web.Request, body: Bytes) -> web.StreamResponse:
+        """Send an answer piece by piece, so that the connection does not copy a large one."""
         piece = self._shared.settings.limits.piece_bytes
-        if len(found.data) <= piece:
+        if len(body.data) <= piece:
             return web.Response(
-                body=found.data, content_type=found.content_type, headers=found.headers
+                body=body.data, content_type=body.content_type, headers=body.headers
             )
-        with self._held(len(found.data)):
-            response = web.StreamResponse(headers=found.headers)
-            response.content_type = found.content_type
-            response.content_length = len(found.data)
+        with self._held(len(body.data)):
+            response = web.StreamResponse(headers=body.headers)
+            response.content_type = body.content_type
+            response.content_length = len(body.data)
             await response.prepare(request)
             if request.method != "HEAD":
-                view = memoryview(found.data)
+                view = memoryview(body.data)
                 for start in range(0, len(view), piece):
                     await response.write(view[start : start + piece])
             await response.write_eof()
@@ -92,10 +93,10 @@ class Handling:
 
     @contextlib.contextmanager
     def _held(self, size: int) -> Iterator[None]:
-        """Count some bytes that are held until a client has taken them.
+        """Count bytes of an answer until the client has read them.
 
         Raises:
-            StoreUnavailable: All clients together would hold too many.
+            StoreUnavailable: The answers of all clients together would be too large.
         """
         most = self._shared.settings.limits.answers_bytes
         if self._held_bytes + size > most:
@@ -110,9 +111,9 @@ class Handling:
             self._held_bytes -= size
 
     async def _send_stream(
-        self, request: web.Request, call: Call, chunks: _Chunks
+        self, request: web.Request, call: ApiCall, chunks: _Chunks
     ) -> web.StreamResponse:
-        """Send chunk by chunk; the next is asked for when the browser has taken the one before."""
+        """Send a stream; a chunk is made when the browser has read the one before."""
         response = web.StreamResponse(headers=chunks.stream.headers)
         response.content_type = chunks.stream.content_type
         try:
@@ -123,7 +124,7 @@ class Handling:
                     with self._held(len(chunk)):
                         await response.write(chunk)
                 chunk = await self._run(chunks.next)
-            if call.gone.is_set():  # it may have ended for that: nobody may take it for the whole
+            if call.gone.is_set():  # the stream may have ended early: it must not look complete
                 raise StoreUnavailable("the viewer ends")
             await response.write_eof()
         except CassandraRosError as exc:
@@ -137,51 +138,51 @@ class Handling:
         return response
 
     async def stop(self, application: web.Application) -> None:
-        """Tell all handlers that nobody waits any more."""
+        """Tell all handlers that their clients do not wait any more."""
         for call in self._calls:
             call.gone.set()
 
     async def close(self, application: web.Application) -> None:
-        """Wait for the threads, and close what was kept; behind the last answer."""
+        """Wait for the threads and close the caches; called after the last answer."""
         loop = asyncio.get_running_loop()
         patience = loop.time() + PATIENCE_SEC
         while self._calls and loop.time() < patience:
-            await asyncio.sleep(_POLL_SEC)  # tasks that were cancelled give back what they hold
+            await asyncio.sleep(_POLL_SEC)  # cancelled tasks release their files
         ended = loop.run_in_executor(None, self._threads.shutdown)
         done, _ = await asyncio.wait([ended], timeout=PATIENCE_SEC)
         if not done:
-            self._shared.store.close()  # what still reads there gets an error
+            self._shared.store.close()  # handlers that still read get an error
             await ended
         self._shared.close()
 
 
 class _Chunks:
-    """The chunks of a stream, asked for by one thread at a time, and closed by whoever is last.
+    """The chunks of a stream; one thread at a time makes or closes them.
 
     Args:
-        stream: What a handler returned.
+        stream: The answer of a handler.
     """
 
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
         self._chunks: Iterator[bytes] = stream.chunks
-        self._lock = threading.Lock()  # a generator that runs cannot be closed
+        self._lock = threading.Lock()  # a running generator cannot be closed
 
     def next(self) -> bytes | None:
-        """Return the next chunk; None: that was all."""
+        """Return the next chunk; None = the end."""
         with self._lock:
             return next(self._chunks, None)
 
     def close(self) -> None:
-        """Wait for the chunk that is being made, and let the rest be. Twice is harmless."""
+        """Wait for the chunk that is being made and drop the rest; a second call does nothing."""
         with self._lock:
             close = getattr(self._chunks, "close", None)
             if close is not None:
                 close()
 
 
-def _work(route: Route, call: Call) -> Union[Bytes, SpooledFile, _Chunks]:
-    """Answer a call, on a thread: what is JSON is written here, too."""
+def _work(route: Route, call: ApiCall) -> Union[Bytes, SpooledFile, _Chunks]:
+    """Answer a call; JSON is written here, on the handler's thread."""
     answer = route.answer(call)
     if isinstance(answer, (Bytes, SpooledFile)):
         return answer

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""One question of a browser: its parameters, read by the kinds that the route states."""
+"""One request of a client, whose parameters are read by the kinds that the route declares."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.messages.stamps import written_time_ns
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route, Value
-from cassandra_ros.viewing.shared import Shared
+from cassandra_ros.viewing.viewer_context import ViewerContext
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
 _FLAGS = {"": True, "1": True, "true": True, "0": False, "false": False}
 
 
-class Call:
-    """What a handler is given.
+class ApiCall:
+    """One request, as it is given to a handler.
 
     Args:
-        shared: What all calls of this viewer have in common.
-        route: The route that is asked.
-        query: The texts of each parameter that is given, in their order.
-        headers: Those of the request, their names in small letters.
+        shared: The store, settings and caches of the viewer.
+        route: The requested route.
+        query: Values by parameter name, in the order of the request.
+        headers: Headers of the request by name in lower case.
 
     Attributes:
         method: GET or HEAD.
         headers: As given.
-        gone: Is set once nobody waits for the answer any more: what takes long looks at it.
+        gone: Set when the client does not wait for the answer any more; long work checks it.
     """
 
     def __init__(
         self,
-        shared: Shared,
+        shared: ViewerContext,
         route: Route,
         query: Mapping[str, Sequence[str]],
         headers: Mapping[str, str],
@@ -53,7 +53,7 @@ class Call:
         self._check_names(route.path)
 
     def _check_names(self, path: str) -> None:
-        """Refuse what no parameter is called: a misspelt one must not be ignored."""
+        """Refuse unknown parameters: a misspelt one must not be ignored."""
         for name in self._query:
             if name not in self._known and name != "token":
                 known = ", ".join(self._known) or "none"
@@ -63,98 +63,102 @@ class Call:
                 raise InvalidOption(f"{path} needs the parameter {name}: {parameter.summary}")
 
     @cached_property
-    def _shared(self) -> Shared:
-        """What calls on the same keyspace have in common; found on the handler's thread."""
+    def _shared(self) -> ViewerContext:
+        """Store and caches of the requested keyspace; opened on the handler's thread."""
         return self._viewer.of(self.text(KEYSPACE.name) or "")
 
     @property
     def store(self) -> RosCassandra:
-        """The store, on the keyspace that is asked for; shared, and only read."""
+        """The store, open on the requested keyspace; shared by all calls, which only read."""
         return self._shared.store
 
     @property
     def catalog(self) -> Catalog:
-        """The topics of the keyspace that is asked for."""
+        """Topics of the requested keyspace."""
         return self._shared.store.catalog
 
     @property
     def settings(self) -> ViewerSettings:
-        """What the viewer was started with."""
+        """Settings of the viewer."""
         return self._viewer.settings
 
-    def shared(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
-        """Return what ``make`` made for this keyspace at its first call, as a cache."""
+    def cached(self, make: Callable[[Catalog, ViewerSettings], T]) -> T:
+        """Return the object that ``make`` returned for this keyspace at the first call."""
         return self._shared.get(make, partial(make, self.catalog, self.settings))
 
-    def shared_by_all(self, make: Callable[[ViewerSettings], T]) -> T:
-        """Return what ``make`` made for this viewer, whatever the keyspace, as a spool."""
+    def cached_by_viewer(self, make: Callable[[ViewerSettings], T]) -> T:
+        """Return the object that ``make`` returned for this viewer at the first call."""
         return self._viewer.get(make, partial(make, self.settings))
 
     def text(self, name: str) -> str | None:
-        """Return a parameter of kind text; missing: its default."""
+        """Return a parameter of kind text; its default if it is missing."""
         return self._read(name, "text", str)
 
     def texts(self, name: str) -> tuple[str, ...] | None:
-        """Return a parameter of kind texts, without empty ones; missing: its default."""
+        """Return a parameter of kind texts, without empty ones; its default if it is missing."""
         parameter = self._parameter(name, "texts")
         given = self._query.get(name)
         if given is None:
             return _default(parameter, tuple)
-        parts = (part.strip() for text in given for part in text.split(","))
-        return tuple(part for part in parts if part)
+        values = (value.strip() for text in given for value in text.split(","))
+        return tuple(value for value in values if value)
 
     def lines(self, name: str) -> tuple[str, ...]:
-        """Return a parameter of kind lines, without empty ones; missing: none."""
+        """Return a parameter of kind lines, without empty ones; () if it is missing."""
         self._parameter(name, "lines")
         return tuple(filter(None, self._query.get(name, ())))
 
     def time_ns(self, name: str) -> int | None:
-        """Return a parameter of kind time, ns since 1970; missing: its default.
+        """Return a parameter of kind time, ns since 1970; its default if it is missing.
 
         Raises:
-            InvalidOption: It is no time.
+            InvalidOption: The value is no time.
         """
         return self._read(name, "time", written_time_ns)
 
     def number(self, name: str) -> float | None:
-        """Return a parameter of kind number; missing: its default.
+        """Return a parameter of kind number; its default if it is missing.
 
         Raises:
-            InvalidOption: It is no number, or not a finite one.
+            InvalidOption: The value is no finite number.
         """
         return self._read(name, "number", _read_number)
 
     def count(self, name: str) -> int | None:
-        """Return a parameter of kind count; missing: its default.
+        """Return a parameter of kind count; its default if it is missing.
 
         Raises:
-            InvalidOption: It is no whole number from 0, or has more than 18 digits.
+            InvalidOption: The value is no whole number from 0, or has more than 18 digits.
         """
         return self._read(name, "count", _read_count)
 
     def flag(self, name: str) -> bool:
-        """Return a parameter of kind flag; missing: its default, or False.
+        """Return a parameter of kind flag; its default, or False, if it is missing.
 
         Raises:
-            InvalidOption: It is neither true nor false.
+            InvalidOption: The value is neither true nor false.
         """
         return bool(self._read(name, "flag", _read_flag))
 
     def _parameter(self, name: str, kind: str) -> Parameter:
         parameter = self._known[name]
-        if parameter.kind != kind:  # a mistake of ours, which the first test finds
+        if parameter.kind != kind:  # an error in a handler, found by its first test
             raise TypeError(f"parameter {name} is of kind {parameter.kind}, not {kind}")
         return parameter
 
     def _read(self, name: str, kind: str, read: Callable[[str], T]) -> T | None:
-        """Return the value of a parameter that stands there once; read: raises ValueError."""
+        """Return the value of a parameter that may be given once.
+
+        Args:
+            read: Converts the text; raises ValueError.
+        """
         parameter = self._parameter(name, kind)
         given = self._query.get(name)
-        # A form that was left empty sends an empty text.
+        # An empty field of a form sends an empty text.
         if given is None or (kind != "flag" and given == [""]):
             return _default(parameter, read)
         if len(given) > 1:
-            raise InvalidOption(f"{name} stands there {len(given)} times: give it once")
+            raise InvalidOption(f"{name} is given {len(given)} times: give it once")
         try:
             return read(given[0])
         except InvalidKey as exc:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Which messages a file is made of: topics, a window of time, robots, runs and conditions."""
+"""The selection of the messages of a file: topics, time range, robots, runs and conditions."""
 
 from __future__ import annotations
 
@@ -13,70 +13,72 @@ from cassandra_ros.read import Nodes, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.key_selection import range_between
 from cassandra_ros.topics.row_finder import Where
-from cassandra_ros.viewing.call import Call
-from cassandra_ros.viewing.choice import END, NODES, RUNS, START, TOPICS, whose_chosen
+from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter
+from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, TOPICS, whose_of
 
 _WHERE = Parameter(
     "where",
     "lines",
-    "'TOPIC: CONDITION': of this topic only messages that satisfy a condition as in CQL; the other "
-    "topics stay whole.",
+    "'TOPIC: CONDITION': only messages of the topic that satisfy the condition, written as in CQL; "
+    "other topics are complete.",
 )
 SELECTION = (TOPICS, START, END, NODES, RUNS, _WHERE)
-"""The parameters that selected reads."""
+"""Parameters that ``read_selection`` reads."""
 
 
 @dataclass(frozen=True)
-class Selected:
-    """Messages that are asked for."""
+class MessageSelection:
+    """A selection of messages."""
 
     topics: tuple[str, ...] | None
-    """Names as they are stored, sorted; None = all."""
+    """Stored names of the topics, sorted; None = all."""
     start: Stamp | None
+    """First time of reception, included; None = not limited."""
     end: Stamp | None
-    """Ends, by the time of reception, included; None = open."""
+    """Last time of reception, included; None = not limited."""
     whose: Whose
     where: Mapping[str, Where]
-    """Topic -> condition, which also says of which robots where there are several: see node."""
+    """Condition by topic. If several robots are selected, it restricts the messages to them."""
 
     @property
     def node(self) -> str | None:
-        """The one robot that is asked for; None: all, or several, which ``where`` tells."""
+        """NodeID of the selected robot; None = all, or several, which ``where`` selects."""
         nodes = self.whose.nodes
         return nodes[0] if nodes is not None and len(nodes) == 1 else None
 
     @property
     def time_range(self) -> TimeRange:
-        """Both ends, ns."""
+        """Selected time range, ns."""
         return range_between(self.start, self.end)
 
 
-def selected(call: Call) -> Selected:
+def read_selection(call: ApiCall) -> MessageSelection:
     """Read the parameters SELECTION of a call.
 
     Raises:
         TopicNotFound, RunNotFound: A topic or run is not stored.
-        InvalidOption: The start lies behind the end, or a condition has no topic, or two.
+        InvalidOption: The start lies after the end, a condition has no topic, or a topic has two
+            conditions.
     """
     start, end = (_stamp(call.time_ns(name)) for name in ("start", "end"))
     if start is not None and end is not None and start > end:
-        raise InvalidOption(f"start {start} lies behind end {end}")
-    catalog, names, whose = call.catalog, call.texts("topics"), whose_chosen(call)
+        raise InvalidOption(f"start {start} lies after end {end}")
+    catalog, names, whose = call.catalog, call.texts("topics"), whose_of(call)
     topics = tuple(sorted({catalog.get(name).name for name in names})) if names else None
     where = _of_nodes(catalog, topics, _conditions(catalog, call.lines("where")), whose.nodes)
-    return Selected(topics, start, end, whose, where)
+    return MessageSelection(topics, start, end, whose, where)
 
 
 def _stamp(ns: int | None) -> Stamp | None:
-    # Not an integer: a small one would be taken for seconds that were meant.
+    # A stamp instead of an integer, which would mean seconds if it is small.
     return None if ns is None else Stamp.from_ns(ns)
 
 
 def _conditions(catalog: Catalog, lines: tuple[str, ...]) -> dict[str, Where]:
     found: dict[str, Where] = {}
     for line in lines:
-        topic, _, condition = (part.strip() for part in line.partition(":"))
+        topic, _, condition = (text.strip() for text in line.partition(":"))
         if not (topic and condition):
             raise InvalidOption(f"where {line[:200]!r} is not of the form 'TOPIC: CONDITION'")
         name = catalog.get(topic).name
@@ -92,7 +94,7 @@ def _of_nodes(
     where: dict[str, Where],
     nodes: Nodes,
 ) -> dict[str, Where]:
-    """Add to the conditions that messages are of one of several robots: reads take one, or all."""
+    """Add the selected robots to the conditions if there are several: reads take one, or all."""
     if nodes is None or len(nodes) == 1:
         return where
     names = [topic.name for topic in catalog.all(None)] if topics is None else topics

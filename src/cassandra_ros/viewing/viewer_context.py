@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What calls of a viewer have in common: the store, the settings, and what is kept for more."""
+"""The context of a viewer's calls: the store, the settings and the caches."""
 
 from __future__ import annotations
 
@@ -12,50 +12,50 @@ from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
 _KEPT_KEYSPACES = 8
-"""Maximum number of keyspaces beside the viewer's own whose caches are kept."""
+"""Maximum number of keyspaces, in addition to the viewer's own, whose caches are kept."""
 
 
-class Shared:
-    """The store and the settings of one viewer, and the caches made for it. Safe between threads.
+class ViewerContext:
+    """The store, the settings and the caches of one viewer. Thread-safe.
 
-    Each further keyspace that is asked for has one of these, which the one of the viewer keeps.
+    Each further keyspace that is requested has its own context, which that of the viewer holds.
 
     Args:
-        store: Stays the caller's to close.
-        settings: What the viewer was started with.
+        store: The connected store; the caller closes it.
+        settings: Settings of the viewer.
     """
 
     def __init__(self, store: RosCassandra, settings: ViewerSettings) -> None:
         self.store = store
         self.settings = settings
-        self._others: dict[str, Shared] = {}
-        """By keyspace; the one that was asked for last comes last."""
+        self._others: dict[str, ViewerContext] = {}
+        """Contexts by keyspace, in the order of their last request."""
         self._made: dict[object, object] = {}
-        self._lock = threading.RLock()  # what is made may itself want another one
+        self._lock = threading.RLock()  # reentrant: making an object may need another one
 
-    def of(self, keyspace: str) -> Shared:
-        """Return what calls on a keyspace have in common; '' = that of the viewer.
+    def of(self, keyspace: str) -> ViewerContext:
+        """Return the context of a keyspace; '' = that of the viewer.
 
         Raises:
-            InvalidName: A keyspace cannot have this name.
+            InvalidName: The name is not valid for a keyspace.
             KeyspaceNotFound: The store has no keyspace of this name.
         """
         if not keyspace or keyspace == self.store.keyspace:
             return self
         with self._lock:
-            found = self._others.pop(keyspace, None)
-        if found is None:
-            found = Shared(self.store.inKeyspace(keyspace), self.settings)
+            context = self._others.pop(keyspace, None)
+        if context is None:
+            context = ViewerContext(self.store.inKeyspace(keyspace), self.settings)
         with self._lock:
-            self._others[keyspace] = found
+            self._others[keyspace] = context
             while len(self._others) > _KEPT_KEYSPACES:
                 self._others.pop(next(iter(self._others)))
-        return found
+        return context
 
     def get(self, key: Callable[..., T], make: Callable[[], T]) -> T:
-        """Return what ``make`` made at the first call for this key.
+        """Return the object that ``make`` returned at the first call for this key.
 
-        If that has a method ``close``, the end of the viewer calls it.
+        If the object has a method ``close``, it is called at the end of the viewer.
         """
         with self._lock:
             if key not in self._made:
@@ -63,7 +63,7 @@ class Shared:
             return cast(T, self._made[key])
 
     def close(self) -> None:
-        """Close all that was made, the last one first. Twice is harmless."""
+        """Close all objects made, the last one first; a second call does nothing."""
         with self._lock:
             made, self._made = list(self._made.values()), {}
         for each in reversed(made):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Handlers on threads: what is sent, what fails, and what ends when nobody waits any more."""
+"""Handlers on threads: what is sent, what fails, and what ends when the client does not wait."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_a_stream_that_fails_tells_it_before_its_first_chunk_and_is_cut_behind()
         assert viewer.ask("/early").status == 503  # the viewer goes on
 
 
-def test_nobody_takes_for_the_whole_what_the_end_cut_off():
+def test_a_stream_that_the_end_cut_off_does_not_look_complete():
     def chunks(call):
         yield b"x"
         call.gone.wait(180)
@@ -182,7 +182,7 @@ def test_a_stream_is_made_as_it_is_taken_and_closed_when_the_browser_goes():
         assert endless.closed.wait(180)
 
 
-def test_a_handler_learns_that_nobody_waits():
+def test_a_handler_learns_that_its_client_does_not_wait():
     begun, ended = threading.Event(), threading.Event()
 
     def waits(call):
@@ -243,7 +243,7 @@ def test_the_end_closes_streams_handlers_and_what_was_kept():
     def waits(call):
         begun.set()
         call.gone.wait(180)
-        return call.shared_by_all(Kept).number
+        return call.cached_by_viewer(Kept).number
 
     routes = [route("/endless", endless.answer), route("/api/wait", waits)]
     with running_viewer(None, routes) as viewer:
