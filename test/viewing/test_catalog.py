@@ -16,7 +16,7 @@ from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.store import row_counts as counting
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.registry import Loss, LossKind, Run
-from cassandra_ros.viewing import shared
+from cassandra_ros.viewing import viewer_context
 
 NS = 1368021980238582676
 SECOND = 10**9
@@ -89,7 +89,7 @@ def test_another_keyspace_is_read_by_its_name(viewer, stored, fresh):
 
 
 def test_only_some_keyspaces_keep_what_they_have_read(stored, monkeypatch, fresh):
-    monkeypatch.setattr(shared, "_KEPT_KEYSPACES", 1)
+    monkeypatch.setattr(viewer_context, "_KEPT_KEYSPACES", 1)
     with fresh() as one, fresh() as other, running_viewer(stored) as viewer:
         for name in (one.keyspace, other.keyspace, one.keyspace, other.keyspace):
             assert viewer.get("/api/keyspace", keyspace=name)["keyspace"] == name

@@ -12,7 +12,7 @@ import tracemalloc
 
 import pytest
 from viewers import running_viewer
-from viewing.test_handling import MIB, Endless, await_true, route
+from viewing.test_handler_threads import MIB, Endless, await_true, route
 
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.viewer_settings import Limits

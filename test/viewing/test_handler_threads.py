@@ -15,7 +15,7 @@ from viewers import running_viewer
 
 from cassandra_ros import errors
 from cassandra_ros.errors import CassandraRosError, InvalidQuery, StoreUnavailable, TopicNotFound
-from cassandra_ros.viewing import handling
+from cassandra_ros.viewing import handler_threads
 from cassandra_ros.viewing.answers import Bytes, Stream
 from cassandra_ros.viewing.application import status_of
 from cassandra_ros.viewing.route import Parameter, Route
@@ -260,7 +260,7 @@ def test_the_end_closes_streams_handlers_and_what_was_kept():
 
 
 def test_the_end_waits_for_no_handler_that_does_not_listen(connect, keyspace, monkeypatch):
-    monkeypatch.setattr(handling, "PATIENCE_SEC", 0.05)
+    monkeypatch.setattr(handler_threads, "PATIENCE_SEC", 0.05)
     raised, begun = [], threading.Event()
 
     def deaf(call):

@@ -1,20 +1,20 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** Asks the viewer's server. What fails is an ApiError, whose message is meant to be shown. */
+/** Requests to the viewer's server. They throw ApiError, whose message can be shown to the user. */
 
 import { written } from "./times.js";
 
 /** @typedef {string | number | bigint | boolean | null | undefined} Value */
 /** @typedef {Record<string, Value | readonly Value[]>} Parameters */
 
-/** What the server answered instead, or that it did not. */
+/** An error that the server answered, or a missing answer. */
 export class ApiError extends Error {
   /**
    * @param {string} kind Name of the server's error, as `TopicNotFound`.
-   * @param {string} text What happened, to what, and what to do.
-   * @param {number} status Of HTTP; 0 where no answer came.
-   * @param {number} [position] Of a statement: where in it, in characters.
+   * @param {string} text Cause, place and remedy.
+   * @param {number} status HTTP status; 0 = no answer.
+   * @param {number} [position] Position of the error in a statement, characters.
    */
   constructor(kind, text, status, position) {
     super(text);
@@ -25,7 +25,7 @@ export class ApiError extends Error {
 }
 
 /**
- * Make the address of a path and its parameters; those that are absent, empty or false are left out.
+ * Return the address of a path with parameters; missing, empty and false ones are left out.
  * A list becomes one parameter, with commas; a bigint is a time, ns since 1970.
  * @param {string} path
  * @param {Parameters} [parameters]
@@ -42,16 +42,16 @@ export function url(path, parameters = {}) {
   return parts.length ? `${path}?${parts.join("&")}` : path;
 }
 
-/** The keyspace that the page's address names; "" = that of the viewer. */
+/** Keyspace in the page's address; "" = that of the viewer. */
 export function keyspace() {
   return new URLSearchParams(location.search).get("keyspace") ?? "";
 }
 
 /**
- * Ask, and return the response once its head is there; its body may be read as it comes.
+ * Send a request and return the response once its head has come; its body can be read as a stream.
  * @param {string} path
  * @param {Parameters} [parameters]
- * @param {RequestInit} [options] As of fetch; `signal` ends the request.
+ * @param {RequestInit} [options] Options of fetch; `signal` ends the request.
  * @returns {Promise<Response>}
  * @throws {ApiError}
  */
@@ -74,7 +74,7 @@ export async function ask(path, parameters = {}, options = {}) {
 }
 
 /**
- * Ask for JSON.
+ * Request JSON.
  * @param {string} path
  * @param {Parameters} [parameters]
  * @param {RequestInit} [options]
@@ -86,14 +86,14 @@ export async function get(path, parameters = {}, options = {}) {
 }
 
 /**
- * Say whether a request ended because it was told to.
+ * Return whether a request ended because it was aborted.
  * @param {unknown} error
  */
 export function isAbort(error) {
   return error instanceof DOMException && error.name === "AbortError";
 }
 
-/** @param {string} text Escaped as little as an address allows, for people send and read them. */
+/** @param {string} text Escaped as little as possible: people read and send addresses. */
 function readable(text) {
   return encodeURIComponent(text)
     .replaceAll("%2F", "/")

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** Ask: a statement, its plot, its rows and its plan. The address holds the statement and the window. */
+/** Page Ask: a statement, its plot, its rows and its plan. The address has the statement and the time range. */
 
 import { get, isAbort } from "./api.js";
 import { Box } from "./ask_box.js";
@@ -29,7 +29,7 @@ let asked = "";
 let working = 0;
 let moved = -Infinity;
 
-/** Ask what stands in the box: of all of the time, if it is another statement than before. */
+/** Run the statement in the box; a new statement over all time. */
 function ask() {
   const statement = box.text.trim();
   const window = statement === state.read().q.trim() ? {} : { start: null, end: null };
@@ -38,8 +38,8 @@ function ask() {
 }
 
 /**
- * Show what the address says.
- * @param {boolean} [again] Also where nothing in it has changed.
+ * Show the statement and the time range of the address.
+ * @param {boolean} [again] Also if the address has not changed.
  */
 function show(again = false) {
   const now = state.read();
@@ -62,9 +62,9 @@ function show(again = false) {
 }
 
 /**
- * Wait for work, and say that it goes on; the first thing that fails is shown.
+ * Wait for requests and show that they are running; show the first error.
  * @param {AbortSignal} signal
- * @param {boolean} other It is done for another statement than before.
+ * @param {boolean} other Whether the statement differs from the one before.
  * @param {...Promise<void>} all
  */
 function work(signal, other, ...all) {
@@ -91,7 +91,7 @@ function rest(how) {
 /**
  * @param {unknown} problem
  * @param {AbortSignal} [signal]
- * @param {boolean} [other] What is shown is of another statement.
+ * @param {boolean} [other] Whether the shown results are of another statement.
  */
 function fail(problem, signal, other = false) {
   if (isAbort(problem) || signal?.aborted) return;
@@ -102,7 +102,7 @@ function fail(problem, signal, other = false) {
   }
   const text = problem instanceof Error ? problem.message : String(problem);
   if (!error.hidden && error.textContent === text) return;
-  // The reason may be long; the statement and the caret below it stay as they are.
+  // The reason may be long: its lines are wrapped, those of the statement and the caret are not.
   const spot = text.split("\n").slice(-2).join("\n");
   const isShown = text.endsWith("^");
   error.replaceChildren(
@@ -114,7 +114,7 @@ function fail(problem, signal, other = false) {
   if (typeof place === "number") box.point(place);
 }
 
-/** Show what there is to ask of. */
+/** List the topics. */
 async function showNothing() {
   asked = "";
   plot.clear();
@@ -138,11 +138,11 @@ function choose(statement) {
 }
 
 /**
- * Look at another window, null = all.
+ * Show another time range; null = all time.
  * @param {{start: bigint | null, end: bigint | null}} window
  */
 function moveTo(window) {
-  // The back button goes over a whole turn of the wheel at once.
+  // One step of the back button undoes several turns of the wheel.
   state.write(window, { push: performance.now() - moved > TURN_MS });
   moved = performance.now();
   show();

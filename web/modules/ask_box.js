@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** The box of the statement, completed by the server, which knows the grammar and the names. */
+/** The box of the statement. The server completes it: it has the grammar and the names. */
 
 import { get } from "./api.js";
 import { make, showError } from "./page.js";
@@ -11,7 +11,7 @@ const PAUSE_MS = 120;
 /** @typedef {{text: string, kind: string, note: string}} Offer */
 
 export class Box {
-  /** @param {() => void} run Is called on Ctrl+Enter. */
+  /** @param {() => void} run Called on Ctrl+Enter. */
   constructor(run) {
     this._area = /** @type {HTMLTextAreaElement} */ (document.getElementById("ask-q"));
     this._list = /** @type {HTMLElement} */ (document.getElementById("ask-offers"));
@@ -25,7 +25,7 @@ export class Box {
     this._area.addEventListener("input", () => this._typed());
     this._area.addEventListener("keydown", (event) => this._key(event));
     this._area.addEventListener("blur", () => this._close());
-    // A press on an offer must not take the focus away before it counts.
+    // Pressing the mouse on an offer must not move the focus before the click.
     this._list.addEventListener("pointerdown", (event) => event.preventDefault());
   }
 
@@ -43,8 +43,8 @@ export class Box {
   }
 
   /**
-   * Put the cursor where something is wrong.
-   * @param {number} place Counted in characters, as the server does.
+   * Put the cursor at the position of an error.
+   * @param {number} place Position in characters, as the server counts them.
    */
   point(place) {
     const at = [...this._area.value].slice(0, place).join("").length;
@@ -57,7 +57,7 @@ export class Box {
     this._timer = setTimeout(() => this._complete(false), PAUSE_MS);
   }
 
-  /** @param {boolean} asked By the person: else only where a word has begun. */
+  /** @param {boolean} asked Whether the user requested it; otherwise only inside a word. */
   async _complete(asked) {
     const before = this._area.value.slice(0, this._area.selectionStart);
     if (!asked && !/[\w/.]$/.test(before)) return this._close();

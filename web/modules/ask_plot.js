@@ -2,9 +2,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * The plot of a statement: of each pixel the least and the greatest number, as the server knows them.
- * A panel for each unit, all over the same time, or over one of the columns (`over` of the address).
- * Whoever looks closer asks the server again.
+ * The plot of a statement: for each pixel the minimum and the maximum, computed by the server.
+ * One panel for each unit, all over the same time range, or over one column (`over` in the address).
+ * Zooming in requests the plot of the smaller time range.
  */
 
 import { get } from "./api.js";
@@ -19,7 +19,7 @@ const SCRIPT = "/dygraphs/dygraph.min.js";
 const STYLE = "/dygraphs/dygraph.min.css";
 const COLOURS = ["#2f7fe6", "#e0702f", "#1d9a80", "#b558c4", "#b8920a", "#d8453f", "#6b8bb0", "#6a9a2f"];
 const MOST_PIXELS = 4000;
-/** So often it is asked again where the answer before brought nothing new. */
+/** Maximum number of repeated requests after answers without new data. */
 const MOST_IDLE = 3;
 const FEW_POINTS = 60;
 const LEAST_NS = 1000n;
@@ -28,16 +28,16 @@ const SECOND = 1_000_000_000n;
 /** @typedef {{start: bigint | null, end: bigint | null}} Window */
 
 export class Plot {
-  /** @param {(window: Window) => void} move Looks at another window. */
+  /** @param {(window: Window) => void} move Shows another time range. */
   constructor(move) {
     this._place = /** @type {HTMLElement} */ (document.getElementById("ask-plot"));
     this._panels = /** @type {HTMLElement} */ (document.getElementById("plot-panels"));
     this._told = /** @type {HTMLElement} */ (document.getElementById("plot-told"));
     this._moment = /** @type {HTMLElement} */ (document.getElementById("plot-moment"));
     this._move = move;
-    /** @type {any[]} One of dygraphs for each panel. */
+    /** @type {any[]} The Dygraph of each panel. */
     this._graphs = [];
-    /** @type {HTMLElement[]} What stands above each panel: its lines. */
+    /** @type {HTMLElement[]} The legend above each panel. */
     this._legends = [];
     /** @type {any} */
     this._found = null;
@@ -45,9 +45,9 @@ export class Plot {
     this._times = [];
     this._base = 0n;
     this._window = "";
-    /** @type {{start: bigint, end: bigint}} What is in sight. */
+    /** @type {{start: bigint, end: bigint}} Visible time range. */
     this._sight = { start: 0n, end: 1n };
-    /** @type {Set<number>} Places of columns that are hidden. */
+    /** @type {Set<number>} Indexes of hidden columns. */
     this._hidden = new Set();
     this._wheel = 0;
     this._over = /** @type {HTMLSelectElement} */ (document.getElementById("plot-over"));
@@ -73,18 +73,18 @@ export class Plot {
   }
 
   /**
-   * Load the plot of a window, and draw it, ever more complete.
+   * Load the plot of a time range and draw it, more complete with each answer.
    * @param {Record<string, any>} parameters
    * @param {Window} window
    * @param {AbortSignal} signal
-   * @param {boolean} other It is another statement than before.
+   * @param {boolean} other Whether the statement differs from the one before.
    */
   async load(parameters, window, signal, other) {
     this._window = String([window.start, window.end]);
     if (other) this._hidden.clear();
     const ready = dygraphs();
     const pixels = Math.min(MOST_PIXELS, Math.round(this._width() * devicePixelRatio));
-    // Of more buckets than the viewer remembers it reads some again and again: that ends here.
+    // With more buckets than the viewer caches, answers may never become complete: stop here.
     let [share, edges, idle] = [-1, Infinity, 0];
     for (let first = true; idle < MOST_IDLE; first = false) {
       const found = await get("/api/plot", { ...parameters, ...window, pixels }, { signal });
@@ -106,7 +106,7 @@ export class Plot {
    * @param {any} found
    * @param {Window} window
    * @param {boolean} anew
-   * @param {boolean} present Whether there is what draws.
+   * @param {boolean} present Whether dygraphs is installed.
    */
   _show(found, window, anew, present) {
     if (found.columns.length === 0) return this.clear();
@@ -137,21 +137,21 @@ export class Plot {
     this._told.title = reasons.join("\n");
   }
 
-  /** The places of the columns in each panel: those of a unit. @returns {number[][]} */
+  /** Indexes of the columns in each panel, one panel for each unit. @returns {number[][]} */
   _groups() {
     const units = [...new Set(this._found.columns.map((/** @type {any} */ column) => column.unit))];
     const places = [...this._found.columns.keys()].filter((place) => place !== this._xPlace());
     return units.map((unit) => places.filter((place) => this._found.columns[place].unit === unit)).filter((places) => places.length);
   }
 
-  /** The place of the column over which the others are drawn; -1: they are drawn over time. */
+  /** Index of the column over which the others are drawn; -1 = over time. */
   _xPlace() {
     const over = state.read().others.over ?? "";
     const place = this._found?.columns.findIndex((/** @type {any} */ column) => column.name === over) ?? -1;
     return this._found?.columns.length > 1 ? place : -1;
   }
 
-  /** Offer the columns over which the others can be drawn. */
+  /** Fill the menu of columns over which the others can be drawn. */
   _offerColumns() {
     const names = this._found.columns.map((/** @type {any} */ column) => column.name);
     const options = names.map((/** @type {string} */ name) => make("option", { value: name }, name));
@@ -196,7 +196,7 @@ export class Plot {
     for (const graph of this._graphs) graph.destroy();
     this._legends = groups.map(() => make("ul", { class: "legend" }));
     const places = groups.map(() => make("div", { class: "graph" }));
-    // All of them first: how high one is depends on how many there are.
+    // All panels first: their height depends on their number.
     this._panels.replaceChildren(...places.flatMap((place, n) => [this._legends[n], place]));
     this._graphs = groups.map((group, n) => {
       const options = this._options(group);
@@ -204,13 +204,13 @@ export class Plot {
     });
   }
 
-  /** @param {number[]} places Of the columns in a panel. */
+  /** @param {number[]} places Indexes of the columns in a panel. */
   _options(places) {
     const style = getComputedStyle(document.documentElement);
     const [line, muted] = ["--line", "--muted"].map((name) => style.getPropertyValue(name).trim());
     return {
       file: this._lines(places),
-      // Numbered: what a store says is never markup.
+      // Numbers instead of names: texts from the store are never markup.
       labels: ["t", ...places.map(String)],
       colors: places.map((place) => COLOURS[place % COLOURS.length]),
       visibility: places.map((place) => !this._hidden.has(place)),
@@ -246,11 +246,11 @@ export class Plot {
       lines.push([x, ...columns.map((column) => bar(column.low[n], column.high ? column.high[n] : column.low[n]))]);
       if (broken.has(n)) lines.push([(x + this._x(this._times[n + 1])) / 2, ...columns.map(() => null)]);
     }
-    // dygraphs wants a line.
+    // dygraphs needs at least one row.
     return lines.length ? lines : [[0, ...columns.map(() => null)]];
   }
 
-  /** Milliseconds behind the first pixel: so a number has room for nanoseconds. @param {bigint} ns */
+  /** Milliseconds after the first pixel: such a number is exact to the nanosecond. @param {bigint} ns */
   _x(ns) {
     return Number(ns - this._base) / 1e6;
   }
@@ -288,7 +288,7 @@ export class Plot {
     this._showLegend(this._nearest(x));
   }
 
-  /** @param {number | null} n Which point is looked at. */
+  /** @param {number | null} n Index of the selected point. */
   _showLegend(n) {
     for (const [panel, places] of this._groups().entries()) {
       const { unit } = this._found.columns[places[0]];
@@ -337,14 +337,12 @@ export class Plot {
     this._showLegend(null);
   }
 
-  // ---------------------------------------------------------------- another window
-
   /**
    * @param {number} low
    * @param {number} high
    */
   _zoomed(low, high) {
-    // Upwards alone is no other window.
+    // A vertical drag alone does not change the time range.
     if (low === this._x(this._sight.start) && high === this._x(this._sight.end)) return;
     this._go(this._ns(low), this._ns(high));
   }
@@ -368,8 +366,8 @@ export class Plot {
   }
 
   /**
-   * @param {number} factor Of the length.
-   * @param {number} [at] Which part of it stays where it is, 0 to 1.
+   * @param {number} factor Factor of the length.
+   * @param {number} [at] Position in the time range that stays in place, 0 to 1.
    */
   _zoom(factor, at = 0.5) {
     const { start, end } = this._sight;
@@ -379,7 +377,7 @@ export class Plot {
     this._go(first, first + BigInt(Math.round(after)));
   }
 
-  /** @param {number} part Of the length. */
+  /** @param {number} part Share of the length. */
   _pan(part) {
     const { start, end } = this._sight;
     const by = BigInt(Math.round(Number(end - start) * part));
@@ -436,7 +434,7 @@ export class Plot {
 }
 
 /**
- * Return a window that has a width; that of a single moment is a second.
+ * Return a time range that is not empty: a single time becomes one second.
  * @param {bigint} start
  * @param {bigint} end
  */
@@ -451,7 +449,7 @@ function wide(start, end) {
  * @param {number | null} high
  */
 function bar(low, high) {
-  // The line goes along the greatest: what lies in the middle was never measured.
+  // The line follows the maxima: a value in the middle was never measured.
   return low === null || high === null ? null : [low, high, high];
 }
 
@@ -469,7 +467,7 @@ function range(column, n) {
 /** @type {Promise<boolean> | null} */
 let loaded = null;
 
-/** Load what draws, once; whether it is there. */
+/** Load dygraphs once; return whether it is installed. */
 function dygraphs() {
   loaded ??= new Promise((resolve) => {
     document.head.append(make("link", { rel: "stylesheet", href: STYLE }));

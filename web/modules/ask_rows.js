@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** The rows of a statement, page by page; each leads to its moment. */
+/** The rows of a statement, page by page; each row has a link to its time. */
 
 import { get } from "./api.js";
 import { make } from "./page.js";
@@ -12,7 +12,7 @@ const CUT = 60;
 const NUMBERS = /^(u?int|float|sum)/;
 
 export class Rows {
-  /** @param {(problem: unknown, signal: AbortSignal) => void} fail Shows what went wrong with a further page. */
+  /** @param {(problem: unknown, signal: AbortSignal) => void} fail Shows the error of a further page. */
   constructor(fail) {
     this._place = /** @type {HTMLElement} */ (document.getElementById("ask-rows"));
     this._told = /** @type {HTMLElement} */ (document.getElementById("rows-told"));
@@ -41,7 +41,7 @@ export class Rows {
   }
 
   /**
-   * Load the first page of the rows of a window.
+   * Load the first page of the rows of a time range.
    * @param {Record<string, any>} parameters
    * @param {{start: bigint | null, end: bigint | null}} window
    * @param {AbortSignal} signal
@@ -61,7 +61,7 @@ export class Rows {
 
   async _next() {
     this._more.disabled = true;
-    // What was cancelled is not what is asked for now; another statement ends this, too.
+    // A cancelled request is not the present one; another statement cancels it, too.
     if (this._signal.aborted) this._signal = new AbortController().signal;
     const signal = this._signal;
     try {
@@ -80,7 +80,7 @@ export class Rows {
     const lines = page.rows.map((/** @type {any[]} */ row, /** @type {number} */ n) => {
       const time = page.times[n];
       const line = make("tr", { "data-time": time ?? false });
-      const title = "Look at this moment";
+      const title = "Show this time in Look";
       line.append(make("td", {}, ...(time ? [make("a", { href: lookAt(time), title }, "look")] : [])));
       for (const [place, value] of row.entries()) line.append(cell(value, page.kinds[place]));
       return line;
@@ -98,14 +98,14 @@ export class Rows {
   _open(event) {
     const target = event.target instanceof Element ? event.target : null;
     const line = target?.closest("tr");
-    // Whoever marks text, or presses the link itself, has something else in mind.
+    // Marking text, or clicking the link itself, does not select the row.
     if (!line?.dataset.time || target?.closest("a") || String(getSelection())) return;
     if (event.ctrlKey || event.metaKey) window.open(lookAt(line.dataset.time), "_blank");
     else location.assign(lookAt(line.dataset.time));
   }
 }
 
-/** @param {string} time Of an answer: always ns. */
+/** @param {string} time Time in an answer, ns. */
 export function lookAt(time) {
   return state.link("/look.html", { time: BigInt(time) });
 }

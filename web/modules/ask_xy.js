@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * Columns of a plot over another column: of each pixel of time the rectangle in which its messages
- * lie, and a line through the middles, in the order of time.
+ * Columns of a plot over another column: for each pixel of time the rectangle that contains its
+ * messages, and a line through the centres in the order of time.
  */
 
 const MARGIN = { left: 64, right: 16, top: 10, bottom: 40 };
@@ -11,7 +11,7 @@ const FEW_POINTS = 60;
 const DEGREES = ["°E", "°N"];
 
 /**
- * A column, as /api/plot tells it.
+ * A column of an answer of /api/plot.
  * @typedef {{name: string, unit: string, low: (number | null)[], high: (number | null)[] | null}} Column
  */
 
@@ -30,8 +30,8 @@ export class XY {
   /**
    * @param {HTMLCanvasElement} canvas
    * @param {Column} x
-   * @param {{column: Column, colour: string}[]} ys Those that are shown.
-   * @param {Set<number>} breaks Places behind which nothing came for long.
+   * @param {{column: Column, colour: string}[]} ys Columns that are shown.
+   * @param {Set<number>} breaks Indexes of points after which no message came for long.
    */
   constructor(canvas, x, ys, breaks) {
     this.canvas = canvas;
@@ -42,7 +42,7 @@ export class XY {
     this.draw();
   }
 
-  /** The smallest and the greatest numbers along both axes, with a margin. */
+  /** Minimum and maximum of both axes, with a margin. */
   boundsOf() {
     const bounds = { left: Infinity, right: -Infinity, low: Infinity, high: -Infinity };
     for (const { column } of this.ys) {
@@ -63,7 +63,7 @@ export class XY {
   }
 
   /**
-   * Widen bounds so that a metre is a metre on both axes.
+   * Widen the bounds so that a metre has the same length on both axes.
    * @param {{left: number, right: number, low: number, high: number}} bounds
    */
   compared(bounds) {
@@ -77,7 +77,7 @@ export class XY {
   }
 
   /**
-   * How long a unit along y is beside one along x; 0 where they do not compare.
+   * Length of a unit along y relative to one along x; 0 = the units cannot be compared.
    * @param {{left: number, right: number, low: number, high: number}} bounds
    */
   aspect(bounds) {
@@ -169,7 +169,7 @@ export class XY {
   }
 
   /**
-   * Return the place of the point that is nearest to a place on the canvas; null: no point is there.
+   * Return the index of the point nearest to a position on the canvas; null = no point is near.
    * @param {number} left Pixels.
    * @param {number} top Pixels.
    */
@@ -196,7 +196,7 @@ function stroke(context, way) {
 }
 
 /**
- * Round numbers between two, at most about so many.
+ * Return round numbers between two numbers, about as many as given.
  * @param {number} low
  * @param {number} high
  * @param {number} most

@@ -17,18 +17,18 @@ const TEXT = new TextDecoder();
 /**
  * @typedef {object} Message
  * @property {Channel} channel
- * @property {bigint} time When, ns.
- * @property {number} size Bytes.
+ * @property {bigint} time Time, ns.
+ * @property {number} size Size, bytes.
  * @property {any} message The message itself.
  */
 
 /**
- * Read a stream while it comes; of it only the frame that is being read is held.
- * @param {Response} response Ended, where the reading ends before.
- * @param {(problem: Problem) => void} onProblem Told of what cannot be read.
- * @returns {AsyncGenerator<Message, string | null>} Returns behind which place to read on, null
- *   where nothing is left.
- * @throws {Error} The stream was cut.
+ * Read a stream while it comes; only the present frame is held in memory.
+ * @param {Response} response Response; it is cancelled if reading ends early.
+ * @param {(problem: Problem) => void} onProblem Called for each message that cannot be read.
+ * @returns {AsyncGenerator<Message, string | null>} Returns the cursor of the next page; null =
+ *   no message is left.
+ * @throws {Error} The stream was cut off.
  */
 export async function* messages(response, onProblem) {
   const bytes = new Incoming(response);
@@ -65,7 +65,7 @@ export async function* messages(response, onProblem) {
   }
 }
 
-/** @type {Map<string, (bytes: Uint8Array) => any>} By schema: each page of a stream tells it anew. */
+/** @type {Map<string, (bytes: Uint8Array) => any>} By schema, which each page of a stream repeats. */
 const READERS = new Map();
 
 /** @param {Channel} channel */
@@ -76,7 +76,7 @@ function opened(channel) {
   return { channel, read };
 }
 
-/** Bytes of a response, so many at a time. */
+/** The bytes of a response, read in parts of a given size. */
 class Incoming {
   /** @param {Response} response */
   constructor(response) {
@@ -88,7 +88,7 @@ class Incoming {
 
   /**
    * @param {number} count
-   * @returns {Promise<Uint8Array>} In memory of their own, aligned.
+   * @returns {Promise<Uint8Array>} In separate, aligned memory.
    */
   async take(count) {
     const taken = new Uint8Array(count);
@@ -107,7 +107,7 @@ class Incoming {
     return taken;
   }
 
-  /** End the request; one that was read to its end, or broke, is ended already. */
+  /** End the request, unless it was read to its end or failed. */
   async cancel() {
     try {
       await this.body.cancel();

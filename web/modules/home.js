@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** Home: what is stored and when; a window of it goes on to Look, Ask, or into a file. */
+/** Page Home: stored topics over time; a selected time range opens in Look or Ask, or as a file. */
 
 import * as api from "./api.js";
 import { showRuns, showTopics } from "./home_tables.js";
@@ -14,7 +14,7 @@ const SETTLED_MS = 120;
 const DETAIL_MS = 250;
 const AGAIN_MS = 5000;
 const MOST_CELLS = 4000;
-/** Of more lanes only those are asked for that are seen. */
+/** Maximum number of lanes that are all requested; above it only the visible ones are. */
 const MANY_LANES = 60;
 const MOST_RUNS = 1000;
 
@@ -42,13 +42,13 @@ document.getElementById("home")?.replaceChildren(panel, empty, tables);
 
 const timeline = new Timeline(canvas, tip);
 page.takeKeys(canvas);
-/** What a program that tests the page asks: the timeline itself. */
+/** The timeline, for tests of the page. */
 Object.assign(canvas, { timeline });
 
-/** @type {any} The last answer for all time. */
+/** @type {any} Last answer for all time. */
 let whole = null;
 let following = true;
-/** @type {import("./timeline.js").Span[]} Times between which nothing lies for ten years and more. */
+/** @type {import("./timeline.js").Span[]} Time ranges with messages, separated by ten years or more. */
 let eras = [];
 let updateTopics = (/** @type {any[]} */ lanes) => {};
 /** @type {number | undefined} */
@@ -58,11 +58,9 @@ let asking = new AbortController();
 /** @type {number | undefined} */
 let later;
 
-// -------------------------------------------------------------------- what is asked of the server
-
 /**
- * Ask for all there is, and show the window of the address.
- * @param {{again?: boolean}} [how] again: it is there already, and may have become more.
+ * Request all topics, and show the time range of the address.
+ * @param {{again?: boolean}} [how] again: it is shown already, and further messages may have come.
  */
 async function load({ again: known = false } = {}) {
   canvas.dataset.state = "busy";
@@ -94,10 +92,10 @@ async function load({ again: known = false } = {}) {
 }
 
 /**
- * Return the answer for the era that is looked at; where there is one only, that for all time.
- * @param {any} answer For all time.
+ * Return the answer for the visible era; with one era that for all time.
+ * @param {any} answer Answer for all time.
  * @param {import("./api.js").Parameters} choice
- * @param {boolean} known The era is that of the window that is seen.
+ * @param {boolean} known Whether the era is that of the visible time range.
  * @param {AbortSignal} signal
  */
 async function ofEra(answer, choice, known, signal) {
@@ -112,7 +110,7 @@ async function ofEra(answer, choice, known, signal) {
 }
 
 /**
- * The era in which a moment lies, or that is next to it; null: the last one.
+ * Return the era that contains a time or is nearest to it; null = the last one.
  * @param {bigint | null} moment
  */
 function eraOf(moment) {
@@ -121,11 +119,11 @@ function eraOf(moment) {
   return eras.reduce((best, era) => (away(era) < away(best) ? era : best), eras[0]);
 }
 
-/** Lead to the eras, where there are several. @param {import("./timeline.js").Span | undefined} current */
+/** Add links to the eras if there are several. @param {import("./timeline.js").Span | undefined} current */
 function showEras(current) {
   const buttons = eras.map((era) => {
     const text = [...new Set([era.start, era.end].map((ns) => iso(ns).slice(0, 4)))].join("–");
-    const title = `${shown(era.start)} to ${shown(era.end)}: nothing lies between this time and the others for ten years and more`;
+    const title = `${shown(era.start)} to ${shown(era.end)}: no messages for ten years or more before or after it`;
     const onclick = () => {
       state.write({ start: era.start, end: era.end, time: null, selection: null }, { push: true });
       load().catch(failed);
@@ -135,7 +133,7 @@ function showEras(current) {
   erasPlace.replaceChildren(...(eras.length < 2 ? [] : buttons.flatMap((button, n) => (n ? ["//", button] : [button]))));
 }
 
-/** Ask for the window, when a person has settled on it. */
+/** Request the visible time range when the user has stopped changing it. */
 function ask() {
   if (!whole) return;
   stop();
@@ -188,7 +186,7 @@ function failed(error) {
   page.showError(error);
 }
 
-/** What is written now, or not yet, is asked for again. */
+/** Request again lanes that are being written, and an empty store. */
 function again() {
   clearTimeout(waiting);
   if (!timeline.picture.writing && timeline.picture.lanes.length) return;
@@ -212,15 +210,13 @@ function isFiltered() {
   return Object.values(chosenParameters()).some((each) => each.length);
 }
 
-/** @param {number} windows How many windows wide. */
+/** @param {number} windows Width in visible time ranges. */
 function cellsOf(windows) {
   const plot = Math.max(200, timeline.size.width - timeline.size.names);
   return Math.min(MOST_CELLS, Math.ceil(plot * windows));
 }
 
-// -------------------------------------------------------------------- the window and the address
-
-/** Show the window that the address names, or all time. */
+/** Show the time range of the address, or all time. */
 function showWindow() {
   const { start, end, time, others } = state.read();
   following = start === null && end === null;
@@ -238,7 +234,7 @@ function selectionOf(text) {
 
 let writing = 0;
 
-/** Note in the address what is seen, a little later: browsers refuse it a hundred times a second. */
+/** Put the visible time range into the address with a delay: browsers refuse frequent changes. */
 function note() {
   clearTimeout(writing);
   writing = window.setTimeout(() => {
@@ -275,19 +271,17 @@ window.addEventListener("popstate", () => {
   ask();
 });
 
-// -------------------------------------------------------------------- what is told beside it
-
 function zoomButtons() {
   const button = (/** @type {string} */ text, /** @type {string} */ label, /** @type {() => void} */ act) =>
     make("button", { title: label, "aria-label": label, onclick: act }, text);
   return make("div", { class: "row tight" },
-    button("−", "See more time (key −)", () => timeline.zoom(2)),
-    button("+", "Look closer (key +)", () => timeline.zoom(0.5)),
-    button("All", "See all time (key Home)", () => timeline.show(timeline.whole)),
+    button("−", "Zoom out (key −)", () => timeline.zoom(2)),
+    button("+", "Zoom in (key +)", () => timeline.zoom(0.5)),
+    button("All", "Show all time (key Home)", () => timeline.show(timeline.whole)),
   );
 }
 
-/** Tell how much there is, and where the window goes on to. */
+/** Show the number of messages, and the links of the selected time range. */
 function tell() {
   const { picture, selection: span, view, moment } = timeline;
   const { start, end } = span ?? filled(view);
@@ -296,7 +290,7 @@ function tell() {
   summary.textContent = `${plural(topics, "topic")} · ${messages.toLocaleString("en")} messages` +
     (picture.writing ? " · recording" : "");
   chosen.textContent = `${shown(start, (end - start) / 1000n)} · ${length(end - start + 1n)}`;
-  chosen.title = span ? "What is selected" : "What is seen";
+  chosen.title = span ? "Selected time range" : "Visible time range";
   const window_ = { start, end };
   const inside = moment !== null && start <= moment && moment <= end ? moment : start;
   const lane = timeline.lane ?? picture.lanes[0];
@@ -304,14 +298,14 @@ function tell() {
   const link = (/** @type {string} */ text, /** @type {string} */ href, /** @type {string} */ about, main = false) =>
     make("a", { class: main ? "button main" : "button", href, title: about }, text);
   links.replaceChildren(
-    link("Look", state.link("/look.html", { ...window_, time: inside, selection: null }), "See the messages of this time", true),
+    link("Look", state.link("/look.html", { ...window_, time: inside, selection: null }), "Show the messages of this time range", true),
     link("Ask", state.link("/ask.html", { ...window_, q, selection: null }), `Ask: ${q}`),
-    link(".bag", state.fileLink("bag", window_), "Download this time as a bag"),
-    link(".mcap", state.fileLink("mcap", window_), "Download this time as an MCAP file"),
+    link(".bag", state.fileLink("bag", window_), "Download this time range as a bag"),
+    link(".mcap", state.fileLink("mcap", window_), "Download this time range as an MCAP file"),
   );
 }
 
-/** @param {import("./timeline.js").Span} span @returns {import("./timeline.js").Span} Without the room beside all time. */
+/** @param {import("./timeline.js").Span} span @returns {import("./timeline.js").Span} Without the margin around all time. */
 function filled({ start, end }) {
   const { first, last } = timeline.picture;
   if (first === null || last === null || end < first || last < start) return { start, end };
@@ -328,13 +322,13 @@ function plural(count, name) {
   return `${count.toLocaleString("en")} ${name}${count === 1 ? "" : "s"}`;
 }
 
-/** Say how something comes into an empty store. */
+/** Show how to fill an empty store. */
 async function explain() {
   const { keyspace, text } = await api.get("/api/keyspace");
   const filtered = isFiltered();
   empty.replaceChildren(
-    make("h1", {}, filtered ? "Nothing is stored of what is chosen" : `Nothing is stored in keyspace ${keyspace} yet`),
-    make("p", {}, text || "What is recorded or imported shows up here by itself."),
+    make("h1", {}, filtered ? "No message of the selection is stored" : `Nothing is stored in keyspace ${keyspace} yet`),
+    make("p", {}, text || "Topics that you record or import appear here without reloading the page."),
     make("pre", {}, `rosrun cassandra_ros cassandra_bag import FILE.bag --keyspace ${keyspace}\nrosrun cassandra_ros recorder -a --keyspace ${keyspace}`),
   );
   if (filtered) {
@@ -342,12 +336,12 @@ async function explain() {
   }
 }
 
-/** Ask how much there is of all topics, also of what was stored long behind what was recorded. */
+/** Request the number of messages of all topics, also of those imported long after their recording. */
 function askAll() {
   return api.get("/api/timeline", { pixels: 1, start: 0n, end: LAST });
 }
 
-/** Fill menus and tables of all there is, whatever is chosen of it. */
+/** Fill menus and tables with everything stored, independent of the selection. */
 async function loadTables() {
   const [all, listed] = await Promise.all([
     askAll(),
@@ -384,6 +378,6 @@ async function loadTables() {
   tables.replaceChildren(make("header", { role: "tablist" }, ...tabs.map(({ tab }) => tab)), topics, runTable);
 }
 
-// Also where what is chosen is not there: something else is chosen in the menus then.
+// Also if the selection has no messages: the user can change it in the menus.
 loadTables().catch(failed);
 load().catch(failed);

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** The tables below the timeline: topics, and recordings and imports. */
+/** The tables below the timeline: topics; recordings and imports. */
 
 import { make } from "./page.js";
 import * as state from "./state.js";
@@ -13,16 +13,16 @@ const SECOND = 1_000_000_000n;
  * @typedef {object} Column
  * @property {string} name
  * @property {(row: any) => string} text
- * @property {(row: any) => any} [value] By which rows are sorted; the text where it is left out.
- * @property {boolean} [number] Shown at the right, the largest first.
+ * @property {(row: any) => any} [value] Sort key; default: the text.
+ * @property {boolean} [number] Whether it is aligned right and sorted from the largest.
  * @property {(row: any) => Node} [cell]
  */
 
 /**
- * Show what is stored of each topic.
+ * Show the topics.
  * @param {HTMLElement} place
- * @param {any[]} lanes As /api/timeline has them, of all time.
- * @returns {(lanes: any[]) => void} Shows what has become of them.
+ * @param {any[]} lanes Lanes of /api/timeline over all time.
+ * @returns {(lanes: any[]) => void} Updates the table.
  */
 export function showTopics(place, lanes) {
   const robots = new Set(lanes.map((lane) => lane.node));
@@ -45,12 +45,12 @@ export function showTopics(place, lanes) {
 /**
  * Show recordings and imports.
  * @param {HTMLElement} place
- * @param {any[]} runs As /api/runs has them.
- * @param {(run: any) => void} show Shows one in the timeline.
+ * @param {any[]} runs Runs of /api/runs.
+ * @param {(run: any) => void} show Shows a run in the timeline.
  */
 export function showRuns(place, runs, show) {
   if (!runs.length) {
-    place.replaceChildren(make("p", { class: "note" }, "No recording or import is noted."));
+    place.replaceChildren(make("p", { class: "note" }, "No recording or import is stored."));
     return;
   }
   /** @type {Column[]} */

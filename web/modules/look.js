@@ -1,20 +1,20 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** Look: the Studio on a window of what is stored. The address has the window, the moment, the panels. */
+/** Page Look: stored messages of a time range in the Studio. The address has time range, time, panels. */
 
 import { get } from "./api.js";
 import * as page from "./page.js";
 import * as state from "./state.js";
 
-/** The Studio begins anew where one of these changes: they say what its messages are. */
+/** Parameters that select the Studio's messages: it is loaded again if one of them changes. */
 const CONTENT = /** @type {const} */ (["start", "end", "topics", "nodes", "runs"]);
 const INSTALL = "rosrun cassandra_ros viewer --install-studio";
 
 /** @type {HTMLIFrameElement | null} */
 let frame = null;
 let shown = "";
-/** What was chosen last, and is shown soon. */
+/** The last selection, which will be shown soon. */
 let chosen = contentOf();
 
 function contentOf() {
@@ -52,7 +52,7 @@ let changes = {};
 let waiting = 0;
 
 /**
- * Write into the address at most twice a second: browsers refuse more.
+ * Change the address at most twice a second: browsers refuse more.
  * @param {import("./api.js").Parameters} more
  */
 function later(more) {
@@ -67,12 +67,12 @@ function later(more) {
 function explain() {
   document.getElementById("look")?.replaceChildren(
     page.make("div", { class: "note", id: "no-studio" },
-      page.make("h1", {}, "The Studio is not here yet"),
+      page.make("h1", {}, "The Studio is not installed yet"),
       page.make("p", {}, "Look shows messages in Foxglove Studio (MPL-2.0), which the viewer fetches from npm's "
         + "registry once: 37 MB. In a shell on the viewer's machine:"),
       page.make("pre", {}, INSTALL),
-      page.make("p", {}, "The viewer may go on meanwhile; load this page again afterwards. Without it you can ",
-        page.make("a", { href: state.link("/ask.html") }, "ask"), ", or save this window as ",
+      page.make("p", {}, "You need not stop the viewer; reload this page afterwards. Without the Studio you can ",
+        page.make("a", { href: state.link("/ask.html") }, "ask"), ", or save this time range as ",
         page.make("a", { href: state.fileLink("bag") }, "a bag"), " or ",
         page.make("a", { href: state.fileLink("mcap") }, "MCAP"),
         " for rqt_bag, Foxglove or Lichtblick."),
@@ -80,12 +80,12 @@ function explain() {
   );
 }
 
-/** Who ticks several boxes of a menu waits once. */
+/** A delay, so that selecting several entries of a menu reloads the Studio once. */
 const CHOOSING_MS = 700;
 let choosing = 0;
 
 function openLater() {
-  // What plays changes the address all the time: that is no other choice.
+  // Playing changes the time in the address: that is no new selection.
   const content = contentOf();
   if (content === chosen) return;
   chosen = content;

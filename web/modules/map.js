@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** The page of maps: an occupancy grid of scans or clouds, and where the robots were. */
+/** Page Map: an occupancy grid of scans or point clouds, and the tracks of the robots. */
 
 import { ask, get, isAbort } from "./api.js";
 import { Lasso } from "./map_lasso.js";
@@ -23,14 +23,14 @@ const TRACK_COLOURS = ["--accent", "--run", "--mark", "--loss"];
 const PICK_PIXELS = 12;
 
 /**
- * Where a robot was, decimated.
+ * The thinned track of a robot.
  * @typedef {object} Track
  * @property {string} node
  * @property {string} frame
  * @property {bigint[]} times
  * @property {number[]} x
  * @property {number[]} y
- * @property {boolean[]} joined Whether it goes on from the point before.
+ * @property {boolean[]} joined Whether the way from the point before is known.
  */
 
 /** @param {string} id */
@@ -44,7 +44,7 @@ export let tracks = [];
 let going = null;
 let asked = "";
 
-/** What the map is asked of: the shared state, and what this page keeps. */
+/** The parameters of the map: the common state, and those of this page. */
 export function question() {
   const { start, end, nodes, runs, others } = state.read();
   return { start, end, nodes, runs, topic: others.map ?? "", resolution: others.resolution ?? "", odom: others.odom ?? "", scans: others.scans ?? "" };
@@ -53,7 +53,7 @@ export function question() {
 /**
  * @param {HTMLSelectElement} select
  * @param {[string, string][]} choices Value and text.
- * @param {string} name In the state; a choice without a value removes it.
+ * @param {string} name Name in the state; an empty value removes it.
  */
 function fill(select, choices, name) {
   select.replaceChildren(...choices.map(([value, text]) => page.make("option", { value }, text)));
@@ -98,7 +98,7 @@ async function begin() {
   refresh();
 }
 
-/** Ask for what is shown, where it is not what was asked for last. */
+/** Request the map if its parameters differ from the last request. */
 function refresh() {
   const wanted = question();
   const text = JSON.stringify(wanted, (_, value) => (typeof value === "bigint" ? String(value) : value));
@@ -124,12 +124,12 @@ function done(how) {
   showAll();
   view.canvas.classList.remove("working");
   lasso.refresh();
-  // Tests wait for it; it stands there when the picture does.
+  // Tests wait for it: it is set when the picture is drawn.
   requestAnimationFrame(() => requestAnimationFrame(() => { view.canvas.dataset.state = how; }));
 }
 
 /**
- * Ask for the map, and then for the tracks in its frame; without a map, in the usual one.
+ * Request the map, then the tracks in its frame; without a map those in the usual frame.
  * @param {ReturnType<typeof question>} wanted
  * @param {AbortSignal} signal
  */
@@ -172,7 +172,7 @@ async function loadMap(wanted, signal) {
 }
 
 /**
- * The topic out of which a map's poses came; "" where tf told them.
+ * Return the topic whose poses a map was made with; "" = tf.
  * @param {any} meta
  */
 function posesOf(meta) {
@@ -180,8 +180,8 @@ function posesOf(meta) {
 }
 
 /**
- * Say in the control of the poses which topic the map was made of, and for how many of its messages
- * each of the others tells poses.
+ * Label the menu of poses: the topic that the map was made with, and for each topic the share of the
+ * map's messages for which it has poses.
  * @param {any} meta
  */
 function labelPoses(meta) {
@@ -190,7 +190,7 @@ function labelPoses(meta) {
     if (option.value) {
       const share = offers.get(option.value);
       option.text = share === undefined ? option.value : `${option.value} (${percent(share)})`;
-      option.title = share === undefined ? "" : `Tells poses for ${percent(share)} of the messages`;
+      option.title = share === undefined ? "" : `Has poses for ${percent(share)} of the messages`;
     } else if (!question().odom) {
       option.text = `${posesOf(meta) || "tf"}, by itself`;
     }
@@ -198,7 +198,7 @@ function labelPoses(meta) {
 }
 
 /**
- * A share, so that only nothing is 0 % and only all is 100 %.
+ * Write a share; only 0 is written as 0 % and only 1 as 100 %.
  * @param {number} share
  */
 function percent(share) {
@@ -228,7 +228,7 @@ async function loadTracks(wanted, signal) {
   const { start, end, nodes, runs, odom } = wanted;
   const where = { start, end, nodes, runs, frame: view.image?.frame, robot: odom || posesOf(view.image) };
   const found = await get("/api/places", where, { signal }).catch((error) => {
-    // A store without poses has no tracks; a stored map can be shown all the same, and why is said.
+    // A store without poses has no tracks; a stored map is shown anyway, with the reason.
     if (error?.status !== 404 && error?.status !== 400) throw error;
     const told = element("map-told").textContent;
     tell([told, `no tracks: ${error.message}`].filter(Boolean).join(" · "));
@@ -277,7 +277,7 @@ function drawTracks(context) {
 }
 
 /**
- * Show which moment of a track was clicked on, and lead to it.
+ * Show the clicked time of a track, with a link to it.
  * @param {import("./map_view.js").Point} at
  */
 function pick(at) {
@@ -295,7 +295,7 @@ function pick(at) {
     place.replaceChildren();
     return;
   }
-  const look = page.make("a", { href: state.link("/look.html", { time: best.time }) }, "Look at this moment");
+  const look = page.make("a", { href: state.link("/look.html", { time: best.time }) }, "Show this time in Look");
   place.replaceChildren(page.make("div", { class: "panel row" }, best.text.trim(), look));
 }
 

@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * The lasso of the map: when robots were in what it encloses. It stands in the address as `lasso`,
- * corners in metres: x,y;x,y;…
+ * The lasso of the map: it lists when robots were inside. The address has its corners as `lasso`, in
+ * metres: x,y;x,y;…
  */
 
 import { get, isAbort } from "./api.js";
@@ -26,18 +26,18 @@ const CIRCLE_CORNERS = 36;
  * @property {bigint} end
  */
 /**
- * @typedef {object} Places What the map knows.
+ * @typedef {object} Places Functions of the map.
  * @property {() => {node: string, frame: string, times: bigint[], x: number[], y: number[]}[]} tracks
  * @property {() => string} frame
- * @property {() => string} robot The topic that tells its poses; "" = tf, or to be found out.
+ * @property {() => string} robot Topic of the robot's poses; "" = tf, or found by the viewer.
  */
 
 export class Lasso {
   /**
    * @param {import("./map_view.js").MapView} view
    * @param {Places} places
-   * @param {HTMLElement} tools Where its buttons go.
-   * @param {HTMLElement} panel Where it says what it found.
+   * @param {HTMLElement} tools Element for its buttons.
+   * @param {HTMLElement} panel Element for its results.
    */
   constructor(view, places, tools, panel) {
     this.view = view;
@@ -106,7 +106,7 @@ export class Lasso {
     event.preventDefault();
   }
 
-  /** Take a circle around the middle, half as wide as what is seen: also without a pointer. */
+  /** Use a circle around the middle, half as wide as the view; it needs no pointer. */
   aroundMiddle() {
     const { centre, scale, width, height } = this.view;
     const radius = Math.min(width, height) / scale / 4;
@@ -121,7 +121,7 @@ export class Lasso {
   }
 
   /**
-   * Put a lasso into the address; what is no region is none.
+   * Put a lasso into the address, unless it encloses no area.
    * @param {Point[]} corners
    */
   write(corners) {
@@ -133,7 +133,7 @@ export class Lasso {
     this.refresh();
   }
 
-  /** Ask for what the address says, where that is not what was asked for last. */
+  /** Request the stays in the lasso of the address if it differs from the last request. */
   refresh() {
     const { others, start, end, nodes, runs } = state.read();
     const polygon = others.lasso ?? "";
@@ -157,7 +157,7 @@ export class Lasso {
   /** @param {import("./api.js").Parameters} wanted */
   ask(wanted) {
     this.going = new AbortController();
-    this.show(page.make("p", { class: "muted" }, "Looking when robots were there …"));
+    this.show(page.make("p", { class: "muted" }, "Searching for the times when robots were there …"));
     get("/api/near", wanted, { signal: this.going.signal }).then(
       (answer) => {
         this.stays = answer.stays.map((/** @type {any} */ stay) => (
@@ -183,7 +183,7 @@ export class Lasso {
 
   /** @param {boolean} more */
   listing(more) {
-    if (!this.stays.length) return page.make("p", { class: "muted" }, "No robot was there, as far as poses tell.");
+    if (!this.stays.length) return page.make("p", { class: "muted" }, "No robot was there, according to the stored poses.");
     const items = this.stays.map(({ node, start, end }) => {
       const text = `${node ? `${node} ` : ""}${times.shown(start)}, ${times.length(end - start)}`;
       const look = page.make("a", { href: state.link("/look.html", { time: start, lasso: null }) }, "Look");

@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * A plane in metres on a canvas: moved by dragging, zoomed by the wheel, both by keys. On it lie an
- * image (a map), and layers that others draw. Lengths are metres, x to the right and y upwards.
+ * A plane on a canvas: dragging moves it, the wheel zooms it, keys do both. It shows an image (a map)
+ * and layers that other modules draw. Lengths are in metres, x to the right and y upwards.
  */
 
 /** @typedef {{x: number, y: number}} Point */
@@ -19,14 +19,14 @@
  * @property {CanvasImageSource} picture Its first row has the largest y.
  * @property {number} width Pixels.
  * @property {number} height Pixels.
- * @property {number} resolution Of a pixel.
- * @property {number} x Of the lower left corner.
- * @property {number} y Of the lower left corner.
+ * @property {number} resolution Size of a pixel.
+ * @property {number} x x of the lower left corner.
+ * @property {number} y y of the lower left corner.
  * @property {number} yaw Radians, about that corner.
- * @property {string} [frame] In which it is.
+ * @property {string} [frame] Frame of the image.
  */
 /**
- * What takes the place of moving the plane while it is set; each is given a place in metres.
+ * A tool that is used instead of moving the plane; its functions get positions in metres.
  * @typedef {object} Tool
  * @property {(at: Point, event: PointerEvent) => void} down
  * @property {(at: Point, event: PointerEvent) => void} move While a button is down.
@@ -44,7 +44,7 @@ export class MapView {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    /** Pixels of the page for a metre. */
+    /** Scale, pixels of the page per metre. */
     this.scale = 50;
     /** What is in the middle. @type {Point} */
     this.centre = { x: 0, y: 0 };
@@ -85,7 +85,7 @@ export class MapView {
   get height() { return this.canvas.clientHeight; }
 
   /**
-   * Return where a place is on the canvas, pixels of the page.
+   * Return the position of a point on the canvas, pixels of the page.
    * @param {number} x
    * @param {number} y
    * @returns {Point}
@@ -98,7 +98,7 @@ export class MapView {
   }
 
   /**
-   * Return the place of a pixel of the page on the canvas.
+   * Return the point at a pixel of the canvas.
    * @param {number} x
    * @param {number} y
    * @returns {Point}
@@ -111,7 +111,7 @@ export class MapView {
   }
 
   /**
-   * Move and zoom so that all of something is seen.
+   * Move and zoom so that the bounds are visible.
    * @param {Bounds} bounds
    */
   fit(bounds) {
@@ -128,7 +128,7 @@ export class MapView {
   }
 
   /**
-   * Zoom about a pixel, which stays where it is.
+   * Zoom about a pixel, which stays in place.
    * @param {number} factor
    * @param {number} [x]
    * @param {number} [y]
@@ -204,7 +204,7 @@ export class MapView {
     event.preventDefault();
   }
 
-  /** Draw again soon, however often it is asked for. */
+  /** Draw once with the next frame, also after several calls. */
   draw() {
     if (this.waiting) return;
     this.waiting = true;
@@ -302,7 +302,7 @@ export function metres(length) {
   return length >= 0.01 ? `${Number((length * 100).toPrecision(3))} cm` : `${Number((length * 1000).toPrecision(3))} mm`;
 }
 
-/** @param {number} length Made 1, 2 or 5 times a power of ten, not less. */
+/** @param {number} length Rounded up to 1, 2 or 5 times a power of ten. */
 function rounded(length) {
   const power = 10 ** Math.floor(Math.log10(length));
   return ([1, 2, 5].find((n) => n * power >= length) ?? 10) * power;

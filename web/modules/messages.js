@@ -2,20 +2,20 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * Messages of ROS from their bytes, as the objects that the Studio's panels expect: time and
+ * Reads serialised ROS messages into the objects that the Studio's panels expect: time and
  * duration are {sec, nsec}, int64 and uint64 BigInt, arrays of numbers typed arrays.
  *
- * The schema is data and stays so. Readers that make a program of it, as the Studio's own does,
- * would have a definition that somebody recorded run as code.
+ * The schema stays data. The Studio's own reader compiles it, so that a recorded definition would run
+ * as code.
  */
 
 /**
  * @typedef {object} Field
  * @property {string} name
  * @property {string} type
- * @property {boolean} [isComplex] It is a message, of one of the schema's types.
+ * @property {boolean} [isComplex] Whether it is a message of one of the schema's types.
  * @property {boolean} [isArray]
- * @property {number} [arrayLength] Of an array of fixed length.
+ * @property {number} [arrayLength] Length of an array of fixed length.
  * @property {boolean} [isConstant]
  */
 /** @typedef {{root: string, types: Record<string, Field[]>}} Schema */
@@ -23,7 +23,7 @@
 
 const TEXT = new TextDecoder();
 
-/** Where in a message's bytes is read. */
+/** A reading position in the bytes of a message. */
 class Cursor {
   /** @param {Uint8Array} bytes */
   constructor(bytes) {
@@ -33,7 +33,7 @@ class Cursor {
   }
 
   /**
-   * Step over so many bytes, and return where they begin.
+   * Move over some bytes; return the position before.
    * @param {number} count
    */
   take(count) {
@@ -84,9 +84,9 @@ const ARRAYS = {
 };
 
 /**
- * Make what reads the messages of a type.
+ * Return a function that reads the messages of a type.
  * @param {Schema} schema
- * @returns {(bytes: Uint8Array) => any} Throws a RangeError where the bytes are no such message.
+ * @returns {(bytes: Uint8Array) => any} Throws a RangeError if the bytes are no such message.
  *   Arrays of numbers may share the memory of the bytes.
  */
 export function reader(schema) {
@@ -144,7 +144,7 @@ function readField(field, schema, made) {
     for (let index = 0; index < count; index++) {
       const before = cursor.at;
       found.push(one(cursor));
-      // An empty message takes no bytes: nothing else bounds how many of them are claimed.
+      // An empty message takes no bytes, so the size of the message does not limit their number.
       if (cursor.at === before && index > cursor.bytes.length) {
         throw new RangeError(`an array claims ${count} empty messages`);
       }

@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** What all pages share: the bar at the head, the banner of errors, the choice of topics, robots, runs. */
+/** Parts of all pages: the bar at the head, the banner of errors, the menus of topics, robots, runs. */
 
 import { get, isAbort, keyspace as keyspaceAsked, url } from "./api.js";
 import * as state from "./state.js";
@@ -14,11 +14,11 @@ const PAGES = [
 ];
 
 /**
- * Make an element. Text is only ever text, never markup.
+ * Make an element. Texts are inserted as text, never as markup.
  * @template {keyof HTMLElementTagNameMap} K
  * @param {K} tag
- * @param {Record<string, string | boolean | ((event: any) => void)>} [attributes] `onclick` and its
- *   kin are listeners; false leaves one out.
+ * @param {Record<string, string | boolean | ((event: any) => void)>} [attributes] Those like `onclick`
+ *   are listeners; false leaves an attribute out.
  * @param {...(Node | string)} children
  * @returns {HTMLElementTagNameMap[K]}
  */
@@ -33,8 +33,8 @@ export function make(tag, attributes = {}, ...children) {
 }
 
 /**
- * Fill the bar at the head (`<header id="head">`), and say what the address has that cannot be read.
- * @param {string} name Of this page, as it stands in the bar.
+ * Fill the bar at the head (`<header id="head">`) and show the errors of the address.
+ * @param {string} name Name of this page in the bar.
  */
 export function start(name) {
   const links = PAGES.map((page) => {
@@ -53,7 +53,7 @@ export function start(name) {
   });
   window.addEventListener("unhandledrejection", (event) => {
     showError(event.reason);
-    // What is shown to the person is not also a fault of the page.
+    // An error that is shown to the user is not also reported on the console.
     if (event.reason instanceof Error && "status" in event.reason) event.preventDefault();
   });
   for (const problem of state.read().problems) showError(new Error(problem));
@@ -61,9 +61,9 @@ export function start(name) {
 }
 
 /**
- * Make what shows the keyspace, and leads to others: to this page without a window, topics, robots and
- * runs, which are those of the keyspace.
- * @param {{keyspace: string, keyspaces: {keyspace: string, topics: number}[]}} answer Of /api/keyspace.
+ * Make the menu of keyspaces. Another keyspace opens this page without time range, topics, robots and
+ * runs, which belong to the keyspace.
+ * @param {{keyspace: string, keyspaces: {keyspace: string, topics: number}[]}} answer Answer of /api/keyspace.
  */
 function chooser(answer) {
   const topics = new Map(answer.keyspaces.map((each) => [each.keyspace, each.topics]));
@@ -78,7 +78,7 @@ function chooser(answer) {
 }
 
 /**
- * Show an error until it is closed, once however often it comes. What was aborted is none.
+ * Show an error until it is closed; equal errors only once. An aborted request is no error.
  * @param {unknown} error
  */
 export function showError(error) {
@@ -95,22 +95,22 @@ export function showError(error) {
   banner.append(line);
 }
 
-/** Take away all errors that are shown, as before something is tried again. */
+/** Remove all shown errors, as before another attempt. */
 export function clearErrors() {
   document.getElementById("banner")?.replaceChildren();
 }
 
 /**
  * @typedef {object} Choice
- * @property {string} value As it stands in the state.
- * @property {string} [text] As it is shown; the value where it is left out.
+ * @property {string} value Value in the state.
+ * @property {string} [text] Shown text; default: the value.
  */
 
 /**
- * Add menus in which topics, robots and runs are ticked; what is ticked stands in the state.
+ * Add menus to select topics, robots and runs; the state has the selected ones.
  * @param {HTMLElement} place
- * @param {{topics?: Choice[], nodes?: Choice[], runs?: Choice[]}} choices What there is. Menus of
- *   what is left out, and of less than two robots, are not shown.
+ * @param {{topics?: Choice[], nodes?: Choice[], runs?: Choice[]}} choices Entries. A menu
+ *   that is left out, or has fewer than two robots, is not shown.
  */
 export function addSelection(place, choices) {
   const { nodes } = choices;
@@ -123,7 +123,7 @@ export function addSelection(place, choices) {
 }
 
 /**
- * Hand keys over to an element that are pressed while nothing has the focus, as on a fresh page.
+ * Send keys to an element if no element has the focus, as on a newly loaded page.
  * @param {HTMLElement} element
  */
 export function takeKeys(element) {

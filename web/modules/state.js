@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * What a page shows stands in its address, whole: an address that is sent shows the same.
+ * The state of a page is completely in its address: a sent address shows the same.
  * `start`, `end` and `time` are times, `topics`, `nodes` and `runs` lists; the rest are texts.
  */
 
@@ -15,16 +15,16 @@ const CHANGED = "cassandra-state";
 
 /**
  * @typedef {object} State
- * @property {bigint | null} start Of the window, included.
- * @property {bigint | null} end Of the window, included.
- * @property {bigint | null} time The moment that is looked at.
- * @property {string[]} topics None: all.
- * @property {string[]} nodes Robots; none: all.
- * @property {string[]} runs None: all.
+ * @property {bigint | null} start First time, included.
+ * @property {bigint | null} end Last time, included.
+ * @property {bigint | null} time Selected time.
+ * @property {string[]} topics Empty = all.
+ * @property {string[]} nodes nodeIDs of robots; empty = all.
+ * @property {string[]} runs Empty = all.
  * @property {string} q The statement.
  * @property {string} layout
- * @property {Record<string, string>} others What a page keeps for itself.
- * @property {string[]} problems What could not be read, for people.
+ * @property {Record<string, string>} others Parameters of a single page.
+ * @property {string[]} problems Errors in the address, for the user.
  */
 
 /**
@@ -40,7 +40,7 @@ export function read(search = location.search) {
   };
   for (const [name, text] of new URLSearchParams(search)) take(state, name, text);
   if (state.start !== null && state.end !== null && state.start > state.end) {
-    state.problems.push("The address has a start behind its end: both are left out.");
+    state.problems.push("The address has a start after its end: both are ignored.");
     state.start = state.end = null;
   }
   return state;
@@ -69,9 +69,9 @@ function take(state, name, text) {
 }
 
 /**
- * Change the state: the address of this page, without loading it again.
- * @param {import("./api.js").Parameters} changes null removes.
- * @param {{push?: boolean}} [options] push: the browser's back button undoes it.
+ * Change the state, which is the address of this page, without reloading the page.
+ * @param {import("./api.js").Parameters} changes New values; null removes a parameter.
+ * @param {{push?: boolean}} [options] push: whether the browser's back button undoes it.
  */
 export function write(changes, { push = false } = {}) {
   const address = link(location.pathname, changes);
@@ -82,9 +82,9 @@ export function write(changes, { push = false } = {}) {
 }
 
 /**
- * Make the address of a page with this page's state and changes.
- * @param {string} page As /look.html.
- * @param {import("./api.js").Parameters} [changes] null removes.
+ * Return the address of a page with this page's state and changes.
+ * @param {string} page Path, as /look.html.
+ * @param {import("./api.js").Parameters} [changes] New values; null removes a parameter.
  */
 export function link(page, changes = {}) {
   const { problems, others, ...own } = read();
@@ -92,7 +92,7 @@ export function link(page, changes = {}) {
 }
 
 /**
- * Make the address of a file of the messages of this page's window, topics, robots and runs.
+ * Return the address of a file with the messages of this page's time range, topics, robots and runs.
  * @param {"bag" | "mcap"} ending
  * @param {import("./api.js").Parameters} [changes]
  */
@@ -102,7 +102,7 @@ export function fileLink(ending, changes = {}) {
 }
 
 /**
- * Call a listener whenever the state has changed: written, or by the back button.
+ * Call a listener when the state has changed, by `write` or by the back button.
  * @param {(state: State) => void} listener
  */
 export function onChange(listener) {

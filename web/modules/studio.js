@@ -2,9 +2,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * The Studio in a page of its own, which Look frames: it has the page to itself, its styles stay
- * here, and so does what its own state adds to the address. Its address has the state of Look's,
- * which is told what changes: `{time}`, `{layout}`, `{error}`, `{ready}`.
+ * The Studio in its own page, which Look shows in a frame: so its styles, and the parameters that it
+ * adds to the address, do not affect Look. Its address has the state of Look, to which it sends
+ * changes: `{time}`, `{layout}`, `{error}`, `{ready}`.
  */
 
 import * as state from "./state.js";
@@ -16,10 +16,10 @@ import { isAbort } from "./api.js";
 const REACT = ["/studio/react/umd/react.production.min.js", "/studio/react-dom/umd/react-dom.production.min.js"];
 const STUDIO = "/studio/@foxglove/studio-base/assets/index.js";
 const SOURCE = "cassandra_ros";
-/** The Studio's own bound is 1 GB of messages as sent; as objects they take several times that. */
+/** Maximum cache, bytes of serialised messages. The Studio's 1 GB would be several GB as objects. */
 const CACHE_BYTES = 96 * 1024 * 1024;
 const BLOCK_BYTES = 8 * 1024 * 1024;
-/** So much it may read ahead, of its 10 s. */
+/** Size of messages that it may read ahead, within its 10 s, bytes. */
 const AHEAD_BYTES = 64 * 1024 * 1024;
 const MOST_AHEAD_SEC = 10;
 
@@ -49,7 +49,7 @@ function load(address) {
 
 async function loadStudio() {
   for (const address of REACT) await load(address);
-  // By these names the Studio's bundle asks for them.
+  // The Studio's bundle expects these names.
   globals["react"] = globals.React;
   globals["react-dom"] = globals.ReactDOM;
   await load(STUDIO);
@@ -57,8 +57,8 @@ async function loadStudio() {
 }
 
 /**
- * Make what plays the messages. The Studio's player for such sources is not exported by name, but
- * one of its factories makes one; nothing is read by that.
+ * Make the player of the messages. The Studio does not export its player for such sources, but one of
+ * its factories makes one, without reading anything.
  * @param {StoreSource} source
  * @param {bigint} time
  */
@@ -93,9 +93,9 @@ function boundMemory(player, source) {
   const seconds = Math.max(1, Number((source.end - source.start) / 1_000_000_000n));
   const ahead = Math.floor(AHEAD_BYTES / (source.found.bytes / seconds + 1));
   buffered.readAheadDuration = { sec: Math.min(MOST_AHEAD_SEC, Math.max(1, ahead)), nsec: 0 };
-  // Of its cache it would give one message of a topic, and so one frame of all the transforms.
+  // Its cache would give one message for each topic, and so only one of all transforms.
   cache.getBackfillMessages = (/** @type {any} */ args) => source.getBackfillMessages(args);
-  // Who goes elsewhere does not wait for what is being read here.
+  // A seek does not wait for messages that are being read at the old time.
   const stop = buffered.stopProducer.bind(buffered);
   buffered.stopProducer = async () => {
     source.interrupt();
@@ -109,11 +109,11 @@ function boundMemory(player, source) {
 }
 
 /**
- * Forget what was looked at longest ago, for a message to come. The Studio's own counts what a reading
- * that was broken off had not kept, and gives up where only the block is left that is being filled.
+ * Remove the least recently used blocks of the cache for a new message. The Studio's own function counts
+ * messages of aborted reads that were not kept, and fails if only the block being filled is left.
  * @param {{size: number, lastAccess: number}[]} blocks
  * @param {{activeBlock?: object, sizeInBytes: number}} coming
- * @returns {boolean} Whether something was forgotten.
+ * @returns {boolean} Whether a block was removed.
  */
 function makeRoom(blocks, { activeBlock, sizeInBytes }) {
   const held = blocks.reduce((sum, block) => sum + block.size, sizeInBytes);
@@ -160,7 +160,7 @@ async function chooseLayout(text, source) {
 
 /** @param {any} layout */
 async function keepLayout(layout) {
-  // Panels complete their settings by themselves: that alone is no change that a link has to carry.
+  // Panels complete their settings on their own: that alone need not be in the address.
   if (navigator.userActivation?.hasBeenActive) tell({ layout: await pack(layout) });
 }
 
@@ -169,7 +169,7 @@ async function start() {
   const asked = state.read();
   const source = new StoreSource(asked, showError);
   const [found] = await Promise.all([source.open(), loadStudio()]);
-  if (!found.topics.length) throw new Error("There is no message in this window that could be shown.");
+  if (!found.topics.length) throw new Error("This time range has no message that can be shown.");
   const time = asked.time ?? source.start;
   const layouts = new Layouts(await chooseLayout(asked.layout, source), keepLayout);
   const factory = {
@@ -179,7 +179,7 @@ async function start() {
     iconName: "Database",
     initialize: () => makePlayer(source, time),
   };
-  // Else it would choose the layout that was shown last.
+  // Otherwise the Studio would choose the last shown layout.
   const own = `?layoutId=${SHOWN}&ds=${SOURCE}`;
   history.replaceState(null, "", own);
   globals.ReactDOM.render(

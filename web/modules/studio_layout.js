@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** Which panels the Studio shows: made of the topics that there are, or as the address says. */
+/** The layout of the Studio's panels: made for the existing topics, or read from the address. */
 
 /** @typedef {{topic: string, type: string, messages: number, schema: any}} Topic */
 /** @typedef {string | {direction: "row" | "column", first: any, second: any, splitPercentage: number}} Node */
@@ -16,7 +16,7 @@ const SHAPES = [
   "geometry_msgs/PolygonStamped",
 ];
 const IMAGES = ["sensor_msgs/CompressedImage", "sensor_msgs/Image"];
-/** What of a type is worth a curve; the first that there are are drawn. */
+/** Fields of each type that are drawn as curves; the first existing ones are used. */
 const CURVES = new Map([
   ["nav_msgs/Odometry", ["twist.twist.linear.x", "twist.twist.angular.z"]],
   ["geometry_msgs/Twist", ["linear.x", "angular.z"]],
@@ -32,13 +32,13 @@ const MOST_IMAGES = 3;
 const MOST_CURVES = 4;
 const FOLLOWED_SEC = 30;
 const MOST_CLOUDS = 6;
-/** What a link may carry: servers refuse lines of over 8 KB. */
+/** Maximum length of a layout in an address: servers refuse lines above 8 KB. */
 const MOST_PACKED = 5000;
 
 /**
- * Make the layout that a person would: of what can be drawn in space, cameras, curves, and a text.
+ * Make a layout with a 3D panel, cameras, curves and a raw message, as far as topics exist.
  * @param {Topic[]} topics
- * @param {boolean} following Curves show what was played last, for the whole is too much to hold.
+ * @param {boolean} following Whether curves show only the last played messages, because all are too many.
  * @returns {Layout}
  */
 export function layoutOf(topics, following) {
@@ -58,7 +58,7 @@ function whole(layout, configById) {
 }
 
 /**
- * Put nodes side by side; the first takes so many percent, else all the same.
+ * Put nodes side by side; the first gets `percent`, or all get the same.
  * @param {"row" | "column"} direction
  * @param {(Node | undefined)[]} nodes
  * @param {number} [percent]
@@ -84,7 +84,7 @@ function addSpace(topics, configById) {
   if (!drawn.length && !ofTypes(topics, TRANSFORMS).length) return undefined;
   const visible = drawn.map((topic) => [topic.topic, drawing(topic)]);
   configById["3D!space"] = {
-    // A robot by itself is looked at from nearer than the room around it.
+    // A robot alone is shown from nearer than a robot in a room.
     cameraState: { distance: drawn.length ? 15 : 5 },
     followMode: "follow-pose",
     topics: Object.fromEntries(visible),
@@ -111,7 +111,7 @@ function drawing(topic) {
 
 /** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
 function addCameras(topics, configById) {
-  // A camera publishes the same picture in several ways: one of them is enough, the smallest first.
+  // A camera publishes the same picture in several formats: the smallest one is enough.
   const cameras = new Map();
   for (const type of IMAGES) {
     for (const { topic: name } of ofTypes(topics, [type])) {
@@ -159,7 +159,7 @@ function addTexts(topics, configById) {
 }
 
 /**
- * Write a layout so that an address can carry it; '' where it is too large.
+ * Write a layout for an address; '' = it is too large.
  * @param {Layout} layout
  * @returns {Promise<string>}
  */
@@ -173,11 +173,10 @@ export async function pack(layout) {
 }
 
 /**
- * Read a layout that an address carries. Programs of the sender, which the Studio would run, are
- * none of it.
+ * Read a layout from an address. Scripts in it, which the Studio would run, are removed.
  * @param {string} text
  * @returns {Promise<Layout>}
- * @throws {Error} It is none.
+ * @throws {Error} The text is no layout.
  */
 export async function unpack(text) {
   try {

@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * The store as a data source of the Studio (its IIterableSource): messages are asked for page by
- * page as they are needed, so that a recording of any length opens at once.
+ * The store as a data source of the Studio (its IIterableSource): messages are requested in pages when
+ * they are needed, so that a recording of any length opens at once.
  */
 
 import { ApiError, ask, get, isAbort } from "./api.js";
@@ -16,7 +16,7 @@ const SMALL_MESSAGES = 200_000;
 const FIRST_PAUSE_MS = 500;
 const LONGEST_PAUSE_MS = 10_000;
 
-/** @typedef {{sec: number, nsec: number}} Time As the Studio has it. */
+/** @typedef {{sec: number, nsec: number}} Time Time of the Studio. */
 /** @typedef {import("./state.js").State} State */
 /** @typedef {{topic: string, message: any, receiveTime: Time, schemaName: string, sizeInBytes: number}} Event */
 
@@ -32,8 +32,8 @@ export function toNs(time) {
 
 export class StoreSource {
   /**
-   * @param {State} state What of the store: start, end, time, topics, nodes, runs.
-   * @param {(error: unknown) => void} showError Told of what failed and is tried again.
+   * @param {State} state Selection: start, end, time, topics, nodes, runs.
+   * @param {(error: unknown) => void} showError Called with each error before another attempt.
    */
   constructor(state, showError) {
     this.state = state;
@@ -43,13 +43,13 @@ export class StoreSource {
     this.found = null;
     this.start = 0n;
     this.end = 0n;
-    /** @type {AbortController | null} Of the messages that are being played. */
+    /** @type {AbortController | null} Ends the request of the messages that are being played. */
     this.playing = null;
     /** @type {Set<string>} */
     this.told = new Set();
   }
 
-  /** Ask what there is; do it once before the Studio does, for its layout depends on it. */
+  /** Request the topics; call it before the Studio does, because its layout depends on them. */
   async open() {
     const { start, end, time, topics } = this.state;
     this.found = await get("/api/connections", { topics, start, end, time, ...this.chosen });
@@ -59,7 +59,7 @@ export class StoreSource {
     return this.found;
   }
 
-  /** Whether all of the window may be read at once, for curves of the whole of it. */
+  /** Whether all messages of the time range may be read at once, for curves over all of it. */
   get isSmall() {
     return this.found.bytes <= SMALL_BYTES && this.found.messages <= SMALL_MESSAGES;
   }
@@ -93,7 +93,7 @@ export class StoreSource {
   }
 
   /**
-   * Read the messages of a stretch, ends included, in their order.
+   * Yield the messages of a time range, both ends included, in order.
    * @param {{topics: string[], start?: Time, end?: Time, consumptionType?: "full" | "partial"}} args
    * @returns {AsyncGenerator<{type: "message-event", msgEvent: Event}>}
    */
@@ -123,7 +123,7 @@ export class StoreSource {
   }
 
   /**
-   * Read one page; one that breaks off is asked for again, behind what came of it.
+   * Read one page; if it is cut off, request it again after the last message that came.
    * @param {string} path
    * @param {any} asked
    * @param {AbortSignal} signal
@@ -150,7 +150,7 @@ export class StoreSource {
   }
 
   /**
-   * Find what was sent last of some topics at or before a moment.
+   * Return the last messages of some topics at or before a time.
    * @param {{topics: string[], time: Time, abortSignal?: AbortSignal}} args
    * @returns {Promise<Event[]>}
    */
@@ -163,12 +163,12 @@ export class StoreSource {
     return found;
   }
 
-  /** End what is being read for playing: somebody goes elsewhere. */
+  /** End the request of the messages that are being played, for a seek. */
   interrupt() {
     this.playing?.abort();
   }
 
-  /** @param {import("./frames.js").Problem} problem Told once of each topic. */
+  /** @param {import("./frames.js").Problem} problem Shown once for each topic. */
   tell(problem) {
     if (this.told.has(problem.topic)) return;
     this.told.add(problem.topic);
@@ -185,7 +185,7 @@ function event({ channel, time, size, message }) {
   return { topic, message, receiveTime: toTime(time), schemaName: type, sizeInBytes: size };
 }
 
-/** @param {unknown} error Say whether it may be gone when asked again: not where we asked wrongly. */
+/** @param {unknown} error Returns whether another attempt may succeed: not for an invalid request. */
 function isPassing(error) {
   return !(error instanceof ApiError) || error.status === 0 || error.status >= 500;
 }

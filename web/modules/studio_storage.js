@@ -1,15 +1,15 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** What the Studio keeps in this browser: its settings, and the layouts that somebody saved. */
+/** The Studio's storage in this browser: its settings, and the layouts that the user saved. */
 
 const PREFIX = "cassandra_ros.studio.";
-/** The layout that the address carries, and which therefore is not kept here. */
+/** Id of the layout in the address, which is not stored in the browser. */
 export const SHOWN = "cassandra_ros";
 
 /**
- * Prepare what the Studio keeps by itself, where it kept nothing yet: panels have all the room, and who
- * knows it needs no hint.
+ * Set the Studio's own settings if it has none yet: the panels use the whole page, without hints for
+ * new users.
  */
 export function prepare() {
   const kept = {
@@ -21,7 +21,7 @@ export function prepare() {
   }
 }
 
-/** Settings that differ from the Studio's own: it asks nobody, and sends nothing anywhere. */
+/** Settings that differ from the Studio's defaults: no questions to the user, nothing sent elsewhere. */
 const DEFAULTS = {
   "colorScheme": "system",
   "timezone": "UTC",
@@ -68,12 +68,12 @@ export class Settings {
 /** The Studio's ILayoutStorage. */
 export class Layouts {
   /**
-   * @param {any} data The layout that is shown at first.
-   * @param {(data: any) => void} onChange Told of what somebody makes of it.
+   * @param {any} data First layout.
+   * @param {(data: any) => void} onChange Called with each layout that the user changed.
    */
   constructor(data, onChange) {
     this.shown = {
-      id: SHOWN, name: "As the address has it", permission: "CREATOR_WRITE",
+      id: SHOWN, name: "Layout of the address", permission: "CREATOR_WRITE",
       baseline: { data, savedAt: new Date().toISOString() }, working: undefined, syncInfo: undefined,
     };
     this.onChange = onChange;
@@ -108,7 +108,7 @@ export class Layouts {
     localStorage.removeItem(place(namespace, id));
   }
 
-  /** Nobody logs in: there is one namespace. */
+  /** Without a login there is one namespace. */
   async importLayouts() {}
 }
 

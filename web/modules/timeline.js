@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * A canvas that shows what is stored when: a row for each topic, a heading with the runs for each
- * robot, all time in a strip above. It draws a Picture and tells of what a person does with it.
+ * A canvas that shows stored messages over time: a row for each topic, a heading with the runs for each
+ * robot, and all time in a strip above. It draws a Picture and sends events for the user's actions.
  */
 
 import { iso, length, shown, ticks } from "./times.js";
@@ -17,7 +17,7 @@ const BAR = 14;
 const NAMES_LEAST = 150;
 const NAMES_MOST = 320;
 const NAMES_PART = 0.3;
-/** The shortest window, ns. */
+/** Minimum length of the visible time range, ns. */
 const SHORTEST = 1000n;
 const WHEEL_ZOOM = 1.0016;
 const CLICK_PX = 4;
@@ -35,26 +35,26 @@ const MOST_TEXTS = 5000;
  */
 
 /**
- * Tells: `view` when the window changed, `resize`, `scroll` when other rows are seen, `select` when something
- * was selected or no longer is, `moment` when a time was clicked.
+ * Events: `view` when the visible time range changed, `resize`, `scroll` when other rows are visible,
+ * `select` when the selection changed, `moment` when a time was clicked.
  */
 export class Timeline extends EventTarget {
   /**
-   * @param {HTMLCanvasElement} canvas In a box that gives it its size; it takes the keyboard.
-   * @param {HTMLElement} tip Where is told what is below the pointer.
+   * @param {HTMLCanvasElement} canvas Canvas in a box that has its size; it gets the keyboard.
+   * @param {HTMLElement} tip Element for the description of the place below the pointer.
    */
   constructor(canvas, tip) {
     super();
     this.canvas = canvas;
     this.tip = tip;
     this.picture = new Picture();
-    /** @type {Span} What is seen. */
+    /** @type {Span} Visible time range. */
     this.view = { start: 0n, end: 1n };
     /** @type {Span | null} */
     this.selection = null;
     /** @type {bigint | null} */
     this.moment = null;
-    /** @type {import("./timeline_data.js").Lane | null} In which something was clicked or selected last. */
+    /** @type {import("./timeline_data.js").Lane | null} Lane of the last click or selection. */
     this.lane = null;
     this.scrolled = 0;
     /** @type {Line[]} */
@@ -62,10 +62,10 @@ export class Timeline extends EventTarget {
     this.size = { width: 0, height: 0, names: 0 };
     /** @type {{x: number, y: number} | null} */
     this.pointer = null;
-    /** @type {any} What is being dragged. */
+    /** @type {any} The present drag. */
     this.drag = null;
     this.asked = 0;
-    /** @type {Map<string, string>} Texts that were too long for their room. */
+    /** @type {Map<string, string>} Shortened texts. */
     this.shortened = new Map();
     this.colours = coloursOf(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
@@ -76,9 +76,7 @@ export class Timeline extends EventTarget {
     this.listen();
   }
 
-  // ------------------------------------------------------------------ what others ask and say
-
-  /** Lay out anew what the picture has, and draw. */
+  /** Lay out the picture again and draw it. */
   update() {
     this.lines = [];
     let y = 0;
@@ -97,12 +95,12 @@ export class Timeline extends EventTarget {
     this.redraw();
   }
 
-  /** @returns {import("./timeline_data.js").Lane[]} Those whose rows are seen. */
+  /** @returns {import("./timeline_data.js").Lane[]} Lanes of the visible rows. */
   get seen() {
     return this.lines.flatMap((line) => (line.kind === "lane" && this.isSeen(line) ? [line.lane] : []));
   }
 
-  /** @returns {Span} All time, with a little room; of an empty store some hour. */
+  /** @returns {Span} All time with a margin; for an empty store one hour. */
   get whole() {
     const { first, last } = this.picture;
     if (first === null || last === null) return { start: 0n, end: 3_600_000_000_000n };
@@ -111,7 +109,7 @@ export class Timeline extends EventTarget {
   }
 
   /**
-   * Show a window.
+   * Show a time range.
    * @param {Span} span
    */
   show({ start, end }) {
@@ -121,7 +119,7 @@ export class Timeline extends EventTarget {
     if (long < SHORTEST) long = SHORTEST;
     if (long > most) long = most;
     let from = start + (end - start + 1n - long) / 2n;
-    // A part of what is stored stays in sight.
+    // At least a part of the stored messages stays visible.
     if (from > high - long / 8n) from = high - long / 8n;
     if (from + long < low + long / 8n) from = low + long / 8n - long;
     if (from < 0n) from = 0n;
@@ -132,7 +130,7 @@ export class Timeline extends EventTarget {
   }
 
   /**
-   * Look closer (below 1) or wider about a time.
+   * Zoom in (below 1) or out about a time.
    * @param {number} factor
    * @param {bigint} [about]
    */
@@ -142,7 +140,7 @@ export class Timeline extends EventTarget {
     this.show({ start: about - before, end: about - before + scaled(end - start + 1n, factor) - 1n });
   }
 
-  /** @param {number} part Of the window, to later times. */
+  /** @param {number} part Share of the visible time range, to later times. */
   pan(part) {
     const by = scaled(this.view.end - this.view.start + 1n, part);
     this.show({ start: this.view.start + by, end: this.view.end + by });
@@ -167,11 +165,9 @@ export class Timeline extends EventTarget {
     return timeIn(this.view, (x - this.size.names) / (this.size.width - this.size.names));
   }
 
-  // ------------------------------------------------------------------ layout
-
   resize() {
     const box = /** @type {HTMLElement} */ (this.canvas.parentElement);
-    if (!box.clientWidth) return; // it is hidden
+    if (!box.clientWidth) return; // the box is hidden
     const ratio = devicePixelRatio || 1;
     this.size.width = box.clientWidth;
     this.size.height = box.clientHeight;
@@ -185,7 +181,7 @@ export class Timeline extends EventTarget {
     this.tell("resize");
   }
 
-  /** @returns {number} How high it is with all rows. */
+  /** @returns {number} Height with all rows, pixels. */
   get wanted() {
     return TOP + this.lines.length * ROW + 10;
   }
@@ -230,8 +226,6 @@ export class Timeline extends EventTarget {
   tell(name) {
     this.dispatchEvent(new Event(name));
   }
-
-  // ------------------------------------------------------------------ mouse and keyboard
 
   listen() {
     const on = (/** @type {string} */ name, /** @type {(event: any) => void} */ react) =>
@@ -326,7 +320,7 @@ export class Timeline extends EventTarget {
     }
   }
 
-  /** @param {number} x In the strip of all time: there is the middle of the window now. */
+  /** @param {number} x Position in the strip of all time that becomes the middle of the view. */
   centre(x) {
     const { names, width } = this.size;
     const at = timeIn(this.whole, (x - names) / (width - names));
@@ -360,8 +354,6 @@ export class Timeline extends EventTarget {
     event.preventDefault();
     act();
   }
-
-  // ------------------------------------------------------------------ drawing
 
   pen() {
     return /** @type {CanvasRenderingContext2D} */ (this.canvas.getContext("2d"));
@@ -431,7 +423,7 @@ export class Timeline extends EventTarget {
     this.fitted(pen, `${shown(this.view.start, axis.step >= 60_000_000_000n ? 86_400_000_000_000n : 60_000_000_000n)} · ${long}`, 10, STRIP + AXIS / 2 - 1, names - 14);
   }
 
-  /** @param {CanvasRenderingContext2D} pen All time, and where in it the window lies. */
+  /** @param {CanvasRenderingContext2D} pen All time, with the visible time range. */
   drawStrip(pen) {
     const { names, width } = this.size;
     const { whole } = this;
@@ -491,7 +483,7 @@ export class Timeline extends EventTarget {
     for (const mark of this.picture.marks.filter((each) => each.kind !== "loss" && each.node === node)) {
       const x = Math.round(this.xOf(mark.start));
       if (x < names || x > width) continue;
-      const way = mark.kind === "end" ? -6 : 6; // towards what was recorded
+      const way = mark.kind === "end" ? -6 : 6; // towards the recording
       pen.beginPath();
       pen.moveTo(x, y + 1);
       pen.lineTo(x + way, y + 5);
@@ -549,9 +541,9 @@ export class Timeline extends EventTarget {
       let next = cell + 1;
       while (next <= last && lane.counts[next] === count && even[next - first] === even[cell - first]) next++;
       if (count) {
-        // By the root, or a single burst would leave little of the others.
+        // By the square root: otherwise one burst would make all other bars tiny.
         const high = Math.max(3, Math.round(Math.sqrt(count / lane.most) * BAR));
-        // On whole pixels, or a narrow bar would be pale.
+        // On whole pixels: otherwise a narrow bar would be pale.
         const [from, to] = [origin + cell * perCell, origin + next * perCell].map((x) => Math.round(Math.max(names, Math.min(width, x)) * ratio) / ratio);
         pen.fillStyle = even[cell - first] ? this.colours.soft : this.colours.data;
         pen.fillRect(from, base - high, Math.max(1, to - from), high);
@@ -570,7 +562,7 @@ export class Timeline extends EventTarget {
     this.fitted(pen, text, heading ? 10 : 14, y + ROW / 2, names - (heading ? 18 : 32));
   }
 
-  /** @param {CanvasRenderingContext2D} pen What is selected, and the moment. */
+  /** @param {CanvasRenderingContext2D} pen Draws the selection and the clicked time. */
   drawSpan(pen) {
     const { names, width, height } = this.size;
     if (this.selection) {
@@ -623,7 +615,7 @@ export class Timeline extends EventTarget {
     this.tip.style.transform = `translate(${Math.max(0, left)}px, ${Math.max(0, top)}px)`;
   }
 
-  /** @param {{x: number, y: number}} at @returns {string[]} What lies below the pointer. */
+  /** @param {{x: number, y: number}} at @returns {string[]} Description of the place below the pointer. */
   tellOf({ x, y }) {
     const ns = this.timeAt(x);
     const line = this.lineAt(y);
@@ -660,7 +652,7 @@ export class Timeline extends EventTarget {
     return found;
   }
 
-  /** @param {string} node @param {bigint} ns @returns {any[]} Beginnings and ends of recordings near a time. */
+  /** @param {string} node @param {bigint} ns @returns {any[]} Starts and ends of recordings near a time. */
   marksAt(node, ns) {
     const reach = scaled(this.view.end - this.view.start, CLICK_PX / this.size.width);
     return this.picture.marks
@@ -676,7 +668,7 @@ export class Timeline extends EventTarget {
   }
 
   /**
-   * Write a text that has so much room, the middle left out where it is too long.
+   * Write a text into a width, without its middle if it is too long.
    * @param {CanvasRenderingContext2D} pen
    * @param {string} text
    * @param {number} x
@@ -699,7 +691,7 @@ export class Timeline extends EventTarget {
     pen.fillText(shorter, x, y);
   }
 
-  /** @returns {string} The same for who does not see it. */
+  /** @returns {string} Description for screen readers. */
   describe() {
     const { picture, view } = this;
     const robots = new Set(picture.lanes.map((lane) => lane.node)).size;
@@ -717,10 +709,10 @@ function timeIn({ start, end }, part) {
   return start + scaled(end - start + 1n, Math.max(0, Math.min(1, part)));
 }
 
-/** @param {[number, number][]} stretches @param {number} first @param {number} last */
-function evenOf(stretches, first, last) {
+/** @param {[number, number][]} ranges @param {number} first @param {number} last */
+function evenOf(ranges, first, last) {
   const found = new Uint8Array(Math.max(0, last - first + 1));
-  for (const [from, to] of stretches) found.fill(1, Math.max(0, from - first), Math.max(0, to - first + 1));
+  for (const [from, to] of ranges) found.fill(1, Math.max(0, from - first), Math.max(0, to - first + 1));
   return found;
 }
 

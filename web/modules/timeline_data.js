@@ -1,26 +1,26 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** What /api/timeline and /api/marks answered, as a canvas draws it. */
+/** The answers of /api/timeline and /api/marks in the form that the canvas draws. */
 
 /**
  * @typedef {object} Scale
- * @property {bigint} start Of the first cell, ns.
+ * @property {bigint} start Start of the first cell, ns.
  * @property {bigint} step Length of a cell, ns.
- * @property {number} cells How many.
+ * @property {number} cells Number of cells.
  */
 
 /**
  * @typedef {object} Loss
  * @property {bigint} start
  * @property {bigint} end
- * @property {number | null} count null: nobody knows.
- * @property {string} text Why.
+ * @property {number | null} count Number of lost messages; null = not known.
+ * @property {string} text Reason.
  */
 
 /**
  * @typedef {object} Run
- * @property {string} run Its name, or its id.
+ * @property {string} run Name of the run, or its writer id.
  * @property {number} id
  * @property {string} node
  * @property {bigint} first
@@ -28,7 +28,7 @@
  * @property {number} messages
  */
 
-/** A topic of a robot: how many messages lie in each cell. */
+/** A topic of a robot, with the number of messages in each cell. */
 export class Lane {
   /** @param {string} topic @param {string} node */
   constructor(topic, node) {
@@ -59,10 +59,10 @@ export class Lane {
   }
 
   /**
-   * Take what the server says of it.
+   * Take the lane of an answer.
    * @param {any} said
    * @param {Scale | null} scale
-   * @param {boolean} [keep] The cells that it has, for those are finer.
+   * @param {boolean} [keep] Whether to keep its present cells, which are finer.
    */
   take(said, scale, keep = false) {
     this.types = said.types;
@@ -80,7 +80,7 @@ export class Lane {
     this.gaps = (said.gaps ?? []).map((/** @type {string[]} */ gap) => gap.map(BigInt));
   }
 
-  /** Forget what its cells hold. */
+  /** Clear its cells. */
   clear() {
     this.counts = new Float64Array(0);
     this.scale = null;
@@ -89,20 +89,20 @@ export class Lane {
     this.gaps = [];
   }
 
-  /** @param {bigint} ns @returns {number} The cell of a time; -1 outside. */
+  /** @param {bigint} ns @returns {number} Index of the cell of a time; -1 = outside. */
   cellOf(ns) {
     if (!this.scale || ns < this.scale.start) return -1;
     const cell = Number((ns - this.scale.start) / this.scale.step);
     return cell < this.scale.cells ? cell : -1;
   }
 
-  /** @param {bigint} ns How many messages lie in the cell of a time. */
+  /** @param {bigint} ns Number of messages in the cell of a time. */
   countAt(ns) {
     const cell = this.cellOf(ns);
     return cell < 0 ? 0 : this.counts[cell];
   }
 
-  /** @param {bigint} ns Whether they are spread evenly there, for more is not known. */
+  /** @param {bigint} ns Whether the messages are spread evenly there because their times are not known. */
   isEven(ns) {
     const cell = this.cellOf(ns);
     return this.even.some(([first, last]) => first <= cell && cell <= last);
@@ -114,10 +114,10 @@ export function keyOf(topic, node) {
   return `${node}\n${topic}`;
 }
 
-/** All that a timeline shows. */
+/** The data of a timeline. */
 export class Picture {
   constructor() {
-    /** @type {bigint | null} Of all that is chosen. */
+    /** @type {bigint | null} First time of the selection. */
     this.first = null;
     /** @type {bigint | null} */
     this.last = null;
@@ -127,11 +127,11 @@ export class Picture {
     this.runs = [];
     /** @type {any[]} */
     this.marks = [];
-    /** @type {Lane} Of all lanes together, over all time. */
+    /** @type {Lane} Sum of all lanes, over all time. */
     this.whole = new Lane("", "");
   }
 
-  /** @returns {Lane[]} By robot and topic. */
+  /** @returns {Lane[]} Lanes sorted by robot and topic. */
   get lanes() {
     return [...this.byKey.values()];
   }
@@ -143,14 +143,14 @@ export class Picture {
   /**
    * Take an answer of /api/timeline.
    * @param {any} answer
-   * @param {{all?: boolean, whole?: boolean, topics?: string[], nodes?: string[]}} of all: it has all lanes, those that it
-   *   lacks are gone; whole: its window is all time; topics, nodes: what was asked for, none = all.
+   * @param {{all?: boolean, whole?: boolean, topics?: string[], nodes?: string[]}} of all: it has all lanes, other
+   *   ones are deleted; whole: it covers all time; topics, nodes: those of the request, none = all.
    */
   take(answer, { all = false, whole = false, topics = [], nodes = [] }) {
     const scale = scaleOf(answer);
     const before = this.byKey;
     for (const lane of all ? [] : this.lanes) {
-      // Of a run there are only the lanes in which it has something.
+      // With selected runs the answer has only lanes in which they have messages.
       const asked = !topics.length || topics.includes(lane.topic);
       if (asked && (!nodes.length || nodes.includes(lane.node))) lane.clear();
     }
@@ -170,7 +170,7 @@ export class Picture {
   }
 
   /**
-   * Take an answer of /api/marks: losses go to their lanes, which are made where nothing is stored.
+   * Take an answer of /api/marks: losses go to their lanes, which are made if no message is stored.
    * @param {any[]} marks
    */
   takeMarks(marks) {
@@ -203,13 +203,13 @@ function scaleOf(answer) {
   return { start: BigInt(answer.start), step: BigInt(answer.cell_ns), cells: answer.cells };
 }
 
-/** @param {any[]} lanes As they are answered. @param {Scale | null} scale */
+/** @param {any[]} lanes Lanes of the answer. @param {Scale | null} scale */
 function sumOf(lanes, scale) {
   const sum = new Array(scale?.cells ?? 0).fill(0);
   for (const said of lanes) {
     const lane = new Lane(said.topic, said.node);
     lane.take(said, scale);
-    // Each as high as its own rate allows, or a camera would not be seen beside an IMU.
+    // Each lane has its own scale: otherwise a camera could not be seen beside an IMU.
     if (lane.most) lane.counts.forEach((count, cell) => (sum[cell] += count / lane.most));
   }
   return { types: [], messages: 0, bytes: 0, exact: true, writing: false, counts: [[0, ...sum]] };

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
 /**
- * Times: nanoseconds since 1970 as BigInt, for a number of JavaScript cannot hold them.
+ * Times: nanoseconds since 1970 as BigInt, because JavaScript's numbers cannot hold them.
  * Texts are in UTC, as everywhere in cassandra_ros.
  */
 
@@ -12,10 +12,10 @@ export const SECOND = 1_000_000_000n;
 export const MINUTE = 60n * SECOND;
 export const HOUR = 60n * MINUTE;
 export const DAY = 24n * HOUR;
-/** Lengths for the choice of a scale; the calendar has the exact ones. */
+/** Approximate lengths to choose a scale; the exact ones come from the calendar. */
 const MONTH = 30n * DAY;
 const YEAR = 365n * DAY;
-/** A whole number below is one of seconds: as nanoseconds it would be 17 minutes after 1970. */
+/** A smaller whole number is in seconds: as nanoseconds it would be 17 minutes after 1970. */
 const SECONDS_BELOW = 1_000_000_000_000n;
 /** The last time that ROS 1 can express. */
 export const LAST = 4_294_967_295_999_999_999n;
@@ -25,11 +25,11 @@ const ISO =
   /^(\d{4})-(\d\d)-(\d\d)(?:[Tt ](\d\d):(\d\d)(?::(\d\d)(?:[.,](\d{1,9}))?)?\s*([Zz]|[+-]\d\d(?::?\d\d)?)?)?$/;
 
 /**
- * Read a time as the command line does: digits are seconds, or from 13 on nanoseconds, digits with a
- * point seconds, else it is ISO 8601 (no zone means UTC).
+ * Read a time as on the command line: digits are seconds, from 13 digits on nanoseconds; digits with
+ * a point are seconds; other texts are ISO 8601 (no zone means UTC).
  * @param {string} text
  * @returns {bigint}
- * @throws {RangeError} It is none of these, or before 1970 or after 2106.
+ * @throws {RangeError} The text is no time, or before 1970 or after 2106.
  */
 export function parse(text) {
   const ns = parseAny(text.trim());
@@ -74,8 +74,8 @@ export function iso(ns) {
 }
 
 /**
- * Write a time for an address, so that parse and the server read the very same: nanoseconds, or of
- * the small times of a simulation seconds with a point.
+ * Write a time for an address, so that parse and the server read the same time: nanoseconds, or for
+ * small (simulated) times seconds with a point.
  * @param {bigint} ns
  */
 export function written(ns) {
@@ -83,7 +83,7 @@ export function written(ns) {
 }
 
 /**
- * Write a time for people, as finely as a step of so many ns asks for.
+ * Write a time for people, with the precision of a step in ns.
  * @param {bigint} ns
  * @param {bigint} [step]
  */
@@ -113,22 +113,22 @@ export function length(ns) {
  * @typedef {object} Tick
  * @property {bigint} ns
  * @property {string} text
- * @property {boolean} major Where the next larger unit begins.
+ * @property {boolean} major Whether the next larger unit begins here.
  */
 
 /**
- * Choose where an axis has its ticks: whole units of the calendar, ends included.
+ * Return the ticks of an axis at whole units of the calendar, both ends included.
  * @param {bigint} start
  * @param {bigint} end At least start.
- * @param {number} most How many there may be, at least 1.
- * @returns {{step: bigint, ticks: Tick[]}} The step is about right for months and years.
+ * @param {number} most Maximum number of ticks, minimum 1.
+ * @returns {{step: bigint, ticks: Tick[]}} The step is approximate for months and years.
  */
 export function ticks(start, end, most) {
   const least = (end - start) / BigInt(Math.max(1, Math.floor(most))) + 1n;
   const months = MONTH_STEPS.find((n) => BigInt(n) * MONTH >= least) ?? MONTH_STEPS.at(-1) ?? 1;
   const step = STEPS.find((n) => n >= least);
   if (step === undefined) return monthTicks(start, end, months);
-  // Weeks begin on Mondays, and 1970 did on a Thursday.
+  // Weeks begin on Mondays; 1970 began on a Thursday.
   const origin = step >= 7n * DAY ? 4n * DAY : 0n;
   const found = [];
   for (let ns = ceil(start - origin, step) * step + origin; ns <= end; ns += step) {
@@ -235,7 +235,7 @@ function pair(ns, unit, name, part, partName) {
 /**
  * @param {bigint} ns
  * @param {bigint} step
- * @returns {bigint} How many whole steps reach it, rounded up.
+ * @returns {bigint} Number of steps, rounded up.
  */
 function ceil(ns, step) {
   const down = ns / step;
