@@ -17,7 +17,7 @@ from cassandra_ros.errors import InvalidName, InvalidOption
 from cassandra_ros.printable import MOST_CHARACTERS, shown, shown_lines
 from cassandra_ros.recording.losses import LossTotal
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.run_series import Series
+from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.topic_counts import TopicReport
 from cassandra_ros.recording.topic_settings import read_label
 from cassandra_ros.tables.registry import LossKind, Run
@@ -149,7 +149,7 @@ def test_new_names_have_a_length_that_people_can_read(rosCas):
 
 def test_a_split_recording_refuses_a_name_that_its_later_runs_could_not_have(rosCas):
     options = RecorderOptions(all=True, split=True, duration=1, output_name="n" * MAX_NAME_BYTES)
-    series = Series(rosCas.catalog, options, lambda: T0, lambda recording: None)
+    series = RunSeries(rosCas.catalog, options, lambda: T0, lambda recording: None)
     with pytest.raises(InvalidName, match=r"run\.name"):
         series.begin()
     assert rosCas.runs() == []
