@@ -197,7 +197,7 @@ def test_what_fails_says_why(viewer):
             {"topics": "/fix", "where": "/imu/data: orientation.x > 1"},
             "not among those that are read",
         ),
-        ({"compression": "zstd"}, "is none of none, lz4, bz2"),
+        ({"compression": "zstd"}, "give one of none, lz4, bz2"),
         ({"stream": "true"}, "no parameter 'stream'"),
     ):
         status, answer = viewer.fail("/window.bag", **parameters)

@@ -23,7 +23,7 @@ const BLOCK_BYTES = 8 * 1024 * 1024;
 const AHEAD_BYTES = 64 * 1024 * 1024;
 const MOST_AHEAD_SEC = 10;
 
-/** What the Studio's scripts leave behind. @type {any} */
+/** Global objects of the Studio's scripts. @type {any} */
 const globals = window;
 
 /** @param {Record<string, unknown>} message */

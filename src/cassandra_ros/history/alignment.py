@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Where the live messages of a publisher begin among the stored ones: found by their bytes.
+"""Finds, by their bytes, where the live messages of a publisher begin among its stored ones.
 
-TCPROS numbers no messages. Two subscribers of one publisher, a recorder and we, hear the same
-sequence, each from another point on; so the end of what the one stored is the beginning of what
-the other heard. Messages that are equal leave several such places; the times of reception choose.
+TCPROS does not number messages. A recorder and this subscriber receive the same sequence of one
+publisher, each from another message on; so the end of the stored messages equals the beginning of
+the live ones. Equal messages allow several overlaps; then the times of reception decide.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 from cassandra_ros.keys import SECOND_NS
 
 TOLERANCE_NS = SECOND_NS // 2
-"""How far apart two receivers may have received a message that has equals."""
+"""Maximum difference of two times of reception of a message that is not unique, ns."""
 CERTAIN = 4
-"""So many different messages in the same order are no accident, whatever the times say."""
+"""Number of different messages in the same order that prove an overlap, whatever their times."""
 FEW = 8
-"""Below so many pairs, equal messages must agree in time within half of the publisher's period."""
+"""Number of pairs below which times must agree within half of the publisher's period."""
 NEAREST = 512
 """Maximum number of overlaps that are compared by time."""
 PAIRS = 64
@@ -32,14 +32,16 @@ _INLINE = 32
 
 
 class Mark(NamedTuple):
-    """What is compared of a message: when it was received, ns, and its bytes or their digest."""
+    """The parts of a message that are compared."""
 
     t: int
+    """Time of reception, ns."""
     digest: bytes
+    """Its bytes, or their digest if they are many."""
 
 
 def digest_of(wire: bytes) -> bytes:
-    """Return what stands for the bytes of a message: themselves where they are few."""
+    """Return the digest of a message's bytes; the bytes themselves if they are few."""
     return wire if len(wire) <= _INLINE else hashlib.blake2b(wire, digest_size=_INLINE + 1).digest()
 
 
@@ -47,12 +49,12 @@ def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False)
     """Find the first stored message of a publisher that is also among the live ones.
 
     Args:
-        stored: What a recorder has stored of the publisher lately, in order. Some may be missing.
-        live: What we heard of it, in order, nothing missing since the first.
-        sure: Equal bytes are the same message: they hold a time or a number.
+        stored: The last stored messages of the publisher, in order; some may be missing.
+        live: The received messages of the publisher, in order, complete since the first.
+        sure: Whether equal bytes are the same message, because they contain a time or a number.
 
     Returns:
-        Its index; None where nothing that was heard live is stored yet.
+        Its index in ``stored``; None = no live message is stored yet.
     """
     if not stored or not live:
         return None
@@ -69,11 +71,11 @@ def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False)
 
 
 class Live:
-    """Messages of a publisher that came live, to tell whether a stored one is among them.
+    """The live messages of a publisher, with a test whether a stored message is among them.
 
     Args:
-        marks: What was heard of it, in order.
-        sure: Equal bytes are the same message.
+        marks: The received messages, in order.
+        sure: Whether equal bytes are the same message.
     """
 
     def __init__(self, marks: Sequence[Mark], sure: bool) -> None:
@@ -84,30 +86,31 @@ class Live:
         self._limit = _limit((), marks)
 
     def has(self, mark: Mark) -> bool:
-        """Say whether a stored message is one of them."""
+        """Return whether a stored message is one of them."""
         times = self._times.get(mark.digest)
         return times is not None and (self._sure or _nearest(times, mark.t) <= self._limit)
 
 
 class _Overlap(NamedTuple):
-    """One way in which both may be the same messages: pairs of equals up to the end of one."""
+    """A possible overlap of stored and live messages: pairs of equal ones up to the end of one."""
 
     place: int
-    """Among the stored ones."""
+    """Index of the first pair in the stored messages."""
     other: int
-    """Among the live ones; one of the two is 0."""
+    """Index of the first pair in the live messages; one of the two indexes is 0."""
     pairs: int
+    """Number of pairs."""
     cost: float
-    """How far the last pairs are apart in time, ns."""
+    """Median difference of the times of the last pairs, ns."""
 
 
 def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> List[_Overlap]:
-    """List the possible overlaps; of very many those that agree best in time at their ends."""
+    """Return the possible overlaps; if there are more than NEAREST, those with the best times."""
     numbers: Dict[bytes, int] = {}
     ours = [numbers.setdefault(mark.digest, len(numbers)) for mark in live]
     theirs = [numbers.setdefault(mark.digest, len(numbers)) for mark in stored]
-    # Where the live ones begin among the stored ones, or, with a recorder that came later, the
-    # stored ones among the live ones.
+    # Positions of the first live message among the stored ones or, if the recorder started later,
+    # of the first stored message among the live ones.
     places = [(k, 0) for k in _beginnings(theirs, ours)]
     places += [(0, j) for j in _beginnings(ours, theirs) if j]
 
@@ -117,7 +120,7 @@ def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> List[_Overlap]:
         return abs(stored[k + count - 1].t - live[j + count - 1].t)
 
     if len(places) > NEAREST:
-        # By the last pair: at first a subscriber that is reading the past lags behind.
+        # By the last pair: a subscriber that reads the past gets its first messages late.
         places = sorted(places, key=last_apart)[:NEAREST]
     return [_overlap(stored, live, k, j) for k, j in places]
 
@@ -129,13 +132,13 @@ def _overlap(stored: Sequence[Mark], live: Sequence[Mark], k: int, j: int) -> _O
 
 
 def _beginnings(text: Sequence[int], other: Sequence[int]) -> List[int]:
-    """List the places in a text from which on it equals another one, to the end of one of both."""
+    """Return the positions from which a text equals another one to the end of one of both."""
     lengths = _z_function([*other, -1, *text])[len(other) + 1 :]
     return [k for k, n in enumerate(lengths) if n == min(len(text) - k, len(other))]
 
 
 def _z_function(text: Sequence[int]) -> List[int]:
-    """Return for each place how long the text from there on equals its own beginning."""
+    """Return for each position the length of the text from there that equals its beginning."""
     size = len(text)
     found = [0] * size
     left = right = 0
@@ -150,18 +153,18 @@ def _z_function(text: Sequence[int]) -> List[int]:
 
 
 def _best_in_time(overlaps: Sequence[_Overlap]) -> _Overlap:
-    """Choose the one in which the times of reception agree best."""
+    """Return the overlap in which the times of reception agree best."""
     return min(overlaps, key=lambda overlap: overlap.cost)
 
 
 def _agree(overlap: _Overlap, stored: Sequence[Mark], live: Sequence[Mark]) -> bool:
-    """Say whether the times alone show that both are the same messages."""
+    """Return whether the times alone show that both are the same messages."""
     limit = _limit(stored, live) if overlap.pairs < FEW else TOLERANCE_NS
     return overlap.cost <= limit
 
 
 def _limit(stored: Sequence[Mark], live: Sequence[Mark]) -> float:
-    """Return half the period of a publisher, ns, where it is known and short."""
+    """Return half the period of a publisher, ns, at most TOLERANCE_NS."""
     steps = [
         after.t - mark.t
         for part in (stored[-PAIRS:], live[:PAIRS])
@@ -176,7 +179,7 @@ def _all_differ(marks: Sequence[Mark]) -> bool:
 
 
 def _scattered(stored: Sequence[Mark], live: Sequence[Mark], sure: bool) -> Optional[int]:
-    """Find the place where one of the two lacks messages: a filter, a queue that was full."""
+    """Find the first common message if some are missing, by a filter or a full queue."""
     times: Dict[bytes, List[int]] = {}
     for mark in live:
         times.setdefault(mark.digest, []).append(mark.t)

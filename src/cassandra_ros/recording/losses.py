@@ -58,7 +58,7 @@ class _LossRange:
         return begins - (0 if self.told else GAP_NS) <= first_ns <= ends + GAP_NS
 
     def grow(self, messages: int, first_ns: int, last_ns: int) -> None:
-        """Take in a further loss."""
+        """Add a further loss."""
         old = self.loss
         self.loss = replace(
             old,
@@ -69,7 +69,7 @@ class _LossRange:
         self.saved = False
 
     def tell(self) -> Loss:
-        """Return the loss for the store, where its first time is its key from now on."""
+        """Return the loss to be stored; from now on its first time, which is its key, is fixed."""
         self.told = True
         return self.loss
 

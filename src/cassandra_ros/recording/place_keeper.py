@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The index of places, noted while poses are recorded, from what is handed to the store.
+"""The index of places, written while poses are recorded, from the messages handed to the store.
 
-A thread of its own notes some seconds at a time, about which nothing can come any more that changes
-them: a way between two poses may last LONGEST_GAP_NS. What it does not note is looked at by whoever
-asks, so it may fall behind, or give up, and no answer is wrong. Where what was noted does not hold
-any more (a pose was lost, or deleted, or a clock went back) it is taken back.
+A thread indexes a few seconds at a time, after LONGEST_GAP_NS, when later poses cannot change them
+any more. Queries read the poses of times that are not indexed, so that the index may be late or
+incomplete and answers are still right. Entries that have become wrong (a pose was lost or deleted,
+or a clock went back) are deleted.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 NOTE_SEC = 20.0
-"""How often it is noted."""
+"""Interval at which the index is written, s."""
 MAX_HELD_BYTES = 64 * 1024 * 1024
-"""Of poses that wait to be noted; beyond it the recording goes on without the index."""
+"""Maximum size of the pose messages that wait for the index, bytes. Above it indexing ends."""
 END_SEC = 10.0
-"""So long the end of a recording waits for the last part."""
+"""Maximum time that the end of a recording waits for the last entries, s."""
 POSES = (
     "nav_msgs/Odometry",
     "geometry_msgs/PoseWithCovarianceStamped",
@@ -65,17 +65,17 @@ POSES = (
 )
 
 
-class _Taken(NamedTuple):
+class _PoseMessage(NamedTuple):
     source: MessageSource
     t: int
     wire: bytes
 
 
 class LiveTopic:
-    """The last messages of one topic, as places/ reads stored ones.
+    """The last messages of one topic in memory, with the methods of a stored topic.
 
     Args:
-        before: Messages that are stored already and count as well.
+        before: Messages that were stored before, which belong to the topic, too.
     """
 
     def __init__(self, name: str, node: str, before: Sequence[Row] = ()) -> None:
@@ -88,11 +88,11 @@ class LiveTopic:
 
     @property
     def tables(self) -> Sequence[Table]:
-        """One for each type and definition that came."""
+        """Tables, one for each received type and definition."""
         return list(self._tables.values())
 
-    def add(self, taken: _Taken) -> None:
-        """Take a message; it comes behind those that were taken."""
+    def add(self, taken: _PoseMessage) -> None:
+        """Add a message."""
         connection = taken.source.connection
         table = self._tables.get(connection.md5sum)
         if not isinstance(table, LiveTable):
@@ -105,14 +105,14 @@ class LiveTopic:
         self._rows.insert(at, row)
 
     def drop(self, before: int) -> int:
-        """Forget messages that came before a time, ns; return their bytes."""
+        """Remove messages received before a time, ns; return their size, bytes."""
         at = bisect_left(self._times, before)
         nbytes = sum(row.size for row in self._rows[:at])
         del self._times[:at], self._rows[:at]
         return nbytes
 
     def read(self, read: Read) -> Iterator[Row]:
-        """Walk through the messages of a time range; all are of one node and one run."""
+        """Yield the messages of a time range; all are of one robot and one run."""
         low, high = read.time_range
         first, last = bisect_left(self._times, low), bisect_right(self._times, high)
         found = [row for row in self._before if low <= row.t <= high] + self._rows[first:last]
@@ -136,12 +136,12 @@ class LiveTopic:
         return sum(1 for _ in self.read(read))
 
     def countBuckets(self) -> int:
-        """Count its partitions: it has none."""
+        """Return the number of buckets: 0, because nothing is stored."""
         return 0
 
 
 def tells_places(connection: Connection) -> bool:
-    """Say whether messages of a connection tell where a robot is."""
+    """Return whether the messages of a connection have poses of a robot."""
     try:
         if connection.topic in (TF, TF_STATIC):
             return connection.md5sum == TRANSFORMS_MD5
@@ -151,13 +151,13 @@ def tells_places(connection: Connection) -> bool:
 
 
 class PlaceKeeper:
-    """Notes where the robot of one run is.
+    """Writes the index of places of one run.
 
     Args:
-        store: The catalog of the connected keyspace, when it answers.
+        store: Future of the catalog of the connected keyspace.
         whose: nodeID and writer id of the run.
-        losses: Of the run: which of the messages that were taken are not stored.
-        wanted: Do so; else take nothing.
+        losses: Losses of the run: messages that were taken here but not stored.
+        wanted: Whether to write the index; otherwise messages are ignored.
     """
 
     def __init__(
@@ -168,41 +168,41 @@ class PlaceKeeper:
         wanted: bool = True,
     ) -> None:
         self._store, self._whose, self._losses, self._wanted = store, whose, losses, wanted
-        self._taken: Deque[_Taken] = deque()
-        # Each is counted by one thread alone.
+        self._taken: Deque[_PoseMessage] = deque()
+        # Each is changed by one thread alone.
         self._came = self._gone = 0
-        """Bytes of messages that were taken, and of those that are not held any more."""
+        """Size of the messages taken, and of those removed from memory, bytes."""
         self._ending = threading.Event()
         self._gave_up = False
         self._thread: Optional[threading.Thread] = None
         self._topics: Dict[str, LiveTopic] = {}
         self._sources: Dict[str, MessageSource] = {}
-        """The last connection of each topic: it knows its table."""
+        """Last connection of each topic, which has its table."""
         self._first: Dict[str, int] = {}
-        """From when on all poses of a topic are noted, ns."""
+        """Time from which on all poses of a topic are indexed, ns."""
         self._said: Set[Tuple[str, str]] = set()
-        """The tables and robots of which the index says how far it goes."""
+        """Tables and robots for which the index has an indexed time range."""
         self._wrong = False
-        """What it says does not hold any more."""
+        """Whether these time ranges have become wrong and must be deleted."""
         self._tf: Optional[TfVisits] = None
         self._told: Dict[str, TopicVisits] = {}
         self._latest = 0
         self._noted = self._read_to = -1
-        """All poses up to here are noted, or were looked at, ns; -1 = none."""
+        """Times up to which all poses are indexed, and were read, ns; -1 = no pose yet."""
 
     def take(self, source: MessageSource, t: int, wire: bytes) -> None:
-        """Take a message, in their order, if it tells where the robot is; wait for nothing.
+        """Take a message if it has poses of the robot, without waiting.
 
-        One thread at a time.
+        Messages are taken in the order of reception, by one thread at a time.
         """
         if not (source.tells_places and self._wanted) or self._gave_up or self._ending.is_set():
             return
         self._came += len(wire)
         if self._came - self._gone > MAX_HELD_BYTES:
-            _log.warning("places are not noted any more: over %d bytes wait", MAX_HELD_BYTES)
+            _log.warning("places are not indexed any more: more than %d bytes wait", MAX_HELD_BYTES)
             self._gave_up = True
             return
-        self._taken.append(_Taken(source, t, wire))
+        self._taken.append(_PoseMessage(source, t, wire))
         if self._thread is None:
             self._begin()
 
@@ -210,15 +210,15 @@ class PlaceKeeper:
         thread = threading.Thread(target=self._run, name="recorder-places", daemon=True)
         try:
             thread.start()
-        except RuntimeError as exc:  # the system has no more: the recording goes on
-            _log.warning("places are not noted: %s", exc)
+        except RuntimeError as exc:  # the system has no free thread: the recording goes on
+            _log.warning("places are not indexed: %s", exc)
             self._gave_up = True
             self._taken.clear()
             return
         self._thread = thread
 
     def close(self) -> None:
-        """Note what is left, unless that takes too long."""
+        """Index the remaining poses, for at most END_SEC."""
         self._ending.set()
         if self._thread is not None:
             self._thread.join(END_SEC)
@@ -227,7 +227,7 @@ class PlaceKeeper:
         try:
             while not self._ending.wait(NOTE_SEC):
                 self._try_to_note(last=False)
-            # What came when it was given up may follow at once on what was taken.
+            # After giving up, poses that were not taken may follow directly on the last taken one.
             self._try_to_note(last=not self._gave_up)
         finally:
             self._ending.set()
@@ -239,7 +239,7 @@ class PlaceKeeper:
         try:
             self._note(last)
         except CassandraRosError as exc:
-            _log.info("where the robot was is noted later, or found without: %s", exc)
+            _log.info("places are indexed later, or found without the index: %s", exc)
 
     def _note(self, last: bool) -> None:
         self._sort()
@@ -252,7 +252,7 @@ class PlaceKeeper:
         for name in moving:
             self._gone += self._topics[name].drop(self._noted - 2 * LONGEST_GAP_NS)
         if high < low:
-            return  # nothing to note
+            return  # no pose to index
         visits: List[Visited] = []
         placed: List[Placed] = []
         for name in moving:
@@ -263,7 +263,7 @@ class PlaceKeeper:
         self._noted, self._read_to = high, self._latest
 
     def _take_back(self, moving: Sequence[str]) -> None:
-        """Say no more than holds: other poses may be stored than those that were taken."""
+        """Delete indexed time ranges that are wrong: other poses are stored than those taken."""
         index = self._store.result().keyspace.place_index
         for name in moving:
             table, first = self._table(name), self._first[name]
@@ -271,7 +271,7 @@ class PlaceKeeper:
             self._wrong |= first <= lost <= self._noted
             said = {robot for where, robot in self._said if where == table}
             if not said <= (index.noted(table, *self._whose) if said else set()):
-                self._first[name] = max(first, self._noted + 1)  # somebody deleted poses
+                self._first[name] = max(first, self._noted + 1)  # poses were deleted
                 self._said = {each for each in self._said if each[0] != table}
             self._first[name] = max(self._first[name], lost + 1)
         if self._wrong:
@@ -281,7 +281,7 @@ class PlaceKeeper:
             self._wrong = False
 
     def _sort(self) -> None:
-        """Give what was taken to its topics."""
+        """Add the taken messages to their topics."""
         while self._taken:
             taken = self._taken.popleft()
             name = taken.source.topic
@@ -290,9 +290,9 @@ class PlaceKeeper:
                 self._topics[name] = LiveTopic(name, self._whose.node, before)
                 self._first[name] = max(taken.t, self._noted + 1)
             if name == TF_STATIC:
-                # What was noted holds for the frames as they were fixed until now.
+                # The index so far is right for the static transforms before this message.
                 self._begin_anew(self._noted)
-            elif taken.t <= self._noted:  # a clock went back: what lies around it is not held
+            elif taken.t <= self._noted:  # a clock went back: poses around it are not in memory
                 self._wrong = True
                 self._begin_anew(self._latest)
             elif taken.t <= self._read_to:
@@ -302,13 +302,13 @@ class PlaceKeeper:
             self._latest = max(self._latest, taken.t)
 
     def _begin_anew(self, noted: int) -> None:
-        """Note what is behind a time, ns: what was read of it does not hold any more."""
+        """Index the poses after a time, ns, again: those read so far have become wrong."""
         self._tf, self._noted = None, noted
         self._first = {name: max(t, noted + 1) for name, t in self._first.items()}
         self._told.clear()
 
     def _stored_statics(self) -> List[Row]:
-        """Return the fixed transforms that others stored: who asks takes the last of them all."""
+        """Return the stored static transforms of the robot: queries use the last of all."""
         try:
             topic = self._store.result().get(TF_STATIC)
         except TopicNotFound:
@@ -344,7 +344,7 @@ class PlaceKeeper:
         return "" if handle is None else handle.table.name
 
     def _ttl(self, names: Sequence[str]) -> int:
-        """Return how long what is noted stays, seconds; 0 = for ever."""
+        """Return the time to live of index entries, s; 0 = for ever."""
         handles = [self._sources[name].handle for name in names]
         ttls = [handle.table.metadata.ttl for handle in handles if handle is not None]
         return 0 if 0 in ttls else max(ttls, default=0)

@@ -87,7 +87,8 @@ class Recording:
         limit: Maximum number of recorded messages of each topic; 0 = all.
         name, labels: Name and labels of the run.
         restored: Number of messages that ``restore`` will add before those that are received.
-        places: Note where the robot is, where that is recorded; see PlaceKeeper.
+        places: Whether the places of the robot are indexed, if poses are recorded; see
+            PlaceKeeper.
     """
 
     _refusal = ""

@@ -187,11 +187,11 @@ class _SnapshotRun:
         self.recording = recording
 
     def end(self) -> None:
-        """Take nothing more."""
+        """Accept no more messages."""
         self.follows = False
 
     def abandon(self) -> None:
-        """Note that somebody has reported on it already."""
+        """Mark that ``Snapshots.abandon`` has reported on it."""
         self.abandoned = True
 
 

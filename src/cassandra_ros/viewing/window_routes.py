@@ -78,7 +78,7 @@ def _compression(call: ApiCall, ending: str) -> str | None:
     found, known = call.text("compression"), _COMPRESSIONS[ending]
     if found is not None and found not in known:
         raise InvalidOption(
-            f"compression {found[:80]!r} is none of {', '.join(known)}, which {ending} files have"
+            f"compression {found[:80]!r} is not possible in {ending} files: give one of {', '.join(known)}"
         )
     return found
 
