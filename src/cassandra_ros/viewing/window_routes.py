@@ -75,12 +75,13 @@ def _answer(call: ApiCall, ending: str) -> Answer:
 
 
 def _compression(call: ApiCall, ending: str) -> str | None:
-    found, known = call.text("compression"), _COMPRESSIONS[ending]
-    if found is not None and found not in known:
+    compression, known = call.text("compression"), _COMPRESSIONS[ending]
+    if compression is not None and compression not in known:
         raise InvalidOption(
-            f"compression {found[:80]!r} is not possible in {ending} files: give one of {', '.join(known)}"
+            f"compression {compression[:80]!r} is not possible in {ending} files: "
+            f"give one of {', '.join(known)}"
         )
-    return found
+    return compression
 
 
 def _name(catalog: Catalog, selection: MessageSelection, ending: str) -> str:
