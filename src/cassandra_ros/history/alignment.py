@@ -140,16 +140,16 @@ def _beginnings(text: Sequence[int], other: Sequence[int]) -> List[int]:
 def _z_function(text: Sequence[int]) -> List[int]:
     """Return for each position the length of the text from there that equals its beginning."""
     size = len(text)
-    found = [0] * size
+    lengths = [0] * size
     left = right = 0
     for i in range(1, size):
-        length = min(right - i, found[i - left]) if i < right else 0
+        length = min(right - i, lengths[i - left]) if i < right else 0
         while i + length < size and text[length] == text[i + length]:
             length += 1
-        found[i] = length
+        lengths[i] = length
         if i + length > right:
             left, right = i, i + length
-    return found
+    return lengths
 
 
 def _best_in_time(overlaps: Sequence[_Overlap]) -> _Overlap:
@@ -167,8 +167,8 @@ def _limit(stored: Sequence[Mark], live: Sequence[Mark]) -> float:
     """Return half the period of a publisher, ns, at most TOLERANCE_NS."""
     steps = [
         after.t - mark.t
-        for part in (stored[-PAIRS:], live[:PAIRS])
-        for mark, after in zip(part, part[1:])
+        for marks in (stored[-PAIRS:], live[:PAIRS])
+        for mark, after in zip(marks, marks[1:])
         if after.t > mark.t
     ]
     return min(TOLERANCE_NS, median(steps) / 2) if steps else TOLERANCE_NS

@@ -330,7 +330,7 @@ class History:
         marks = [message.mark for message in live.messages]
         sure = _is_stamped(live.messages[0].header.get("message_definition", ""))
         repeated = live.messages[0].repeated
-        found: Dict[_WriterStream, _Arrival] = {}
+        places: Dict[_WriterStream, _Arrival] = {}
         mine = {s for s in (*streams, *self._last) if s.publisher == who}
         for stream in mine:
             rows = streams.get(stream, [])
@@ -341,10 +341,10 @@ class History:
                 if before[0].digest == marks[0].digest and (stored or stream in self._last):
                     # Latched: it was published before we subscribed and is stored already.
                     live.messages[0].wanted = False
-                    found[stream] = _just_after(rows[-1].arrival) if rows else (0, "", 0, "")
+                    places[stream] = _just_after(rows[-1].arrival) if rows else (0, "", 0, "")
             if place is not None:
-                found[stream] = rows[place].arrival
-        return found
+                places[stream] = rows[place].arrival
+        return places
 
     @property
     def _patience(self) -> float:

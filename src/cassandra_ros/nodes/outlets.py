@@ -181,7 +181,7 @@ class Outlets:
         for topic, count in list(self._left_out.items()):
             p = self._publications.get(topic)
             left_out[topic if p is None else p.topic] += count
-        found = [
+        topics = [
             PlayedTopic(
                 p.topic,
                 p.kind._type,
@@ -193,10 +193,10 @@ class Outlets:
             )
             for p in self._distinct()
         ]
-        found += [
+        topics += [
             PlayedTopic(topic, "", False, 0, 0, 0, count) for topic, count in left_out.items()
         ]
-        return sorted(found)
+        return sorted(topics)
 
     def _distinct(self) -> list[AnyPublication]:
         return list(dict.fromkeys(self._publications.values()))

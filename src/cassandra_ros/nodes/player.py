@@ -205,10 +205,10 @@ class Player:
         """Log the losses in the time range that is played."""
         selection, stream = self._stream.selection, self._stream
         ends = (None, None) if selection.align_start else (stream.start_ns, stream.end_ns)
-        found = self._rosCas.losses(
+        losses = self._rosCas.losses(
             stream.topics, *ends, nodeID=selection.nodeID, run=selection.run
         )
-        for loss in found[:MAX_LOSSES]:
+        for loss in losses[:MAX_LOSSES]:
             _log.warning(
                 "%s messages of topic %s from %s to %s were not recorded: %s",
                 loss.count or "an unknown number of",
@@ -217,9 +217,9 @@ class Player:
                 iso_time(loss.last_ns),
                 loss.kind.value,
             )
-        if len(found) > MAX_LOSSES:
+        if len(losses) > MAX_LOSSES:
             _log.warning(
-                "and %d more losses; cassandra_bag info lists them", len(found) - MAX_LOSSES
+                "and %d more losses; cassandra_bag info lists them", len(losses) - MAX_LOSSES
             )
 
     def _run(self, outlets: Outlets) -> None:

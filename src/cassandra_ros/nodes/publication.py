@@ -135,9 +135,9 @@ class _Link:
             self.transport.close()  # not under our lock: it calls _closed
 
     def _send_now(self, wire: bytes) -> None:
-        parts = (_length(len(wire)), wire)
+        buffers = (_length(len(wire)), wire)
         try:
-            sent = self.transport.socket.sendmsg(parts, (), socket.MSG_DONTWAIT)
+            sent = self.transport.socket.sendmsg(buffers, (), socket.MSG_DONTWAIT)
         except BlockingIOError:
             sent = 0
         except AttributeError:
@@ -145,7 +145,7 @@ class _Link:
         self._count(sent, 1)
         if sent < len(wire) + 4:
             # A large message is never copied unless none of it was sent.
-            whole = memoryview(wire if sent >= 4 else b"".join(parts))
+            whole = memoryview(wire if sent >= 4 else b"".join(buffers))
             self._rest = whole[sent - 4 if sent >= 4 else sent :]
             self._changed.notify_all()
 
@@ -156,11 +156,11 @@ class _Link:
                     self._changed.wait()
                 if self.transport.done:
                     return
-                parts, messages = self._take()
+                buffers, messages = self._take()
                 self._busy = True
             try:
-                for part in parts:
-                    self._send(part)
+                for data in buffers:
+                    self._send(data)
             except (OSError, AttributeError):
                 self.transport.close()
             with self._changed:

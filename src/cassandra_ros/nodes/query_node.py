@@ -247,10 +247,10 @@ class Services:
             return ExecuteCQLResponse(success=False, message=READ_ONLY)
         if request.cursor:
             raise InvalidKey("a cursor leads to the next page of a SELECT; leave it out here")
-        found = self.ros_cas.statements.run(statement, node=node, run=run)
+        result = self.ros_cas.statements.run(statement, node=node, run=run)
         bound = AnswerBound("the answer", _FEWER)
-        rows = [Row([bound.json(value) for value in values]) for values in found]
-        return ExecuteCQLResponse(success=True, columns=list(found.columns), rows=rows)
+        rows = [Row([bound.json(value) for value in values]) for values in result]
+        return ExecuteCQLResponse(success=True, columns=list(result.columns), rows=rows)
 
     def _page(
         self, select: Select, node: Optional[str], run: Optional[str], limit: int, cursor: str
@@ -281,23 +281,23 @@ class Services:
         """Answer ExplainCQL."""
         params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
         node, run = request.node_id or None, request.run or None
-        found = self.ros_cas.explainCQL(request.statement, params, nodeID=node, run=run)
+        plan = self.ros_cas.explainCQL(request.statement, params, nodeID=node, run=run)
         numbers = ("buckets", "indexed", "filtered", "whole", "skipped", "rows_read")
         return ExplainCQLResponse(
             success=True,
-            text=clean(str(found)),
-            topic=clean(found.topic),
-            server=[clean(text) for text in found.server],
-            client=[clean(text) for text in found.client],
-            rows_returned=found.rows_returned,
-            **{name: getattr(found, name) for name in numbers},
+            text=clean(str(plan)),
+            topic=clean(plan.topic),
+            server=[clean(text) for text in plan.server],
+            client=[clean(text) for text in plan.client],
+            rows_returned=plan.rows_returned,
+            **{name: getattr(plan, name) for name in numbers},
         )
 
     def info(self, request: InfoRequest) -> InfoResponse:
         """Answer Info."""
         node, run = request.node_id or None, request.run or None
-        found = self.ros_cas.info(request.topics or None, nodeID=node, run=run)
-        topics = [_stored_topic(each) for each in found]
+        infos = self.ros_cas.info(request.topics or None, nodeID=node, run=run)
+        topics = [_stored_topic(each) for each in infos]
         return InfoResponse(True, "", self.ros_cas.keyspace, topics)
 
     def add_data(self, request: AddDataRequest) -> AddDataResponse:
@@ -338,13 +338,13 @@ class Services:
         """Answer LookupTransform."""
         asked = {"nodeID": request.node_id, "run": request.run}
         asked.update(tf=request.tf, tf_static=request.tf_static)
-        found = self.ros_cas.lookupTransform(
+        transform = self.ros_cas.lookupTransform(
             request.target_frame,
             request.source_frame,
             request.time,
             **{name: value for name, value in asked.items() if value},
         )
-        return LookupTransformResponse(True, "", found)
+        return LookupTransformResponse(True, "", transform)
 
 
 def _definition(request: AddDataRequest, topic: Optional[CassandraTopic]) -> Definition:
@@ -360,12 +360,12 @@ def _definition(request: AddDataRequest, topic: Optional[CassandraTopic]) -> Def
         raise InvalidName(f"topic {request.topic} is not stored yet: give the type, 'pkg/Name'")
     if request.definition:
         return parse_definition(kind, request.definition, md5sum)
-    found = installed_definition(kind)
-    if md5sum not in (None, found.md5sum):
+    installed = installed_definition(kind)
+    if md5sum not in (None, installed.md5sum):
         raise DefinitionError(
-            f"the installed {kind} has the md5 {found.md5sum}, not {md5sum}: give definition"
+            f"the installed {kind} has the md5 {installed.md5sum}, not {md5sum}: give definition"
         )
-    return found
+    return installed
 
 
 def _stored_topic(info: TopicInfo) -> StoredTopic:

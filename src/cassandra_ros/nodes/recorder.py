@@ -132,8 +132,8 @@ class Recorder:
             InvalidName: The name of a topic is not valid.
             StoreUnavailable: The store does not answer.
         """
-        wanted = [rospy.resolve_name(check_ros_name(topic)) for topic in topics]
-        if not (wanted or self._options.regex):
+        names = [rospy.resolve_name(check_ros_name(topic)) for topic in topics]
+        if not (names or self._options.regex):
             for topic in self._options.topics:
                 check_ros_name(topic)
         with self._mutex:
@@ -146,8 +146,8 @@ class Recorder:
             if self._snapshots is None and current is None:
                 current = self._series.begin(name, labels)
             self._active = True
-            self._left.difference_update(wanted or list(self._left))
-            self._subscribe_chosen(wanted)
+            self._left.difference_update(names or list(self._left))
+            self._subscribe_chosen(names)
             if first:
                 self._poller = threading.Thread(
                     target=self._poll, name="recorder-poll", daemon=True
@@ -169,11 +169,11 @@ class Recorder:
         Raises:
             InvalidName: A topic is not recorded.
         """
-        wanted = self._recorded(topics)
+        names = self._recorded(topics)
         with self._mutex:
             if topics:
-                self._leave(wanted)
-                self._left.update(wanted)
+                self._leave(names)
+                self._left.update(names)
                 return self.reports()
             self._active = False
             self._leave(self._subscriptions.topics)
@@ -200,12 +200,12 @@ class Recorder:
         Raises:
             InvalidName: A topic is not recorded.
         """
-        wanted = self._recorded(topics)
+        names = self._recorded(topics)
         if self._all_paused:
             # In this order: the other topics stay paused all the time.
             self._paused = set(self._subscriptions.topics)
             self._all_paused = False
-        self._paused.difference_update(wanted)
+        self._paused.difference_update(names)
         if not topics:
             self._paused.clear()
 
@@ -282,10 +282,10 @@ class Recorder:
             )
         if not 0.0 <= after <= 86400.0:
             raise InvalidOption(f"after={after!r:.40} is no number of seconds of 0 to 86400")
-        wanted = self._recorded(topics)
-        recording, kept = self._snapshots.write(name, labels or {}, after, wanted)
-        self._say(f"snapshot {recording.name}: {kept} messages")
-        return recording.name, kept
+        names = self._recorded(topics)
+        recording, messages = self._snapshots.write(name, labels or {}, after, names)
+        self._say(f"snapshot {recording.name}: {messages} messages")
+        return recording.name, messages
 
     def reports(self) -> list[TopicReport]:
         """Return a report of each topic over all runs together."""
@@ -348,9 +348,9 @@ class Recorder:
             names.append(name)
         return names
 
-    def _subscribe_chosen(self, wanted: Sequence[str]) -> None:
-        if wanted:
-            for topic in wanted:
+    def _subscribe_chosen(self, names: Sequence[str]) -> None:
+        if names:
+            for topic in names:
                 self._subscribe(topic)
             return
         if not self._options.regex:

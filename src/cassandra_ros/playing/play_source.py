@@ -101,17 +101,17 @@ class PlaySource:
 
     def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
         """Yield the times of the messages of a topic that satisfy a condition, ns."""
-        inner, found = self._received(time_range), self.catalog.get(topic)
+        inner, stored_topic = self._received(time_range), self.catalog.get(topic)
         if inner.low > inner.high:
             return iter(())
-        if any(table.metadata.own_time or table.named for table in found.tables):
+        if any(table.metadata.own_time or table.named for table in stored_topic.tables):
             where = {topic: condition}
             rows = self.catalog.read(
                 [topic], *inner, node=self.node, received=True, where=where, run=self.writers
             )
         else:
             whose = Whose.of(self.node, self.writers)
-            rows = Filter(found, condition, whose).rows(Read(inner, whose), bare=True)
+            rows = Filter(stored_topic, condition, whose).rows(Read(inner, whose), bare=True)
         return (row.received + self.shift for row in rows)
 
     @cached_property
@@ -132,10 +132,10 @@ class PlaySource:
         if low <= min(stored_range.first for stored_range in self.stored_ranges):
             return []  # the source has no earlier message
         if sent is None:
-            found = self._finder.before(low, high)
+            rows = self._finder.before(low, high)
         else:
-            found = sent.changes(self._finder, low, high)
-        return [(row.received + self.shift, row) for row in found]
+            rows = sent.changes(self._finder, low, high)
+        return [(row.received + self.shift, row) for row in rows]
 
 
 def with_first_times(sources: Iterable[PlaySource]) -> List[PlaySource]:
@@ -158,11 +158,11 @@ class LatchedRecord:
             return []
         sources = finder.sources(low, high)
         since = min((self._looked.get(source, 0) for source in sources), default=low)
-        found = [row for row in finder.of_sources(sources, low, since) if self._is_new(row)]
-        for row in found:
+        rows = [row for row in finder.of_sources(sources, low, since) if self._is_new(row)]
+        for row in rows:
             self.played(row)
         self._looked.update(dict.fromkeys(sources, low))
-        return found
+        return rows
 
     def _is_new(self, row: StoredRow) -> bool:
         last = self._last.get((row.table.name, publisher_of(row)))

@@ -108,9 +108,9 @@ class Stream:
         asked = self.selection
         self._writers = self._catalog.keyspace.runs.writers(asked.run)
         tables, nodes = self._catalog.tables(self.topics), check_nodes(asked.nodeID)
-        found = stored_ranges(self._catalog.keyspace, tables, nodes, self._writers)
-        if found:
-            return found
+        ranges = stored_ranges(self._catalog.keyspace, tables, nodes, self._writers)
+        if ranges:
+            return ranges
         node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
         run = "" if asked.run is None else f" of run {asked.run!r}"
         topics = ", ".join(self.topics)
@@ -133,15 +133,17 @@ class Stream:
             return self._with_messages([whole])
         first, last = (None if when is None or when.relative else when for when in (start, end))
         resolve_times(_known(self._with_messages([whole])), first, last, None)  # checked as for all
-        chosen = TimeRange(0 if first is None else first.ns, MAX_NS if last is None else last.ns)
+        time_range = TimeRange(
+            0 if first is None else first.ns, MAX_NS if last is None else last.ns
+        )
         return aligned(
-            self._with_messages(split_sources(replace(whole, chosen=chosen), self._align))
+            self._with_messages(split_sources(replace(whole, chosen=time_range), self._align))
         )
 
     def _with_messages(self, sources: Sequence[PlaySource]) -> List[PlaySource]:
-        found = with_first_times(sources)
-        if found:
-            return found
+        with_first = with_first_times(sources)
+        if with_first:
+            return with_first
         where = "; ".join(
             f"{topic}: {text}" for topic, text in (self.selection.where or {}).items()
         )
@@ -197,7 +199,7 @@ class Stream:
         by_table: Dict[str, List[StoredRange]] = {}
         for stored_range in self._stored_ranges:
             by_table.setdefault(stored_range.table.name, []).append(stored_range)
-        found: Dict[Tuple[str, str, str], Channel] = {}
+        channels: Dict[Tuple[str, str, str], Channel] = {}
         for name, _, connection in self._catalog.keyspace.connections.of_tables(by_table):
             metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
             kind = connection.type or metadata.msg_type
@@ -205,9 +207,9 @@ class Stream:
             for each in by_table[name]:
                 topic = self._name_of(metadata.topic, each.node, each.writer)
                 key = (topic, kind, metadata.md5sum)
-                known = found.get(key, Channel(*key, text, latched))
-                found[key] = known._replace(latched=known.latched or latched)
-        return sorted(found.values())
+                known = channels.get(key, Channel(*key, text, latched))
+                channels[key] = known._replace(latched=known.latched or latched)
+        return sorted(channels.values())
 
     def latched(self, t: int) -> List[PlayedMessage]:
         """Return the latched messages received before ``t``, in order of reception.

@@ -74,8 +74,8 @@ def check_length(name: str, seconds: object) -> Optional[int]:
 
 
 def _number(text: str) -> Optional[Decimal]:
-    found = _NUMBER.fullmatch(text)
-    return None if found is None else Decimal(found[1])
+    match = _NUMBER.fullmatch(text)
+    return None if match is None else Decimal(match[1])
 
 
 def resolve_times(

@@ -34,14 +34,14 @@ def stored_ranges(
     writers: Optional[FrozenSet[int]] = None,
 ) -> List[StoredRange]:
     """Return the time range of each run in each table; most of them without reading a row."""
-    found: List[StoredRange] = []
+    ranges: List[StoredRange] = []
     for table in tables:
         own = table.named or table.metadata.own_time
         listed = _by_keys(keyspace, table, nodes) if own else _by_buckets(keyspace, table, nodes)
-        found.extend(
+        ranges.extend(
             each for each in listed if writers is None or not each.writer or each.writer in writers
         )
-    return found
+    return ranges
 
 
 def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[StoredRange]:
@@ -49,13 +49,13 @@ def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[Sto
     by_run: Dict[Tuple[str, int], List[BucketRow]] = {}
     for row in keyspace.directory.buckets(table.name, *ends, nodes, ttl):
         by_run.setdefault((row.node, row.writer), []).append(row)
-    found: List[StoredRange] = []
+    ranges: List[StoredRange] = []
     for (node, writer), rows in by_run.items():
         rows.sort(key=lambda row: row.bucket)
         first, last = (_filled(keyspace, table, each) for each in (rows, rows[::-1]))
         if first is not None and last is not None:
-            found.append(StoredRange(table, node, writer, first.t_min, last.t_max))
-    return found
+            ranges.append(StoredRange(table, node, writer, first.t_min, last.t_max))
+    return ranges
 
 
 def _filled(
@@ -68,10 +68,10 @@ def _filled(
 
 def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[StoredRange]:
     """Read all keys: those of such topics are not in the order of reception."""
-    found: Dict[Tuple[str, int], StoredRange] = {}
+    ranges: Dict[Tuple[str, int], StoredRange] = {}
     rows = keyspace.rows.read([table], Read(whose=Whose(nodes), columns=lambda table: ()))
     for row in rows:
         run, t = (row.node, split_seq(row.seq)[0]), row.received
-        known = found.get(run, StoredRange(table, *run, t, t))
-        found[run] = known._replace(first=min(known.first, t), last=max(known.last, t))
-    return list(found.values())
+        known = ranges.get(run, StoredRange(table, *run, t, t))
+        ranges[run] = known._replace(first=min(known.first, t), last=max(known.last, t))
+    return list(ranges.values())

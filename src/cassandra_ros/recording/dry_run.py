@@ -47,12 +47,12 @@ def plan_topics(
         types: Type by topic, as the master knows it; '' = the master does not know it.
     """
     tables = list(catalog.keyspace.schema.tables(fresh=True).values())
-    found = []
+    plan = []
     for topic, msg_type in sorted(types.items()):
         topic_settings = settings.of(topic)
         fmt = catalog.keyspace.new_tables.format_for(topic, asked=topic_settings.format)
         own = [m for m in tables if m.topic == topic and m.format == fmt]
-        found.append(
+        plan.append(
             PlannedTopic(
                 topic,
                 msg_type,
@@ -66,7 +66,7 @@ def plan_topics(
                 else "",
             )
         )
-    return found
+    return plan
 
 
 def _problem(catalog: Catalog, topic: str, msg_type: str, where: str) -> str:

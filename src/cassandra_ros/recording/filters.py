@@ -107,12 +107,12 @@ class _TopicCondition:
         self._by_header: dict[int, tuple[Mapping[str, str], LiveTable, Optional[Test]]] = {}
 
     def holds(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
-        found = self._by_header.get(id(header))
-        if found is None:
+        entry = self._by_header.get(id(header))
+        if entry is None:
             if len(self._by_header) >= MAX_HEADERS:
                 self._by_header.pop(next(iter(self._by_header)))
-            found = self._by_header[id(header)] = (header, *self._compile(header))
-        _, table, test = found
+            entry = self._by_header[id(header)] = (header, *self._compile(header))
+        _, table, test = entry
         return test is None or test(LiveRow(table, self._topic, self._node, t, wire, len(wire)))
 
     def _compile(self, header: Mapping[str, str]) -> tuple[LiveTable, Optional[Test]]:

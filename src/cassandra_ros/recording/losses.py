@@ -108,12 +108,12 @@ class LossLog:
             totals[kind] = totals[kind].plus(total) if kind in totals else total
             ranges = self._loss_ranges[topic, kind]
             # Not only the last range: several threads report losses, not in the order of time.
-            found = next((s for s in reversed(ranges) if s.takes(first_ns)), None)
-            if found is None:
+            loss_range = next((s for s in reversed(ranges) if s.takes(first_ns)), None)
+            if loss_range is None:
                 new = Loss(topic, self._node, self._writer, kind, first_ns, last_ns, messages)
                 ranges.append(_LossRange(new))
             else:
-                found.grow(messages, first_ns, last_ns)
+                loss_range.grow(messages, first_ns, last_ns)
             return sum(each.count for each in totals.values())
 
     def of(self, topic: str) -> Mapping[LossKind, LossTotal]:
@@ -124,18 +124,18 @@ class LossLog:
     def last_ns(self, topic: str) -> int:
         """Return the time of reception of the last lost message of a topic, ns; -1 = no loss."""
         with self._mutex:
-            every = [
+            losses = [
                 s.loss for (name, _), own in self._loss_ranges.items() if name == topic for s in own
             ]
         # Messages received while the clock was not set have no time.
-        timed = (loss for loss in every if loss.count and loss.kind is not LossKind.NO_CLOCK)
+        timed = (loss for loss in losses if loss.count and loss.kind is not LossKind.NO_CLOCK)
         return max((loss.last_ns for loss in timed), default=-1)
 
     def unsaved(self) -> list[Loss]:
         """Return the losses that are not stored yet."""
         with self._mutex:
-            every = [s for ranges in self._loss_ranges.values() for s in ranges if not s.saved]
-            return [loss_range.tell() for loss_range in every]
+            unsaved = [s for ranges in self._loss_ranges.values() for s in ranges if not s.saved]
+            return [loss_range.tell() for loss_range in unsaved]
 
     def saved(self, loss: Loss) -> None:
         """Mark a loss as stored; one that has grown since stays unsaved."""

@@ -115,8 +115,8 @@ class LiveTopic:
         """Yield the messages of a time range; all are of one robot and one run."""
         low, high = read.time_range
         first, last = bisect_left(self._times, low), bisect_right(self._times, high)
-        found = [row for row in self._before if low <= row.t <= high] + self._rows[first:last]
-        yield from found[::-1] if read.reverse else found
+        rows = [row for row in self._before if low <= row.t <= high] + self._rows[first:last]
+        yield from rows[::-1] if read.reverse else rows
 
     def getArrays(
         self,

@@ -243,9 +243,9 @@ class Recording:
         self._places.take(feed.source, t, wire)
         return self._buffer.put(BufferedMessage(feed.source, t, counter, wire))
 
-    def follow(self, kept: StampedMessage) -> None:
+    def follow(self, message: StampedMessage) -> None:
         """Record a message that was stamped and filtered already. Never waits for the store."""
-        topic, header, wire, t = kept
+        topic, header, wire, t = message
         with self._lock:
             if not self._accepting:
                 return
@@ -256,17 +256,17 @@ class Recording:
         for item in lost:
             self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
 
-    def restore(self, kept: Sequence[StampedMessage]) -> None:
+    def restore(self, messages: Sequence[StampedMessage]) -> None:
         """Record messages that were received before the recording began; waits for the store.
 
         Args:
-            kept: The messages in the order of reception, as many as the argument ``restored`` of
-                the constructor.
+            messages: The messages in the order of reception, as many as the argument ``restored``
+                of the constructor.
         """
         # All are counted first: those that are not queued yet when this is given up are lost, too.
-        for topic, _, wire, _ in kept:
+        for topic, _, wire, _ in messages:
             self._counts.received(topic, wire)
-        for counter, (topic, header, wire, t) in enumerate(kept):
+        for counter, (topic, header, wire, t) in enumerate(messages):
             with self._lock:
                 feed = self._feed(topic, header)
                 self._counts.attribute(topic, wire, feed)
@@ -335,10 +335,10 @@ class Recording:
 
     def _kept(self) -> dict[str, int]:
         """Return the number of messages of each topic that count for the limit."""
-        found = Counter(self._before)
+        counts = Counter(self._before)
         for report in self.reports():
-            found[report.topic] += report.received - report.left_out - report.paused
-        return dict(found)
+            counts[report.topic] += report.received - report.left_out - report.paused
+        return dict(counts)
 
     @property
     def received_bytes(self) -> int:

@@ -84,17 +84,17 @@ class MessageRing:
         """Time from the oldest to the newest message, s."""
         return (self._items[-1][3] - self._items[0][3]) / SECOND_NS if self._items else 0.0
 
-    def add(self, kept: StampedMessage) -> None:
+    def add(self, message: StampedMessage) -> None:
         """Append the newest message."""
-        t = kept[3]
+        t = message[3]
         if self._items and t < self._items[-1][3] - SECOND_NS:
             _log.warning(
                 "time went back: the snapshot's messages lie in the future and are dropped"
             )
             while self._items:
                 self._drop()
-        self._items.append(kept)
-        self.nbytes += len(kept[2]) + ITEM_BYTES
+        self._items.append(message)
+        self.nbytes += len(message[2]) + ITEM_BYTES
         self.forget(t)
         while self.nbytes > self._most and len(self._items) > 1:
             if self._timed and not self.short:
@@ -112,15 +112,15 @@ class MessageRing:
             self._drop()
 
     def _drop(self) -> None:
-        kept = self._items.popleft()
-        topic, header, wire, _ = kept
+        message = self._items.popleft()
+        topic, header, wire, _ = message
         place = topic, header.get("callerid", "")
         self._forget_latched(place)
         size = len(wire) + ITEM_BYTES
         few = len(self._latched) < MAX_LATCHED
         # The other half stays for what is new, however much is latched.
         if header.get("latching") == "1" and few and self._latched_bytes + size <= self._most // 2:
-            self._latched[place] = kept
+            self._latched[place] = message
             self._latched_bytes += size
         else:
             self.nbytes -= size
@@ -142,8 +142,10 @@ class MessageRing:
             topics: Names of topics; empty = all.
         """
         begin = self._items[0][3] if self._items else None
-        latched = [(*kept[:3], begin or kept[3]) for kept in self._latched.values()]
-        return [kept for kept in (*latched, *self._items) if not topics or kept[0] in topics]
+        latched = [(*message[:3], begin or message[3]) for message in self._latched.values()]
+        return [
+            message for message in (*latched, *self._items) if not topics or message[0] in topics
+        ]
 
 
 class BeginRun(Protocol):
@@ -172,13 +174,13 @@ class _SnapshotRun:
     abandoned: bool = False
     """Whether ``Snapshots.abandon`` has reported on it already."""
 
-    def take(self, kept: StampedMessage) -> None:
-        if not self.follows or (self.topics and kept[0] not in self.topics):
+    def take(self, message: StampedMessage) -> None:
+        if not self.follows or (self.topics and message[0] not in self.topics):
             return
         if self.recording is None:
-            self.late.append(kept)
+            self.late.append(message)
         else:
-            self.recording.follow(kept)
+            self.recording.follow(message)
 
     def begin(self, recording: Recording) -> None:
         """Hand on what came before the run had begun; what comes from now on goes to it at once."""
@@ -246,10 +248,10 @@ class Snapshots:
             if paused or not self._filters.passes(topic, header, t, wire):
                 self._counts.leave_out(topic, paused)
                 return
-            kept = (topic, header, wire, t)
-            self.ring.add(kept)
+            message = (topic, header, wire, t)
+            self.ring.add(message)
             for writing in self._writing:
-                writing.take(kept)
+                writing.take(message)
 
     def write(
         self,
@@ -284,17 +286,17 @@ class Snapshots:
                 self.ring.forget(self._clock())
             except ClockNotSet:
                 pass
-            kept = self.ring.content(topics)
+            messages = self.ring.content(topics)
             self._writing.append(writing)
         try:
-            recording = self._begin(name, labels, len(kept))
+            recording = self._begin(name, labels, len(messages))
         except BaseException:
             with self._mutex:
                 self._writing.remove(writing)
             raise
-        count = len(kept)
+        count = len(messages)
         work = threading.Thread(
-            target=self._write, args=(writing, recording, kept, ends), daemon=True
+            target=self._write, args=(writing, recording, messages, ends), daemon=True
         )
         self._threads.append(work)
         work.start()
@@ -303,13 +305,17 @@ class Snapshots:
         return recording, count
 
     def _write(
-        self, writing: _SnapshotRun, recording: Recording, kept: list[StampedMessage], ends: float
+        self,
+        writing: _SnapshotRun,
+        recording: Recording,
+        messages: list[StampedMessage],
+        ends: float,
     ) -> None:
         try:
             with self._mutex:
                 writing.begin(recording)
-            recording.restore(kept)
-            kept.clear()
+            recording.restore(messages)
+            messages.clear()
             if writing.follows:
                 self._closing.wait(max(0.0, ends - time.monotonic()))
         except CassandraRosError as exc:

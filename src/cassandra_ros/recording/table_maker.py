@@ -121,9 +121,11 @@ def connect(
             return _open(writer, connection, lengths)
         handle = _connect(writer, connection, lengths, topic_settings)
     except InvalidOption as exc:
-        kept = writer.format_of(connection)
-        _log.error("topic %s is kept in format %s: %s", connection.topic, kept, exc)
-        topic_settings = replace(topic_settings, format=kept)
+        usable_format = writer.format_of(connection)
+        _log.error(
+            "topic %s is usable_format in format %s: %s", connection.topic, usable_format, exc
+        )
+        topic_settings = replace(topic_settings, format=usable_format)
         handle = _connect(writer, connection, lengths, topic_settings)
     for text in differences(topic_settings, handle.table.metadata):
         _log.warning("topic %s %s", connection.topic, text)
@@ -156,21 +158,21 @@ def _open(
 
 def differences(settings: TopicSettings, stored: TopicMetadata) -> list[str]:
     """Return the differences between a stored topic and its settings, as texts."""
-    found = []
+    texts = []
     if settings.ttl and settings.ttl != stored.ttl:
-        found.append(f"was made with a ttl of {stored.ttl} s, not {settings.ttl} s (0 = never)")
+        texts.append(f"was made with a ttl of {stored.ttl} s, not {settings.ttl} s (0 = never)")
     if settings.key_part and settings.key_part != stored.key_part:
         key = stored.key_part or stored.key_format
-        found.append(f"was made with the key {key}, not {settings.key_part}")
+        texts.append(f"was made with the key {key}, not {settings.key_part}")
     if settings.index and stored.packed:
-        found.append("takes no index: it is packed, and conditions use the bounds of its blocks")
+        texts.append("takes no index: it is packed, and conditions use the bounds of its blocks")
     for name in () if stored.packed else settings.index:
         if name not in stored.indexes:
-            found.append(
+            texts.append(
                 f"has no index on {name}; make it with: rosrun cassandra_ros cassandra_bag index "
                 f"{stored.topic} {name}"
             )
-    return found
+    return texts
 
 
 def _like(settings: TopicSettings) -> TopicMetadata:

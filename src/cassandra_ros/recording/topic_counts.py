@@ -133,12 +133,12 @@ class _TopicCount:
 
     def sequence(self, callerid: str) -> _Sequence:
         """Return the sequence of a publisher; forget the oldest above MAX_SEQUENCES."""
-        found = self.sequences.get(callerid)
-        if found is None:
+        sequence = self.sequences.get(callerid)
+        if sequence is None:
             while len(self.sequences) >= MAX_SEQUENCES:
                 self.past_gaps += self.sequences.pop(next(iter(self.sequences))).gaps or 0
-            found = self.sequences[callerid] = _Sequence()
-        return found
+            sequence = self.sequences[callerid] = _Sequence()
+        return sequence
 
 
 @dataclass

@@ -77,12 +77,12 @@ def read_settings(text: str, source: str = "settings") -> list[Rule]:
     try:
         if len(text) > MAX_CONFIG_BYTES:
             raise InvalidOption(f"it is longer than {MAX_CONFIG_BYTES} characters")
-        found = yaml.safe_load(text)
-        if found is None:
+        content = yaml.safe_load(text)
+        if content is None:
             return []
-        if not isinstance(found, dict) or set(found) != {"topics"}:
+        if not isinstance(content, dict) or set(content) != {"topics"}:
             raise InvalidOption("it must be a mapping with one key, topics, a list")
-        entries = found["topics"] or []
+        entries = content["topics"] or []
         if not isinstance(entries, list):
             raise InvalidOption("topics must be a list of mappings, each with a pattern")
         return [_rule(number, entry) for number, entry in enumerate(entries, 1)]

@@ -64,12 +64,12 @@ def json_bytes(answer: Json) -> bytes:
         AnswerTooLarge: The answer is larger than an answer may be.
     """
     bound = AnswerBound("the answer", "ask for a shorter time, fewer topics or fewer columns")
-    parts: list[bytes] = []
+    rows: list[bytes] = []
     for text in _texts(answer):
         raw = text.encode("utf-8", "backslashreplace")
         bound.take(len(raw))
-        parts.append(raw)
-    return b"".join(parts)
+        rows.append(raw)
+    return b"".join(rows)
 
 
 def _texts(answer: Json) -> Iterator[str]:

@@ -156,26 +156,26 @@ def _kinds(call: ApiCall, result: QueryResult) -> Json:
 
 def _explain(call: ApiCall) -> Json:
     """Run a statement to its end and answer how it was run."""
-    found = call.store.statements.explain(
+    plan = call.store.statements.explain(
         _statement(call), node=_one(call, "nodes"), run=_one(call, "runs"), watch=_watch(call)
     )
     return {
-        "text": str(found),
-        "topic": found.topic,
-        "buckets": found.buckets,
-        "indexed": found.indexed,
-        "filtered": found.filtered,
-        "whole": found.whole,
-        "skipped": found.skipped,
-        "server": list(found.server),
-        "client": list(found.client),
-        "rows_read": found.rows_read,
-        "rows_returned": found.rows_returned,
-        "blocks": found.blocks,
-        "unpacked": found.unpacked,
-        "sifted": found.sifted,
-        "unread": found.unread,
-        "counted": found.counted,
+        "text": str(plan),
+        "topic": plan.topic,
+        "buckets": plan.buckets,
+        "indexed": plan.indexed,
+        "filtered": plan.filtered,
+        "whole": plan.whole,
+        "skipped": plan.skipped,
+        "server": list(plan.server),
+        "client": list(plan.client),
+        "rows_read": plan.rows_read,
+        "rows_returned": plan.rows_returned,
+        "blocks": plan.blocks,
+        "unpacked": plan.unpacked,
+        "sifted": plan.sifted,
+        "unread": plan.unread,
+        "counted": plan.counted,
     }
 
 
@@ -197,11 +197,11 @@ def _complete(call: ApiCall) -> Json:
         lambda: sorted({info.node for info in store.info() if info.node}),
         lambda: list(dict.fromkeys(run.name for run in store.runs() if run.name)),
     )
-    found = complete(text, len(text) if cursor is None else cursor, known)
+    completion = complete(text, len(text) if cursor is None else cursor, known)
     offers: Json = [
-        {"text": offer.text, "kind": offer.kind, "note": offer.note} for offer in found.offers
+        {"text": offer.text, "kind": offer.kind, "note": offer.note} for offer in completion.offers
     ]
-    return {"start": found.start, "offers": offers}
+    return {"start": completion.start, "offers": offers}
 
 
 def _cache(catalog: Catalog, settings: ViewerSettings) -> EnvelopeCache:
@@ -218,7 +218,7 @@ def _plot(call: ApiCall) -> Json:
     if low is not None and high is not None and low > high:
         raise InvalidOption("start lies after end")
     window = Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
-    found = call.store.statements.series(
+    series = call.store.statements.series(
         _statement(call),
         window=window,
         node=_one(call, "nodes"),
@@ -226,13 +226,13 @@ def _plot(call: ApiCall) -> Json:
         cache=call.cached(_cache),
         watch=_watch(call),
     )
-    return _shown(found)
+    return _shown(series)
 
 
-def _shown(found: Series) -> Json:
-    points = found.points
+def _shown(series: Series) -> Json:
+    points = series.points
     columns: list[Json] = []
-    for n, column in enumerate(found.columns):
+    for n, column in enumerate(series.columns):
         low, high = points.low[n], points.high[n]
         shown: dict[str, Json] = {"name": column.name, "unit": column.unit}
         shown["low"] = [_finite(value) for value in low.tolist()]
@@ -240,21 +240,21 @@ def _shown(found: Series) -> Json:
         one = bool(((low == high) | (low != low)).all())
         shown["high"] = None if one else [_finite(value) for value in high.tolist()]
         columns.append(shown)
-    left_out: list[Json] = [{"name": name, "reason": reason} for name, reason in found.left_out]
+    left_out: list[Json] = [{"name": name, "reason": reason} for name, reason in series.left_out]
     return {
-        "topic": found.topic,
+        "topic": series.topic,
         "times": [str(t) for t in points.times.tolist()],
         "rows": points.rows.tolist(),
         "columns": columns,
-        "breaks": found.breaks.tolist(),
+        "breaks": series.breaks.tolist(),
         "left_out": left_out,
-        "start": str(found.grid.low),
-        "end": str(found.grid.high),
-        "pixel": str(found.grid.width),
-        "complete": found.complete,
-        "share": found.share,
-        "edges": found.edges,
-        "how": _how(found),
+        "start": str(series.grid.low),
+        "end": str(series.grid.high),
+        "pixel": str(series.grid.width),
+        "complete": series.complete,
+        "share": series.share,
+        "edges": series.edges,
+        "how": _how(series),
     }
 
 
@@ -262,16 +262,16 @@ def _finite(value: float) -> Json:
     return value if math.isfinite(value) else None
 
 
-def _how(found: Series) -> str:
+def _how(series: Series) -> str:
     """Return why the plot is incomplete, for the user; '' = it is complete."""
-    if found.share < 1.0:
+    if series.share < 1.0:
         return (
-            f"{found.share:.0%} of the stored messages were read, spread over the whole time "
+            f"{series.share:.0%} of the stored messages were read, spread over the whole time "
             "range; ask again for more"
         )
-    if found.edges:
+    if series.edges:
         return (
-            f"all messages were read; {found.edges} blocks lie across the edges of pixels, whose "
+            f"all messages were read; {series.edges} blocks lie across the edges of pixels, whose "
             "minimum and maximum may be too wide; ask again to have the blocks unpacked"
         )
     return ""

@@ -48,10 +48,10 @@ def _topics(call: ApiCall) -> Json:
     topics = [store.getTopic(name) for name in names] if names else store.getAllTopics()
     if not call.flag("counts"):
         return {"topics": [_topic(topic) for topic in topics]}
-    found: Dict[str, List[TopicInfo]] = {}
+    infos: Dict[str, List[TopicInfo]] = {}
     for info in store.info([topic.name for topic in topics]) if topics else ():
-        found.setdefault(info.topic, []).append(info)
-    return {"topics": [{**_topic(topic), **_counts(found.get(topic.name, []))} for topic in topics]}
+        infos.setdefault(info.topic, []).append(info)
+    return {"topics": [{**_topic(topic), **_counts(infos.get(topic.name, []))} for topic in topics]}
 
 
 def _topic(topic: CassandraTopic) -> Dict[str, Json]:
@@ -148,7 +148,7 @@ def listed_at_most(call: ApiCall) -> int:
 
 def _run(run: Run, by_topic: bool, counts: bool) -> Dict[str, Json]:
     known = counts or run.ended is not None
-    found: Dict[str, Json] = {
+    entry: Dict[str, Json] = {
         "run": run.name or str(run.writer),
         "id": run.writer,
         "node": run.node,
@@ -164,8 +164,8 @@ def _run(run: Run, by_topic: bool, counts: bool) -> Dict[str, Json]:
         "lost": sum(run.lost.values()),
     }
     if by_topic:
-        found.update(stored_of=dict(run.stored), lost_of=dict(run.lost))
-    return found
+        entry.update(stored_of=dict(run.stored), lost_of=dict(run.lost))
+    return entry
 
 
 ROUTES: tuple[Route, ...] = (

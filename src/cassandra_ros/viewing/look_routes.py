@@ -190,11 +190,11 @@ class _Finders:
         age = time.monotonic() // _FINDER_SEC
         key = (tuple(table.name for table in tables), whose, age)
         with self._lock:
-            found = self._made.pop(key, None) or Latest(self._keyspace, tables, whose)
-            self._made[key] = found
+            finder = self._made.pop(key, None) or Latest(self._keyspace, tables, whose)
+            self._made[key] = finder
             while len(self._made) > _MAX_FINDERS:
                 self._made.popitem(last=False)
-        return found
+        return finder
 
 
 _WINDOW = (TOPICS, START, END, NODES, RUNS)

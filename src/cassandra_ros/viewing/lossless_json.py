@@ -58,15 +58,15 @@ class Cells:
         count = len(value)
         first = value if self._cut is None or count <= self._cut else value[: self._cut]
         if isinstance(first, list):
-            found: Json = [self.shown(element) for element in first]
+            shown: Json = [self.shown(element) for element in first]
         else:
             self._bound.take(len(first))
             text = first if isinstance(first, str) else base64.b64encode(first).decode("ascii")
-            found = str(text)
-        return found if first is value else {"first": found, "of": count}
+            shown = str(text)
+        return shown if first is value else {"first": shown, "of": count}
 
     def time_in(self, row: Sequence[object]) -> Json:
         """Return the first value of a row that is a time, ns; None = the row has no time."""
-        found = next((value for value in row if is_time(value)), None)
-        to_nsec = getattr(found, "to_nsec", None)
+        time = next((value for value in row if is_time(value)), None)
+        to_nsec = getattr(time, "to_nsec", None)
         return None if to_nsec is None else str(to_nsec())

@@ -95,8 +95,8 @@ def _writers(call: ApiCall) -> Optional[FrozenSet[int]]:
     names = call.texts("runs")
     if not names:
         return None
-    found = (call.catalog.keyspace.runs.writers(name) for name in names)
-    return frozenset().union(*(writers for writers in found if writers is not None))
+    sets = (call.catalog.keyspace.runs.writers(name) for name in names)
+    return frozenset().union(*(writers for writers in sets if writers is not None))
 
 
 def _answer(made: MadeMap) -> Bytes:

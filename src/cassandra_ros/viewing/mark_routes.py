@@ -62,17 +62,17 @@ def _marks(call: ApiCall) -> Json:
     whose, limit, keyspace = whose_of(call), listed_at_most(call), call.catalog.keyspace
     runs = {(run.writer, run.node): run for run in keyspace.registry.runs()}
     losses = keyspace.runs.losses(call.texts("topics") or None, time_range, whose)
-    found = [_of_loss(loss, runs) for loss in losses]
+    marks = [_of_loss(loss, runs) for loss in losses]
     for run in runs.values():
         if (whose.nodes is None or run.node in whose.nodes) and (
             whose.writers is None or run.writer in whose.writers
         ):
-            found += [
+            marks += [
                 mark for mark in _of_run(run) if time_range.low <= mark.first_ns <= time_range.high
             ]
-    found.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
-    listed: List[Json] = [mark.answer() for mark in found[:limit]]
-    return {"marks": listed, "left_off": max(len(found) - limit, 0)}
+    marks.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
+    listed: List[Json] = [mark.answer() for mark in marks[:limit]]
+    return {"marks": listed, "left_off": max(len(marks) - limit, 0)}
 
 
 def _of_loss(loss: Loss, runs: Mapping[Tuple[int, str], Run]) -> Mark:

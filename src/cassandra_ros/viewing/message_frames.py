@@ -121,14 +121,14 @@ def describe_schema(definition: Definition) -> dict[str, Json]:
 
 
 def _field(field: Field) -> Json:
-    found: dict[str, Json] = {"name": field.name, "type": field.base}
+    entry: dict[str, Json] = {"name": field.name, "type": field.base}
     if not field.is_primitive:
-        found["isComplex"] = True
+        entry["isComplex"] = True
     if field.is_array:
-        found["isArray"] = True
+        entry["isArray"] = True
         if field.length is not None:
-            found["arrayLength"] = field.length
-    return found
+            entry["arrayLength"] = field.length
+    return entry
 
 
 def _constant(constant: Constant) -> Json:

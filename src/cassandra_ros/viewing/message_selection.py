@@ -76,16 +76,16 @@ def _stamp(ns: int | None) -> Stamp | None:
 
 
 def _conditions(catalog: Catalog, lines: tuple[str, ...]) -> dict[str, Where]:
-    found: dict[str, Where] = {}
+    conditions: dict[str, Where] = {}
     for line in lines:
         topic, _, condition = (text.strip() for text in line.partition(":"))
         if not (topic and condition):
             raise InvalidOption(f"where {line[:200]!r} is not of the form 'TOPIC: CONDITION'")
         name = catalog.get(topic).name
-        if name in found:
+        if name in conditions:
             raise InvalidOption(f"where has two conditions for {name}; join them with AND or OR")
-        found[name] = condition
-    return found
+        conditions[name] = condition
+    return conditions
 
 
 def _of_nodes(
@@ -99,8 +99,8 @@ def _of_nodes(
         return where
     names = [topic.name for topic in catalog.all(None)] if topics is None else topics
     of_them = f"NODE IN ({', '.join('?' * len(nodes))})"
-    found: dict[str, Where] = dict(where)
+    conditions: dict[str, Where] = dict(where)
     for name in names:
         own = where.get(name)
-        found[name] = (of_them if own is None else f"({own}) AND {of_them}", nodes)
-    return found
+        conditions[name] = (of_them if own is None else f"({own}) AND {of_them}", nodes)
+    return conditions

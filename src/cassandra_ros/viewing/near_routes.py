@@ -42,18 +42,18 @@ def _near(call: ApiCall) -> Json:
     frame, robot = call.text("frame") or "", call.text("robot") or ""
     places = call.catalog.places
     low, high = _ends(call)
-    found: List[Json] = []
+    stays_found: List[Json] = []
     nodes, writers = call.texts("nodes"), whose_of(call).writers
     asked = places.within(_region(call), frame or places.usual_frame(), robot, nodes, writers)
     more = False
     for node in asked.nodes:
         stays = asked.spans(low, high, node=node, watch=lambda: _check_waited_for(call))
-        for start, end in itertools.islice(stays, limit - len(found) + 1):
-            if len(found) == limit:
+        for start, end in itertools.islice(stays, limit - len(stays_found) + 1):
+            if len(stays_found) == limit:
                 more = True
                 break
-            found.append({"node": node, "start": str(start), "end": str(end)})
-    return {"stays": found, "more": more}
+            stays_found.append({"node": node, "start": str(start), "end": str(end)})
+    return {"stays": stays_found, "more": more}
 
 
 def _places(call: ApiCall) -> Json:

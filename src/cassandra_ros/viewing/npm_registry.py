@@ -76,11 +76,11 @@ def _settings_of(path: Path) -> dict[str, str]:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return {}
-    found = (_SETTING.fullmatch(line.strip()) for line in lines)
+    matches = (_SETTING.fullmatch(line.strip()) for line in lines)
     return {
         match[1]: _VARIABLE.sub(
             lambda name: os.environ.get(name[1], name[0]), match[2].strip("\"'")
         )
-        for match in found
+        for match in matches
         if match
     }

@@ -73,7 +73,7 @@ def _parameter(parameter: Parameter) -> dict[str, Json]:
     default = parameter.default
     if default is not None:
         schema["default"] = list(default) if isinstance(default, tuple) else default
-    found: dict[str, Json] = {
+    entry: dict[str, Json] = {
         "name": parameter.name,
         "in": "query",
         "description": f"{parameter.summary} ({KINDS[parameter.kind]})",
@@ -81,5 +81,5 @@ def _parameter(parameter: Parameter) -> dict[str, Json]:
         "schema": schema,
     }
     if parameter.kind == "texts":
-        found.update(style="form", explode=False)
-    return found
+        entry.update(style="form", explode=False)
+    return entry

@@ -161,11 +161,11 @@ class Spool:
     def latest(self, request: str) -> SpoolEntry | None:
         """Return the newest complete file of a request, even if its content is old; or None."""
         with self._mutex:
-            found = [e for e in self._entries.values() if e.request == request and e.ready]
-            if not found:
+            entries = [e for e in self._entries.values() if e.request == request and e.ready]
+            if not entries:
                 return None
-            found[-1].used = time.monotonic()
-            return found[-1]
+            entries[-1].used = time.monotonic()
+            return entries[-1]
 
     def lease(self, key: str, request: str, name: str, write: Write) -> Lease:
         """Return a lease of a file, which the first request for it has written.
@@ -300,9 +300,9 @@ def _active(path: Path) -> Path:
 
 
 def _open_any(path: Path) -> IO[bytes] | None:
-    for each in (_active(path), path):
+    for candidate in (_active(path), path):
         with suppress(FileNotFoundError):
-            return each.open("rb")
+            return candidate.open("rb")
     return None
 
 

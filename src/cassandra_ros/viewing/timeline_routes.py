@@ -59,7 +59,7 @@ def _answer(call: ApiCall) -> Json:
 
 def _lane(lane: Lane, scale: Optional[Scale]) -> Dict[str, Json]:
     first, last = lane.times
-    found: Dict[str, Json] = {
+    entry: Dict[str, Json] = {
         "topic": lane.topic,
         "node": lane.node,
         "types": sorted({table.metadata.msg_type for table in lane.tables}),
@@ -75,11 +75,11 @@ def _lane(lane: Lane, scale: Optional[Scale]) -> Dict[str, Json]:
     }
     if scale is not None:
         cells = lane.cells(scale)
-        found["counts"] = _lists(runs_of_cells(cells.counts))
-        found["even"] = _lists(time_ranges_of_cells(cells.even))
-        found["unknown"] = _lists(time_ranges_of_cells(cells.unknown))
-        found["gaps"] = [[str(low), str(high)] for low, high in lane.gaps(scale)]
-    return found
+        entry["counts"] = _lists(runs_of_cells(cells.counts))
+        entry["even"] = _lists(time_ranges_of_cells(cells.even))
+        entry["unknown"] = _lists(time_ranges_of_cells(cells.unknown))
+        entry["gaps"] = [[str(low), str(high)] for low, high in lane.gaps(scale)]
+    return entry
 
 
 def _lists(numbers: Sequence[Sequence[int]]) -> Json:
