@@ -88,8 +88,7 @@ class CassandraTopic_(ABC):
         """Return for each message its columns as in a request, each after its size.
 
         None is returned for a message that must be converted by encode_wire: its columns are
-            inexact,
-        or it differs from the other messages.
+        inexact, or it differs from the other messages.
         """
         return [None] * len(wires)
 

@@ -140,10 +140,9 @@ def makeMap(
 
     Poses are taken from recorded tf, for each robot its own (by nodeID), or from a topic of
     Odometry, PoseStamped or PoseWithCovarianceStamped: of several topics the one whose poses cover
-        most
-    messages. They are interpolated at the header stamps, or at the receive times if no poses with
-    such stamps were recorded. For a topic of nav_msgs/OccupancyGrid the newest map is returned as
-    it was stored.
+    most messages. They are interpolated at the header stamps, or at the receive times if no poses
+    with such stamps were recorded. For a topic of nav_msgs/OccupancyGrid the newest map is returned
+    as it was stored.
 
     Args:
         rosCas: Store, connected to the keyspace.

@@ -51,26 +51,22 @@ class CassandraTopic:
 
     * ``time``: the time at which the message was received.
     * ``msg_part``: the value of a field. If it is a time field, the key is a time too. For any
-    other
-      field ``getData(value)`` returns the first message with this value, ``items(value)`` all of
-      them, and a genpy.Time means the receive time. A number is rounded to float32 for such a
+      other field ``getData(value)`` returns the first message with this value, ``items(value)`` all
+      of them, and a genpy.Time means the receive time. A number is rounded to float32 for such a
       field.
     * ``hash``: the md5 of type name, NUL and serialised bytes, as 32 hex digits. Equal messages are
       stored once, with the time of the last one.
     * ``manual``: a name that you give; ``getData(name)`` returns its newest message,
-    ``items(name)``
-      all of them.
+      ``items(name)`` all of them.
 
     ``len(topic)`` counts, ``for key, msg in topic`` reads all messages, ``key in topic`` looks for
     one.
 
     Fields are named as in a SELECT statement: ``linear.x``, ``ranges[0]``, ``header.stamp.secs``, a
     message (all of its fields), ``KEY``, ``NODE``, ``RUN``, each with ``AS name``. A field inside
-    of an
-    array of messages unnests the array: one row for each element, or with ``where`` for each
-    element
-    that satisfies the condition, with the other fields repeated. An array named as a whole is not
-    unnested.
+    of an array of messages unnests the array: one row for each element, or with ``where`` for each
+    element that satisfies the condition, with the other fields repeated. An array named as a whole
+    is not unnested.
 
     Attributes:
         name: Name of the topic as it is stored.
@@ -200,15 +196,12 @@ class CassandraTopic:
             limit: Maximum number of messages of a time range.
             where: Condition for the messages: the text after WHERE in CQL, such as
                 ``'linear.x > 0.5'``, or a pair of text and parameters. A condition on the elements
-                of
-                an array of messages is satisfied if one element satisfies it.
+                of an array of messages is satisfied if one element satisfies it.
 
         Returns:
             With to_key a list in order of time, otherwise one message: of several with the same
-                stamp
-            or value the first, of several with the same name the newest. Messages with equal stamps
-            are
-            in the order of nodeID, writer and arrival.
+            stamp or value the first, of several with the same name the newest. Messages with equal
+            stamps are in the order of nodeID, writer and arrival.
 
         Raises:
             MessageNotFound: There is no message at key (also a KeyError).
@@ -429,26 +422,20 @@ class CassandraTopic:
         """Return fields as numpy arrays of equal length, in order of time.
 
         * Numbers and bools keep the field's type (float32 stays float32); text is str in an array
-        of
-          objects.
+          of objects.
         * ``KEY``, times and durations are int64 nanoseconds: ``.view('datetime64[ns]')`` or
           ``.view('timedelta64[ns]')`` shows them as such. In topics with names KEY is text.
-          ``secs`` and
-          ``nsecs`` are int64, and so are computed integers if all of them fit.
+          ``secs`` and ``nsecs`` are int64, and so are computed integers if all of them fit.
         * Arrays of fixed length have two dimensions, such as (rows, 9). So have other arrays if
-        every
-          returned row has an array and all have the same length: scans of 360 ranges give (rows,
-              360),
-          empty arrays (rows, 0). Otherwise, or without rows, they give an array of objects, one
-          array a
-          row. ``list(found['ranges'])`` is the same in both cases: use it in programs that must not
-          depend on the lengths.
+          every returned row has an array and all have the same length: scans of 360 ranges give
+          (rows, 360), empty arrays (rows, 0). Otherwise, or without rows, they give an array of
+          objects, one array a row. ``list(found['ranges'])`` is the same in both cases: use it in
+          programs that must not depend on the lengths.
         * Arrays inside of arrays of messages give lists.
 
         Values that a message lacks (``ranges[5]`` of four, a field of another definition, damaged
-        bytes)
-        are masked in a numpy.ma.MaskedArray, or None in an array of objects. If definitions have
-        different types for a field, the result has the smallest type that holds both exactly.
+        bytes) are masked in a numpy.ma.MaskedArray, or None in an array of objects. If definitions
+        have different types for a field, the result has the smallest type that holds both exactly.
 
         Args:
             fields: Names of fields; None = all, and KEY.
