@@ -24,8 +24,8 @@ from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CorruptMessage, InvalidKey
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.messages.stamps import Stamp, Time, iso_time, to_ns
-from cassandra_ros.read import Writers
+from cassandra_ros.messages.stamps import Time, iso_time, to_ns
+from cassandra_ros.read import Read, TimeRange, Whose, Writers
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_finder import RunName
@@ -195,7 +195,8 @@ def verify_content(
         for topic in wanted:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
-            rows = catalog.read(names, start, end, node=nodeID, received=True, run=writers)
+            read = catalog.read_of(names, start, end, catalog.whose(nodeID, writers))
+            rows = catalog.read(names, read, received=True)
             comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)
     return report
@@ -261,12 +262,11 @@ def _by_place(
     """Return a comparison with the rows of an import, or with all rows of the topics."""
     ranks = _Ranks(reader.connections.values(), positions=found is not None)
     if found is None:
-        rows = catalog.read(topics, node=node, received=True, run=writers)
+        rows = catalog.read(topics, Read(whose=Whose.of(node, writers)), received=True)
         return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
-    # As stamps: a small integer (the time of a simulation) might be refused as a time in seconds.
-    ends = map(Stamp.from_ns, (reader.start_ns, reader.end_ns))
-    own = frozenset([found.writer])
-    rows = catalog.read(topics, *ends, node=found.node, received=True, run=own)
+    own = Whose.of(found.node, frozenset([found.writer]))
+    read = Read(TimeRange(reader.start_ns, reader.end_ns), own)
+    rows = catalog.read(topics, read, received=True)
     # The rows of an import hold their positions in the bag, so a missing row shifts no other.
     return Comparison(_in_order(rows, ranks), report, _BY_POSITION)
 

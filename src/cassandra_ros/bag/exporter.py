@@ -20,7 +20,6 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.topics.catalog import Catalog, Conditions
-from cassandra_ros.topics.key_selection import range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -101,8 +100,9 @@ def export_bag(
     # The caller may have named one topic in two spellings.
     catalog = ros_cas.catalog
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
-    rows = catalog.read(names, start, end, node=nodeID, received=True, where=where, run=run)
-    low, high = range_between(start, end)
+    read = catalog.read_of(names, start, end, catalog.whose(nodeID, run))
+    rows = catalog.read(names, read, where, received=True)
+    low, high = read.time_range
     before = []
     if latched and start is not None:
         before = latched_before(catalog, low, names, to=high, nodeID=nodeID, run=run, where=where)

@@ -6,12 +6,10 @@ from __future__ import annotations
 
 from typing import Dict, Iterable, Iterator, Optional, Tuple
 
-from cassandra_ros.arguments import check_topics
 from cassandra_ros.errors import InvalidOption, InvalidQuery
-from cassandra_ros.messages.stamps import Time
+from cassandra_ros.read import Read
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.row_finder import Where
-from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
 Asked = Tuple[float, float, float, str, str]
@@ -22,22 +20,18 @@ def near_rows(
     catalog: Catalog,
     asked: Asked,
     topics: Optional[Iterable[str]],
-    ends: Tuple[Optional[Time], Optional[Time]],
-    nodeID: Optional[str],
-    run: RunName,
+    read: Read,
     where: Conditions,
 ) -> Iterator[StoredRow]:
     """Yield the rows of topics (None = all) whose robot was on a disk; see RosCassandra.near."""
-    listed = check_topics(topics)
-    whose, tables = catalog.whose(nodeID, run), catalog.tables(listed)
-    read = catalog.read_of(listed, *ends, whose)
+    tables = catalog.tables(topics)
     names = sorted({table.metadata.topic for table in tables})
-    catalog.filters(where, names, whose)  # raises for invalid conditions
+    catalog.filters(where, names, read.whose)  # raises for invalid conditions
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
     conditions: Dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
     try:
         with catalog.places.shared():
-            filters = catalog.filters(conditions, names, whose)
+            filters = catalog.filters(conditions, names, read.whose)
             return catalog.merged(tables, filters, read)
     except InvalidQuery as exc:
         raise InvalidOption(exc.reason) from exc

@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import replace
 from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
 
-from cassandra_ros.arguments import check_new_topic, check_text
+from cassandra_ros.arguments import check_new_topic, check_text, check_topics
 from cassandra_ros.client.explanation import Explanation
 from cassandra_ros.client.near_rows import near_rows
 from cassandra_ros.client.statements import Statements
@@ -357,9 +357,9 @@ class RosCassandra:
             InvalidQuery: A condition is not valid.
             InvalidName, InvalidKey: A name or time is not valid.
         """
-        return self.catalog.read(
-            topics, key, to_key, node=nodeID, received=received, where=where, run=run
-        )
+        names, catalog = check_topics(topics), self.catalog
+        read = catalog.read_of(names, key, to_key, catalog.whose(nodeID, run))
+        return catalog.read(names, read, where, received=received)
 
     def near(
         self,
@@ -387,8 +387,9 @@ class RosCassandra:
         Raises:
             InvalidOption: No poses of the robot are stored, or several robots are possible.
         """
-        disk, ends = (x, y, radius, frame, robot), (key, to_key)
-        return near_rows(self.catalog, disk, topics, ends, nodeID, run, where)
+        names, catalog = check_topics(topics), self.catalog
+        read = catalog.read_of(names, key, to_key, catalog.whose(nodeID, run))
+        return near_rows(catalog, (x, y, radius, frame, robot), names, read, where)
 
     def nearestMessages(
         self,

@@ -8,7 +8,7 @@ from typing import Iterator, List, Optional, Union
 
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import StoredRow
@@ -48,6 +48,9 @@ class StoredPast:
         self._node = node
         self._run = run
 
+    def _whose(self) -> Whose:
+        return self._catalog.whose(self._node, self._run)  # a run that goes on may get writers
+
     def exists(self) -> bool:
         """Return whether the keyspace has the topic."""
         return self._catalog.exists(self.topic)
@@ -63,13 +66,10 @@ class StoredPast:
         """
         if high is not None and high < low:
             return
-        # Stamps instead of integers: readMessages takes an integer near 0 (simulated time) for
-        # seconds.
-        first, last = Stamp.from_ns(low), None if high is None else Stamp.from_ns(high)
+        time_range = TimeRange(low, LAST_NS if high is None else high)
+        read = Read(time_range, self._whose())
         try:
-            yield from self._catalog.read(
-                [self.topic], first, last, node=self._node, received=True, run=self._run
-            )
+            yield from self._catalog.read([self.topic], read, received=True)
         except TopicNotFound:
             return
 
@@ -80,8 +80,7 @@ class StoredPast:
         except TopicNotFound:
             return False
         directory = self._catalog.keyspace.directory
-        writers = self._catalog.keyspace.runs.writers(self._run)
-        nodes = None if self._node is None else (self._node,)
+        nodes, writers = self._whose()
         for table in tables:
             if table.named:
                 continue

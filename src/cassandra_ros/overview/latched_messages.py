@@ -25,12 +25,12 @@ from typing import (
     Tuple,
 )
 
-from cassandra_ros.arguments import check_nodes, check_topics
+from cassandra_ros.arguments import check_topics
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.read import LAST_NS, Nodes, Read, TimeRange, Whose
+from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow
 from cassandra_ros.topics.catalog import Catalog, Conditions
@@ -79,20 +79,19 @@ def latched_before(
         TopicNotFound, RunNotFound: One of the topics, or the run, is not stored.
         InvalidName, InvalidQuery: As readMessages.
     """
-    names = check_topics(topics)
+    names, whose = check_topics(topics), catalog.whose(nodeID, run)
     finder = LatchedFinder(
         catalog.keyspace,
         catalog.tables(names),
-        check_nodes(nodeID),
-        catalog.keyspace.runs.writers(run),
-        tests=tests_of(catalog, where, nodeID),
+        whose,
+        tests_of(catalog, where, whose),
     )
     return finder.before(t, LAST_NS if to is None else to)
 
 
-def tests_of(catalog: Catalog, where: Conditions, node: Optional[str]) -> Tests:
+def tests_of(catalog: Catalog, where: Conditions, whose: Whose) -> Tests:
     """Return for each topic with a condition the test whether a row satisfies the condition."""
-    return {name: kept.test for name, kept in catalog.filters(where, None, Whose.of(node)).items()}
+    return {name: kept.test for name, kept in catalog.filters(where, None, whose).items()}
 
 
 class LatchedFinder:
@@ -101,8 +100,7 @@ class LatchedFinder:
     Args:
         keyspace: Keyspace of the tables.
         tables: Tables of the requested topics.
-        nodes: nodeIDs whose messages are searched; None = all.
-        writers: Writer ids whose messages are searched; None = all.
+        whose: Nodes and writers whose messages are searched.
         tests: Topic → test whether a message is wanted.
     """
 
@@ -110,14 +108,12 @@ class LatchedFinder:
         self,
         keyspace: Keyspace,
         tables: Sequence[TopicTable],
-        nodes: Nodes = None,
-        writers: Optional[FrozenSet[int]] = None,
+        whose: Whose = EVERYBODY,
         tests: Optional[Tests] = None,
     ) -> None:
         self._keyspace = keyspace
         self._tables = tables
-        self._nodes = nodes
-        self._writers = writers
+        self._whose = whose
         self._tests = tests or {}
 
     @cached_property
@@ -160,9 +156,10 @@ class LatchedFinder:
                 continue  # their rows are not ordered by receive time
             length = metadata.bucket_ns
             listed = self._keyspace.directory.buckets(
-                name, t // length, to // length, self._nodes, metadata.ttl
+                name, t // length, to // length, self._whose.nodes, metadata.ttl
             )
-            rows = [row for row in listed if self._writers is None or row.writer in self._writers]
+            writers = self._whose.writers
+            rows = [row for row in listed if writers is None or row.writer in writers]
             for row in self._counted(name, metadata, rows):
                 if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t):
                     found.add((row.node, row.writer))
@@ -218,7 +215,7 @@ class LatchedFinder:
         """Search all rows of a topic whose key is not the receive time."""
         last: Dict[Publisher, StoredRow] = {}
         conns = self._latched[table.name]
-        for row in self._rows(table, Read(whose=Whose(self._nodes, self._writers))):
+        for row in self._rows(table, Read(whose=self._whose)):
             source, conn = publisher = publisher_of(row)
             # Equal messages of key format hash are one row, which has no writer.
             if not since <= row.received < t or conn not in conns:

@@ -44,7 +44,7 @@ class Latest:
         for table in tables:
             self._by_topic.setdefault(table.metadata.topic, []).append(table)
         timed = [table for table in tables if not table.named]
-        self._latched = LatchedFinder(keyspace, timed, whose.nodes, whose.writers)
+        self._latched = LatchedFinder(keyspace, timed, whose)
 
     def before(self, t: int, since: int = 0) -> List[StoredRow]:
         """Return the last messages of each topic, in order of time.

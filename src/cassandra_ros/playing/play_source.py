@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
 
-from cassandra_ros.arguments import check_nodes
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.overview.latched_messages import (
     LatchedFinder,
@@ -38,9 +37,8 @@ class PlaySource:
 
     catalog: Catalog
     topics: Sequence[str]
-    node: Optional[str]
-    """nodeID of the robot; None = all robots."""
-    writers: Writers
+    whose: Whose
+    """nodeIDs and writer ids of its messages. The writer ids {0} mean rows that name no writer."""
     where: Conditions
     stored_ranges: Sequence[StoredRange]
     """Time ranges of reception in which it has messages."""
@@ -91,12 +89,7 @@ class PlaySource:
         if time_range.low > time_range.high:
             return iter(())
         return self.catalog.read(
-            self.topics,
-            *time_range,
-            node=self.node,
-            received=True,
-            where=self.where,
-            run=self.writers,
+            self.topics, Read(time_range, self.whose), self.where, received=True
         )
 
     def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
@@ -104,14 +97,11 @@ class PlaySource:
         inner, stored_topic = self._received(time_range), self.catalog.get(topic)
         if inner.low > inner.high:
             return iter(())
+        read = Read(inner, self.whose)
         if any(table.metadata.own_time or table.named for table in stored_topic.tables):
-            where = {topic: condition}
-            rows = self.catalog.read(
-                [topic], *inner, node=self.node, received=True, where=where, run=self.writers
-            )
+            rows = self.catalog.read([topic], read, {topic: condition}, received=True)
         else:
-            whose = Whose.of(self.node, self.writers)
-            rows = Filter(stored_topic, condition, whose).rows(Read(inner, whose), bare=True)
+            rows = Filter(stored_topic, condition, self.whose).rows(read, bare=True)
         return (row.received + self.shift for row in rows)
 
     @cached_property
@@ -120,9 +110,8 @@ class PlaySource:
 
     @cached_property
     def _finder(self) -> LatchedFinder:
-        tests = tests_of(self.catalog, self.where, self.node)
-        nodes = check_nodes(self.node)
-        return LatchedFinder(self.catalog.keyspace, self._tables, nodes, self.writers, tests)
+        tests = tests_of(self.catalog, self.where, self.whose)
+        return LatchedFinder(self.catalog.keyspace, self._tables, self.whose, tests)
 
     def latched(
         self, window: TimeRange, sent: Optional[LatchedRecord] = None

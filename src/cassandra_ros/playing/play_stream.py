@@ -8,7 +8,6 @@ import heapq
 from dataclasses import replace
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
-from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
@@ -106,9 +105,9 @@ class Stream:
 
     def _find_stored_ranges(self) -> List[StoredRange]:
         asked = self.selection
-        self._writers = self._catalog.keyspace.runs.writers(asked.run)
-        tables, nodes = self._catalog.tables(self.topics), check_nodes(asked.nodeID)
-        ranges = stored_ranges(self._catalog.keyspace, tables, nodes, self._writers)
+        self._whose = self._catalog.whose(asked.nodeID, asked.run)
+        tables = self._catalog.tables(self.topics)
+        ranges = stored_ranges(self._catalog.keyspace, tables, self._whose)
         if ranges:
             return ranges
         node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
@@ -124,8 +123,7 @@ class Stream:
         whole = PlaySource(
             self._catalog,
             self.topics,
-            asked.nodeID,
-            self._writers,
+            self._whose,
             asked.where,
             self._stored_ranges,
         )

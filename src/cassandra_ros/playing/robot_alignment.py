@@ -12,6 +12,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.overview.latched_messages import Source
 from cassandra_ros.playing.play_source import PlaySource
 from cassandra_ros.playing.stored_ranges import StoredRange
+from cassandra_ros.read import Whose
 
 
 def check_alignment(align: object) -> str:
@@ -28,15 +29,12 @@ def split_sources(source: PlaySource, align: str) -> List[PlaySource]:
     for stored_range in source.stored_ranges:
         writer = 0 if align == "node" and stored_range.node else stored_range.writer
         groups.setdefault((stored_range.node, writer), []).append(stored_range)
-    return [
-        replace(
-            source,
-            node=node,
-            writers=source.writers if align == "node" and node else frozenset([writer]),
-            stored_ranges=tuple(stored_ranges),
-        )
-        for (node, writer), stored_ranges in sorted(groups.items())
-    ]
+    sources = []
+    for (node, writer), ranges in sorted(groups.items()):
+        writers = source.whose.writers if align == "node" and node else frozenset([writer])
+        whose = Whose((node,), writers)
+        sources.append(replace(source, whose=whose, stored_ranges=tuple(ranges)))
+    return sources
 
 
 def aligned(sources: Sequence[PlaySource]) -> List[PlaySource]:

@@ -4,10 +4,10 @@
 
 from __future__ import annotations
 
-from typing import Dict, FrozenSet, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.keys import split_seq
-from cassandra_ros.read import Nodes, Read, Whose
+from cassandra_ros.read import EVERYBODY, Nodes, Read, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import BucketRow
 from cassandra_ros.topics.keyspace import Keyspace
@@ -30,11 +30,11 @@ class StoredRange(NamedTuple):
 def stored_ranges(
     keyspace: Keyspace,
     tables: Sequence[TopicTable],
-    nodes: Nodes = None,
-    writers: Optional[FrozenSet[int]] = None,
+    whose: Whose = EVERYBODY,
 ) -> List[StoredRange]:
     """Return the time range of each run in each table; most of them without reading a row."""
     ranges: List[StoredRange] = []
+    nodes, writers = whose
     for table in tables:
         own = table.named or table.metadata.own_time
         listed = _by_keys(keyspace, table, nodes) if own else _by_buckets(keyspace, table, nodes)

@@ -335,19 +335,14 @@ class Catalog:
     def read(
         self,
         topics: Optional[Iterable[str]],
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
-        *,
-        node: Optional[str] = None,
-        received: bool = False,
+        read: Read,
         where: Conditions = None,
-        run: RunName = None,
+        *,
+        received: bool = False,
     ) -> Iterator[StoredRow]:
         """Yield the rows of several topics lazily; see RosCassandra.readMessages."""
-        names = check_topics(topics)
-        whose = self.whose(node, run)
-        filters, read = self.filters(where, names, whose), self.read_of(names, key, to_key, whose)
-        return self.merged(self.tables(names), filters, read, received=received)
+        filters = self.filters(where, topics, read.whose)
+        return self.merged(self.tables(topics), filters, read, received=received)
 
     def merged(
         self,
