@@ -18,12 +18,13 @@ from cassandra_ros.errors import CassandraRosError, InvalidName, KeyspaceNotFoun
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.printable import public_names
+from cassandra_ros.read import Read
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.descriptions import Infos, RunList
-from cassandra_ros.topics.key_selection import Clock
+from cassandra_ros.topics.key_selection import Clock, range_between
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.query_result import QueryResult, Rows
@@ -321,7 +322,9 @@ class RosCassandra:
 
         The arguments are those of readMessages; losses whose time range meets the given one count.
         """
-        return self.catalog.losses(topics, key, to_key, nodeID, run)
+        names, catalog = check_topics(topics), self.catalog
+        read = Read(range_between(key, to_key), catalog.whose(nodeID, run))
+        return catalog.keyspace.runs.losses(names, read)
 
     def readMessages(
         self,

@@ -57,7 +57,8 @@ class StoredPast:
 
     def losses(self, low: int) -> List[Loss]:
         """List the losses of the topic from the time ``low`` on, ns."""
-        return self._catalog.losses([self.topic], low, None, self._node, self._run)
+        read = Read(TimeRange(low), self._whose())
+        return self._catalog.keyspace.runs.losses([self.topic], read)
 
     def rows(self, low: int, high: Optional[int] = None) -> Iterator[StoredRow]:
         """Yield the rows received from ``low`` to ``high``, ns, both included; None = no end.

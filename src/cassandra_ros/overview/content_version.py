@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 from typing import Iterator, Sequence
 
-from cassandra_ros.read import TimeRange, Whose
+from cassandra_ros.read import Read
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.directory import Directory
@@ -22,8 +22,7 @@ _ALL_BUCKETS = -(2**63), 2**63 - 1
 def content_version(
     directory: Directory,
     tables: Sequence[TopicTable],
-    time_range: TimeRange,
-    whose: Whose,
+    read: Read,
     before: Sequence[StoredRow] = (),
 ) -> str:
     """Return a text that changes whenever the messages in a time range do.
@@ -35,39 +34,36 @@ def content_version(
 
     Args:
         tables: Tables of the topics to read.
-        time_range: Receive times, ns, both included.
-        whose: Robots and runs whose messages count.
+        read: Range of receive times, robots and writers of the messages that count.
         before: Messages from before the range that belong to it, such as latched ones.
 
     Returns:
         64 hexadecimal digits.
     """
-    facts = followed(tables, lambda now: list(_facts(directory, now, time_range, whose)))
+    facts = followed(tables, lambda now: list(_facts(directory, now, read)))
     digest = hashlib.sha256()
     for fact in (*facts, *(repr(row.position) for row in before)):
         digest.update(fact.encode("utf-8", "surrogateescape") + b"\0")
     return digest.hexdigest()
 
 
-def _facts(
-    directory: Directory, tables: Sequence[TopicTable], time_range: TimeRange, whose: Whose
-) -> Iterator[str]:
+def _facts(directory: Directory, tables: Sequence[TopicTable], read: Read) -> Iterator[str]:
+    whose = read.whose
     for table in sorted(tables, key=lambda table: table.name):
         yield f"{table.metadata.topic} {table.name}"
         if table.named:
             keys = (key for key in list_names(table, whose.nodes) if whose.has(key.position))
             yield from sorted(map(repr, keys))
         else:
-            yield from _bucket_facts(directory, table, time_range, whose)
+            yield from _bucket_facts(directory, table, read)
 
 
-def _bucket_facts(
-    directory: Directory, table: TopicTable, time_range: TimeRange, whose: Whose
-) -> Iterator[str]:
-    ends = table.bucket_of(time_range.low), table.bucket_of(time_range.high)
+def _bucket_facts(directory: Directory, table: TopicTable, read: Read) -> Iterator[str]:
+    low, high = read.time_range
+    ends = table.bucket_of(low), table.bucket_of(high)
     if table.metadata.own_time:
         ends = _ALL_BUCKETS  # the buckets of its rows say nothing about the receive times
-    rows = buckets_of(directory, table, whose, ends)
+    rows = buckets_of(directory, table, read.whose, ends)
     moving = set()
     for row in rows:
         if row.closed and not table.metadata.ttl:

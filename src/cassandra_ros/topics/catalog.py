@@ -33,11 +33,10 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.directory import STALE_SEC
-from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
-from cassandra_ros.topics.key_selection import Clock, range_between, spellings
+from cassandra_ros.topics.key_selection import Clock, spellings
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed
 from cassandra_ros.topics.removal import delete_time_range
@@ -312,24 +311,12 @@ class Catalog:
             found[topic.name] = Filter(topic, condition, whose)
         return found
 
-    def losses(
-        self,
-        topics: Optional[Iterable[str]],
-        key: Optional[Time],
-        to_key: Optional[Time],
-        node: Optional[str],
-        run: RunName,
-    ) -> List[Loss]:
-        """Return the losses of topics; see RosCassandra.losses."""
-        names, time_range = check_topics(topics), range_between(key, to_key)
-        return self.keyspace.runs.losses(names, time_range, self.whose(node, run))
-
     def infos(
         self, topics: Optional[Iterable[str]], node: Optional[str] = None, run: RunName = None
     ) -> List[TopicInfo]:
         """Describe what is stored; see RosCassandra.info."""
         tables, whose = self.tables(check_topics(topics)), self.whose(node, run)
-        losses = self.keyspace.runs.losses(None, TimeRange(), whose)
+        losses = self.keyspace.runs.losses(None, Read(whose=whose))
         return describe(self.keyspace.directory, tables, whose, losses)
 
     def read(

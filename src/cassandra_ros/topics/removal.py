@@ -10,7 +10,7 @@ from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
 from cassandra_ros.blocks.block_counts import headers
 from cassandra_ros.blocks.block_deletion import Cutter
 from cassandra_ros.places.paths import LONGEST_GAP_NS
-from cassandra_ros.read import Read, Whose
+from cassandra_ros.read import Read
 from cassandra_ros.store.row_counts import scan_keys, scan_written
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.row_table import BlockKey
@@ -32,7 +32,8 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
 
     Rows that are stored meanwhile stay, or are deleted and counted too.
     """
-    (low, high), whose = read.time_range, read.whose
+    low, high = read.time_range
+    whose = read.whose
     deleted = 0
     # Taken before the directory is read: rows of buckets that are opened later stay.
     until = space.cassandra.server_time_us()
@@ -48,12 +49,12 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
             writers.setdefault((row.node, row.bucket), set()).add(row.writer)
         for (node, bucket), listed in sorted(writers.items()):
             if table.packed:
-                deleted += _delete_blocks(space, (table, node, bucket), low, high, whose)
+                deleted += _delete_blocks(space, (table, node, bucket), read)
             elif whose.writers is None or listed <= whose.writers:
                 deleted += _delete_bucket(space, (table, node, bucket), low, high, until)
             elif listed & whose.writers:
                 # Other writers have rows there too, which stay: delete row by row.
-                deleted += _delete_between(space, (table, node, bucket), low, high, whose)
+                deleted += _delete_between(space, (table, node, bucket), read)
     return deleted
 
 
@@ -66,12 +67,11 @@ def _withdraw_places(
         space.place_index.withdraw(table.name, low, high)
 
 
-def _delete_blocks(
-    space: Keyspace, partition: _Partition, low: int, high: int, whose: Whose
-) -> int:
+def _delete_blocks(space: Keyspace, partition: _Partition, read: Read) -> int:
     """Delete messages from blocks; messages that another writer adds meanwhile stay."""
     table, node, where = partition
-    rows = headers(table, node, int(where), low, high, whose.writers)
+    low, high = read.time_range
+    rows = headers(table, node, int(where), low, high, read.whose.writers)
     deleted = 0
     while some := list(islice(rows, ROWS_AT_ONCE)):
         space.schema.listing().check_staying(table.name)
@@ -82,12 +82,10 @@ def _delete_blocks(
     return deleted
 
 
-def _delete_between(
-    space: Keyspace, partition: _Partition, low: int, high: int, whose: Whose
-) -> int:
+def _delete_between(space: Keyspace, partition: _Partition, read: Read) -> int:
     table, node, bucket = partition
-    found = scan_keys(table, node, int(bucket), low, high)
-    keys = ((t, seq, large) for t, seq, _, large, _ in found if whose.wrote(seq))
+    found = scan_keys(table, node, int(bucket), *read.time_range)
+    keys = ((t, seq, large) for t, seq, _, large, _ in found if read.whose.wrote(seq))
     deleted = 0
     while some := list(islice(keys, ROWS_AT_ONCE)):
         _delete_some(space, partition, some)

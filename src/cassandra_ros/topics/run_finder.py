@@ -13,7 +13,7 @@ from typing import Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
 from cassandra_ros.arguments import check_run
 from cassandra_ros.errors import RunNotFound
 from cassandra_ros.keys import MAX_WRITER
-from cassandra_ros.read import TimeRange, Whose, Writers
+from cassandra_ros.read import Read, Writers
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss, Registry, Run
 from cassandra_ros.topics.key_selection import spellings
@@ -118,10 +118,14 @@ class Runs:
                 return found
         return None
 
-    def losses(
-        self, topics: Optional[Sequence[str]], time_range: TimeRange, whose: Whose
-    ) -> list[Loss]:
-        """Return the losses that meet a time range; topics None = all."""
+    def losses(self, topics: Optional[Sequence[str]], read: Read) -> list[Loss]:
+        """Return the losses that meet the time range of a read, of its robots and writers.
+
+        Args:
+            topics: Their names; None = all.
+            read: Time range, robots and writers.
+        """
+        time_range, whose = read.time_range, read.whose
         if topics is not None:
             topics = [name for topic in topics for name in spellings(topic)]
         return [

@@ -8,13 +8,12 @@ from dataclasses import replace
 from typing import Dict, FrozenSet, Iterable, List, Optional, Sequence
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.read import ALWAYS, Read, TimeRange, Whose
+from cassandra_ros.read import ALWAYS, EVERYTHING, Read, Whose
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Filter
-from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
@@ -23,29 +22,26 @@ from cassandra_ros.topics.topic_table import TopicTable
 def delete_messages(
     catalog: Catalog,
     topics: Optional[Iterable[str]],
-    time_range: TimeRange,
-    node: Optional[str],
-    run: RunName,
+    read: Read,
     where: Conditions,
     dry_run: bool = False,
 ) -> Dict[str, int]:
     """Delete messages of several topics; see Upkeep.delete."""
-    whose, space = catalog.whose(node, run), catalog.keyspace
-    read = Read(time_range, whose)
-    if where is None and read == Read():
+    space = catalog.keyspace
+    if where is None and read == EVERYTHING:
         raise InvalidOption(
             "nothing says which messages to delete: give times, a node, a run or a "
             "condition; removeTopic and truncateTopic remove all of a topic"
         )
     ending: List[Run] = []
-    if run is not None:
+    if read.whose.writers is not None:
         # A run is removed from the list only if all its messages are deleted.
-        all_of_it = topics is None and where is None and time_range == ALWAYS
-        ending = _ended_runs(catalog, whose) if all_of_it else []
+        all_of_it = topics is None and where is None and read.time_range == ALWAYS
+        ending = _ended_runs(catalog, read.whose) if all_of_it else []
     catalog.adder.close()  # buckets that it has open count as being written
     found: Dict[str, int] = {}
     if where is not None:
-        for name, passing in _filters(catalog, topics, where, whose).items():
+        for name, passing in _filters(catalog, topics, where, read.whose).items():
             rows = passing.rows(read, bare=True)
             found[name] = sum(1 for _ in rows) if dry_run else delete_rows(space, rows)
         return found

@@ -58,8 +58,9 @@ class Upkeep:
             TopicNotFound, RunNotFound, InvalidName, InvalidQuery: As readMessages.
         """
         names = check_topics(topics)
-        time_range = self._catalog.time_range(names, key, to_key)
-        return delete_messages(self._catalog, names, time_range, nodeID, run, where, dry_run)
+        whose = self._catalog.whose(nodeID, run)
+        read = self._catalog.read_of(names, key, to_key, whose)
+        return delete_messages(self._catalog, names, read, where, dry_run)
 
     def isWritten(self, topic: str) -> bool:
         """Return whether a client, such as a recorder, is writing messages of a topic now.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Dict, Iterator, List, Mapping, Optional, Tuple
 
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.read import LAST_NS, TimeRange
+from cassandra_ros.read import LAST_NS, Read, TimeRange
 from cassandra_ros.tables.registry import Loss, Run
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
@@ -61,7 +61,7 @@ def _marks(call: ApiCall) -> Json:
     time_range = TimeRange(start or 0, LAST_NS if end is None else end)
     whose, limit, keyspace = whose_of(call), listed_at_most(call), call.catalog.keyspace
     runs = {(run.writer, run.node): run for run in keyspace.registry.runs()}
-    losses = keyspace.runs.losses(call.texts("topics") or None, time_range, whose)
+    losses = keyspace.runs.losses(call.texts("topics") or None, Read(time_range, whose))
     marks = [_of_loss(loss, runs) for loss in losses]
     for run in runs.values():
         if (whose.nodes is None or run.node in whose.nodes) and (

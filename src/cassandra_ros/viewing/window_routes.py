@@ -23,6 +23,7 @@ from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.overview.content_version import content_version
 from cassandra_ros.overview.latched_messages import latched_before
+from cassandra_ros.read import Read
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Answer, SpooledFile, Stream
 from cassandra_ros.viewing.api_call import ApiCall
@@ -108,7 +109,8 @@ def _version(catalog: Catalog, selection: MessageSelection, latched: bool) -> st
             where=selection.where or None,
         )
     tables = catalog.tables(topics)
-    return content_version(catalog.keyspace.directory, tables, time_range, selection.whose, before)
+    read = Read(time_range, selection.whose)
+    return content_version(catalog.keyspace.directory, tables, read, before)
 
 
 def _write(
