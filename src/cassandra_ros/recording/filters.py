@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from dataclasses import dataclass
 from typing import Callable, Mapping, Optional
 
 from cassandra_ros.errors import InvalidQuery
@@ -34,7 +33,7 @@ class Filters:
     def __init__(self, settings: Settings, node: str = "") -> None:
         self._settings = settings
         self._node = node
-        self._topics: dict[str, Optional[_TopicFilter]] = {}
+        self._topics: dict[str, Optional[TopicFilter]] = {}
         self._mutex = threading.Lock()
 
     def passes(self, topic: str, header: Mapping[str, str], t: int, wire: bytes) -> bool:
@@ -44,21 +43,22 @@ class Filters:
             header: Connection header; the same object for all messages of a connection.
             t: Time of reception, ns.
         """
-        try:
-            topic_filter = self._topics[topic]
-        except KeyError:
-            topic_filter = self._make(topic)
-        if topic_filter is None:
-            return True
-        with self._mutex:
-            return topic_filter.passes(header, t, wire)
+        topic_filter = self.of(topic)
+        return topic_filter is None or topic_filter.passes(header, t, wire)
 
-    def _make(self, topic: str) -> Optional[_TopicFilter]:
+    def of(self, topic: str) -> Optional[TopicFilter]:
+        """Return the filter of a topic; None where all of its messages are recorded."""
+        try:
+            return self._topics[topic]
+        except KeyError:
+            return self._make(topic)
+
+    def _make(self, topic: str) -> Optional[TopicFilter]:
         settings = self._settings.of(topic)
         topic_filter = None
         if settings.where or settings.rate_limit:
             condition = _TopicCondition(topic, settings.where, self._node)
-            topic_filter = _TopicFilter(
+            topic_filter = TopicFilter(
                 condition if settings.where else None,
                 _Throttle(settings.rate_limit) if settings.rate_limit else None,
             )
@@ -84,15 +84,20 @@ class _Throttle:
         return True
 
 
-@dataclass
-class _TopicFilter:
-    condition: Optional[_TopicCondition]
-    throttle: Optional[_Throttle]
+class TopicFilter:
+    """Says of each message of one topic whether it is recorded. Thread-safe."""
+
+    def __init__(self, condition: Optional[_TopicCondition], throttle: Optional[_Throttle]) -> None:
+        self._condition = condition
+        self._throttle = throttle
+        self._mutex = threading.Lock()
 
     def passes(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
-        if self.condition is not None and not self.condition.holds(header, t, wire):
-            return False
-        return self.throttle is None or self.throttle.passes(t)
+        """Say whether a message is recorded; see Filters.passes."""
+        with self._mutex:
+            if self._condition is not None and not self._condition.holds(header, t, wire):
+                return False
+            return self._throttle is None or self._throttle.passes(t)
 
 
 Test = Callable[[Row], bool]

@@ -11,6 +11,7 @@ from typing import Mapping, NamedTuple, Optional
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.recording.filters import TopicFilter
 from cassandra_ros.recording.place_keeper import tells_places
 from cassandra_ros.tables.directory import UNKNOWN_SPAN_NS, Lengths, bucket_for, span_for
 from cassandra_ros.tables.row_table import CHUNK_BYTES
@@ -132,6 +133,8 @@ class Feed(NamedTuple):
     header: Mapping[str, str]
     """rospy's object; it is referenced here because its id identifies the connection."""
     source: MessageSource
+    filter: Optional[TopicFilter] = None
+    """Filter of the topic's messages; None = all messages are recorded."""
 
 
 class Buffer:

@@ -191,11 +191,12 @@ class PlaceKeeper:
         """Times up to which all poses are indexed, and were read, ns; -1 = no pose yet."""
 
     def take(self, source: MessageSource, t: int, wire: bytes) -> None:
-        """Take a message if it has poses of the robot, without waiting.
+        """Take a message with poses of the robot, without waiting.
 
-        Messages are taken in the order of reception, by one thread at a time.
+        Call it for sources with ``tells_places`` only, in the order of reception, by one thread at
+        a time.
         """
-        if not (source.tells_places and self._wanted) or self._gave_up or self._ending.is_set():
+        if not self._wanted or self._gave_up or self._ending.is_set():
             return
         self._came += len(wire)
         if self._came - self._gone > MAX_HELD_BYTES:

@@ -229,7 +229,7 @@ class Recording:
                 (self._latest - t) / SECOND_NS,
             )
         self._latest = t
-        if not self._filters.passes(topic, header, t, wire):
+        if feed.filter is not None and not feed.filter.passes(header, t, wire):
             self._counts.leave_out(topic, paused=False)
             return ()
         if self._refusal:
@@ -240,7 +240,8 @@ class Recording:
     def _put(self, feed: Feed, t: int, wire: bytes) -> Sequence[BufferedMessage]:
         counter = self._counter
         self._counter += 1
-        self._places.take(feed.source, t, wire)
+        if feed.source.tells_places:
+            self._places.take(feed.source, t, wire)
         return self._buffer.put(BufferedMessage(feed.source, t, counter, wire))
 
     def follow(self, message: StampedMessage) -> None:
@@ -270,7 +271,8 @@ class Recording:
             with self._lock:
                 feed = self._feed(topic, header)
                 self._counts.attribute(topic, wire, feed)
-                self._places.take(feed.source, t, wire)
+                if feed.source.tells_places:
+                    self._places.take(feed.source, t, wire)
             self._buffer.wait_for_room(len(wire))
             for item in self._buffer.put(BufferedMessage(feed.source, t, counter, wire)):
                 self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
@@ -306,7 +308,7 @@ class Recording:
             source = self._sources.setdefault(key, MessageSource(connection))
             if len(self._feeds) >= MAX_FEEDS:
                 self._feeds.pop(next(iter(self._feeds)))
-            feed = self._feeds[id(header)] = Feed(header, source)
+            feed = self._feeds[id(header)] = Feed(header, source, self._filters.of(topic))
         return feed
 
     def is_complete(self, topic: str) -> bool:

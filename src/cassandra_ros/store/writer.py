@@ -140,7 +140,7 @@ class RowWriter:
                 if table.named:
                     bucket = self._name_bucket(table, node, row.name)
                 else:
-                    bucket = self._bucket(table, node, table.bucket_of(row.t))
+                    bucket = self._bucket(table, node, row.t // table.bucket_ns)
                 if len(row.wire) > CHUNK_BYTES:
                     self._send_large(bucket, row, again)
                     return
@@ -161,7 +161,7 @@ class RowWriter:
         with self._lock:
             while at < len(rows) and self._error is None:
                 try:
-                    bucket = self._bucket(table, node, table.bucket_of(rows[0].t))
+                    bucket = self._bucket(table, node, rows[0].t // table.bucket_ns)
                 except TopicNotFound:
                     break
                 taken = bucket.add_run(rows[at:], again)
@@ -191,7 +191,7 @@ class RowWriter:
             if table.name in self.gone:
                 raise TopicNotFound(f"topic {table.metadata.topic} was removed")
             with self._lock:
-                bucket = self._bucket(table, builder.node, table.bucket_of(block.t))
+                bucket = self._bucket(table, builder.node, block.t // table.bucket_ns)
                 waiting = bucket.batch.nbytes
                 if block.in_chunks:
                     self._send_large(bucket, block)

@@ -131,6 +131,7 @@ class RowTable:
         named: Whether rows are found by a name and not by their time.
         partition: Name of the second column of the partition key.
         packed: Whether a row of the table is a block; readers get each message as a row.
+        bucket_ns: Length of a time bucket, ns.
         zone_columns: Columns with minimum and maximum values in a block.
         longest_text: Maximum size of a text of a large message that has a column, bytes of UTF-8.
     """
@@ -158,6 +159,7 @@ class RowTable:
         self.named = metadata.named
         self.partition = metadata.partition
         self.packed = metadata.packed
+        self.bucket_ns = metadata.bucket_ns
         self._where = f'WHERE "_node" = ? AND "{self.partition}" = ?'
         self._once = metadata.key_format == "hash"
         self._received = tuple(metadata.received_columns)
@@ -178,7 +180,7 @@ class RowTable:
 
     def bucket_of(self, t_ns: int) -> int:
         """Return the bucket of a key time."""
-        return t_ns // self.metadata.bucket_ns
+        return t_ns // self.bucket_ns
 
     def place(self, node: str, where: int | str) -> tuple[bytes, bytes]:
         """Encode the partition key of a bucket, or of the rows with a name."""

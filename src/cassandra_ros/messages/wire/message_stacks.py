@@ -373,12 +373,6 @@ def as_planes(wires: Sequence[bytes]) -> ByteArray:
     return joined.reshape(len(wires), len(joined) // len(wires)).T
 
 
-def windows(data: ByteArray, size: int) -> ByteArray:
-    """Return a view of ``size`` bytes from each offset on: (offsets, size)."""
-    shape = max(0, len(data) - size + 1), size
-    return np.lib.stride_tricks.as_strided(data, shape, (1, 1), writeable=False)
-
-
 def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Int64Array, ByteArray]]:
     """Yield the indices and the planes of the messages of each size."""
     if len(set(map(len, wires))) == 1:
