@@ -15,7 +15,7 @@ from std_msgs.msg import String, UInt8MultiArray
 from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.blocks import block_row
-from cassandra_ros.blocks.block_deletion import Cutter
+from cassandra_ros.blocks.block_deletion import BlockDeletion
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize
@@ -100,7 +100,7 @@ def test_what_is_deleted_twice_is_deleted_once(rosCas, three):
 
 
 def cutter(rosCas, table):
-    return Cutter(rosCas.cassandra, table, NODE, table.bucket_of(T0))
+    return BlockDeletion(rosCas.cassandra, table, NODE, table.bucket_of(T0))
 
 
 def test_a_mark_in_a_block_that_is_gone_leaves_nothing(rosCas, three, cql):

@@ -20,7 +20,7 @@ from cassandra_ros.keys import Position, writer_of
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store import bucket_walk as walk
 from cassandra_ros.store import reader
-from cassandra_ros.store.fetch import Wanted, fetch_rows, first_at
+from cassandra_ros.store.fetch import RowKey, fetch_rows, first_at
 from cassandra_ros.store.reader import read_rows
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
@@ -146,11 +146,11 @@ def check(model, rand):
 def check_single(model, rand, edges):
     by_name = {table.name: table for table in model.tables}
     some = [rand.choice(list(model.messages)) for _ in range(6 if model.messages else 0)]
-    rows = fetch_rows([Wanted(by_name[p.table], p) for p in some])
+    rows = fetch_rows([RowKey(by_name[p.table], p) for p in some])
     assert [(r.position, r.columns[0]) for r in rows] == [(p, model.messages[p]) for p in some]
     for p in some:
         absent = p._replace(seq=p.seq + 2**20)
-        assert not list(fetch_rows([Wanted(by_name[p.table], absent)]))
+        assert not list(fetch_rows([RowKey(by_name[p.table], absent)]))
     every = sorted(model.messages)
     for t in edges:
         at = first_at(model.rosCas.catalog.keyspace.directory, model.tables, t, model.nodes)
@@ -281,5 +281,5 @@ def test_what_is_left_of_a_block_waits_for_those_whose_headers_are_not_read(crow
 def test_a_message_is_found_under_more_blocks_than_are_kept(crowded):
     table, every = crowded
     for t, seq, wire in every:
-        (row,) = fetch_rows([Wanted(table, Position(t, "", seq, table.name))])
+        (row,) = fetch_rows([RowKey(table, Position(t, "", seq, table.name))])
         assert (row.t, row.seq, row.columns[0]) == (t, seq, wire)

@@ -15,7 +15,7 @@ from mcap_ros1.decoder import DecoderFactory
 
 from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.identity import read_content
-from cassandra_ros.tables.sent_times import SentTimes
+from cassandra_ros.tables.sent_times import SendTimeStore
 
 TOPICS = ("/rosout", "/tf_static", "/turtle1/cmd_vel")
 
@@ -134,7 +134,7 @@ def test_when_messages_were_sent_comes_back(call, rosCas, tmp_path):
     with open_file(path) as mcap, open_file(tmp_path / "a.bag") as bag:
         assert read_content(mcap).digest != read_content(bag).digest
     (run,) = rosCas.runs()
-    sent = SentTimes(rosCas.catalog.keyspace.side_tables)
+    sent = SendTimeStore(rosCas.catalog.keyspace.side_tables)
     kept = sent.get(run.writer, "", 1)
     kept.delays[3] += 1
     kept.sequences[5] += 1

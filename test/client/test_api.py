@@ -277,7 +277,7 @@ def test_clock_of_simulated_time(monkeypatch):
     import sys
     from types import SimpleNamespace
 
-    from cassandra_ros.topics.adder import now_ns
+    from cassandra_ros.topics.message_adder import now_ns
 
     rospy = SimpleNamespace(
         core=SimpleNamespace(is_initialized=lambda: True),

@@ -14,7 +14,7 @@ from PIL import Image
 from cassandra_ros.arrays.envelope import Envelope, Grid
 from cassandra_ros.drawing.time_plot import curves_of, draw_plot, draw_xy, lines_of
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.overview.plot_columns import Column, Undrawn
+from cassandra_ros.overview.plot_columns import Column, OmittedColumn
 from cassandra_ros.overview.plot_series import Series
 from cassandra_ros.query.tree.syntax import KeyOperand
 
@@ -88,7 +88,7 @@ def test_nothing_and_next_to_nothing():
     assert drawn(series([[7.0]]))
     assert drawn(series([[math.nan, math.nan]]))
     assert drawn(series([[math.inf, 1.0, -math.inf]]))
-    left = Series("/t", (), (Undrawn("s", "text"),), Grid(0, 0, 1), series([[1.0]]).points)
+    left = Series("/t", (), (OmittedColumn("s", "text"),), Grid(0, 0, 1), series([[1.0]]).points)
     with pytest.raises(InvalidOption, match="s is text"):
         drawn(left)
     empty = series([[1.0]])

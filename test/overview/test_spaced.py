@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import Int64
 
 from cassandra_ros.errors import MessageNotFound
-from cassandra_ros.overview.time_sample import Chosen, nearest_rows, spaced_rows
+from cassandra_ros.overview.time_sample import MessageChoice, nearest_rows, spaced_rows
 
 TIMES = st.lists(st.integers(0, 60), max_size=12).map(sorted)
 T = 10**18
@@ -32,7 +32,7 @@ def test_of_what_is_stored(rosCas):
         topic.addData(Int64(n), key=T + n * 10**9, nodeID="r")
 
     def numbers(count, every_sec=0, **chosen):
-        rows = spaced_rows(rosCas.catalog, "n", Chosen(**chosen), count, every_sec * 10**9)
+        rows = spaced_rows(rosCas.catalog, "n", MessageChoice(**chosen), count, every_sec * 10**9)
         return [row.message().data for row in rows]
 
     assert numbers(4) == [0, 33, 66, 99]
@@ -59,6 +59,6 @@ def test_of_what_is_stored(rosCas):
     names = rosCas.addTopic("/names", key_format="manual")
     for n, name in enumerate("abcd"):
         names.addData(Int64(n), key=name)
-    rows = list(spaced_rows(rosCas.catalog, "/names", Chosen(), 2))
+    rows = list(spaced_rows(rosCas.catalog, "/names", MessageChoice(), 2))
     assert [row.message().data for row in rows] == [0, 3]
-    assert len(list(spaced_rows(rosCas.catalog, "/names", Chosen(), 4))) == 4
+    assert len(list(spaced_rows(rosCas.catalog, "/names", MessageChoice(), 4))) == 4

@@ -10,15 +10,15 @@ from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, encode_cursor
-from cassandra_ros.topics.query_result import START, Place, read_place
+from cassandra_ros.topics.query_result import START, ResultPlace, read_place
 
 POSITION = Position(5, "röbot", 1 << 40, "t_0")
 
 
 def test_round_trip():
-    for place in (START, Place(7, 0, POSITION), Place(10**15, 3, POSITION)):
+    for place in (START, ResultPlace(7, 0, POSITION), ResultPlace(10**15, 3, POSITION)):
         assert read_place(place.text) == place
-    assert read_place(POSITION) == Place(0, 0, POSITION)
+    assert read_place(POSITION) == ResultPlace(0, 0, POSITION)
     assert read_place(None) == read_place("") == START
 
 

@@ -9,11 +9,11 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.connection.protocol import LargeBuffers
+from cassandra_ros.connection.protocol import BufferedConnection
 from cassandra_ros.connection.raw_page import WIDE, RawPage
 
 
-class Connection(LargeBuffers):
+class Connection(BufferedConnection):
     """One that is connected to nobody."""
 
     def __init__(self):

@@ -20,7 +20,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.metadata import TopicMetadata, from_comment
-from cassandra_ros.store.backfill import Backfill, Update
+from cassandra_ros.store.backfill import Backfill, ShadowUpdate
 from cassandra_ros.tables import schema as schema_module
 from cassandra_ros.tables import table_files
 from cassandra_ros.tables.directory import BucketTotals
@@ -69,7 +69,7 @@ def test_a_row_deleted_between_read_and_write_stays_deleted(rosCas, cql):
     (page,) = backfill.pages("", table.bucket_of(T0), 10)
     assert rosCas.getTopic("/t").removeData(T0 + 3, T0 + 9) == 7
     backfill.write(
-        [Update(written, None if n % 5 == 4 else b"v") for n, written in enumerate(page)]
+        [ShadowUpdate(written, None if n % 5 == 4 else b"v") for n, written in enumerate(page)]
     )
     rows = select(cql, table, '"_t", "_conn", "_ix0", "_odd"')
     assert [t - T0 for t, *_ in rows] == [0, 1, 2, *range(10, 20)]
@@ -89,7 +89,7 @@ def test_a_row_written_anew_keeps_its_new_value(rosCas, cql):
         'AND "_t" = %s AND "_seq" = %s',
         (table.bucket_of(T0), T0, page[0].row.seq),
     )
-    backfill.write([Update(written, b"older") for written in page])
+    backfill.write([ShadowUpdate(written, b"older") for written in page])
     assert select(cql, table, '"_ix0"') == [("newer",), ("older",)]
 
 
@@ -122,7 +122,7 @@ def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
         pages = list(backfill.pages("", table.bucket_of(T0), 10))
         for page in pages:
             # As if the server had been slow: the values stay much longer.
-            backfill.write([Update(written._replace(ttl=600), b"v") for written in page])
+            backfill.write([ShadowUpdate(written._replace(ttl=600), b"v") for written in page])
         if sum(map(len, pages)) == 20:
             break
     topic = rosCas.getTopic(topic_name)

@@ -12,7 +12,7 @@ import numpy as np
 from cassandra_ros.bag.message_file import MessageFile
 from cassandra_ros.keys import split_seq
 from cassandra_ros.tables.registry import Run
-from cassandra_ros.tables.sent_times import STRIPE, Sent, SentTimes
+from cassandra_ros.tables.sent_times import STRIPE, SendTimes, SendTimeStore
 from cassandra_ros.tables.side_tables import SideTables
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -25,14 +25,14 @@ def store_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) 
 
     The caller has read all chunks before, so ``has_publish_times`` is valid.
     """
-    table = SentTimes(side_tables)
+    table = SendTimeStore(side_tables)
     for stripe, sent in _stripes(reader):
         table.put(run.writer, run.node, stripe, sent)
 
 
 def count_other_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) -> int:
     """Return the number of messages whose stored publish time or sequence differs from the file."""
-    table, count = SentTimes(side_tables), 0
+    table, count = SendTimeStore(side_tables), 0
     for stripe, sent in _stripes(reader):
         stored = table.get(run.writer, run.node, stripe) or _nothing()
         equal = (stored.delays == sent.delays) & (stored.sequences == sent.sequences)
@@ -48,7 +48,7 @@ class PublishTimeFinder:
     """
 
     def __init__(self, side_tables: SideTables, enabled: bool) -> None:
-        table = SentTimes(side_tables)
+        table = SendTimeStore(side_tables)
         self._any = enabled and table.any()
         self._get = lru_cache(maxsize=_STRIPES_HELD)(table.get)
 
@@ -68,11 +68,11 @@ class PublishTimeFinder:
         return (0, 0) if sent is None else (int(sent.delays[place]), int(sent.sequences[place]))
 
 
-def _nothing() -> Sent:
-    return Sent(np.zeros(STRIPE, np.int64), np.zeros(STRIPE, np.int64))
+def _nothing() -> SendTimes:
+    return SendTimes(np.zeros(STRIPE, np.int64), np.zeros(STRIPE, np.int64))
 
 
-def _stripes(reader: MessageFile) -> Iterator[tuple[int, Sent]]:
+def _stripes(reader: MessageFile) -> Iterator[tuple[int, SendTimes]]:
     """Yield the number and values of each stripe that has a value other than 0.
 
     Stripe n holds the messages at positions n * STRIPE to (n + 1) * STRIPE - 1 of the file.

@@ -39,9 +39,9 @@ from cassandra_ros.messages.classes import installed_definition, serialize
 from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
 from cassandra_ros.tables.registry import Run
-from cassandra_ros.topics.adder import now_ns
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.key_selection import spellings
+from cassandra_ros.topics.message_adder import now_ns
 from cassandra_ros.topics.message_objects import with_messages
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.stored_row import StoredRow

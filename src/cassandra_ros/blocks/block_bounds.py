@@ -7,9 +7,9 @@ from __future__ import annotations
 from typing import Iterator, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.blocks.block_row import HEADER, BlockRow, read_block
-from cassandra_ros.blocks.bucket_read import BucketRead, Opened
+from cassandra_ros.blocks.bucket_read import BucketRead, OpenedBlock
 from cassandra_ros.connection.cql_names import quote_name
-from cassandra_ros.connection.paging import Asked, RawRow
+from cassandra_ros.connection.paging import PagedRead, RawRow
 
 PAGE_BLOCKS = 5000
 AT_ONCE = 16
@@ -17,7 +17,7 @@ AT_ONCE = 16
 _WIDTH = HEADER.count(",") + 1
 
 
-class Bounded(NamedTuple):
+class BlockZones(NamedTuple):
     """A block of which only the header and zone columns were read."""
 
     header: BlockRow
@@ -31,22 +31,22 @@ class Bounded(NamedTuple):
         return header.left == header.messages and not header.odd
 
 
-def ask_bounds(part: BucketRead, columns: Sequence[str]) -> Asked:
+def ask_bounds(part: BucketRead, columns: Sequence[str]) -> PagedRead:
     """Request the headers of the blocks of a bucket, with some of their zone columns."""
     return part.ask(", ".join([HEADER, *map(quote_name, columns)]), PAGE_BLOCKS)
 
 
-def read_bounds(part: BucketRead, asked: Asked) -> Iterator[Bounded]:
+def read_bounds(part: BucketRead, asked: PagedRead) -> Iterator[BlockZones]:
     """Yield the requested blocks that hold messages to be read."""
     for values in asked.rows():
         header = read_block(part.table, values[:_WIDTH])
         if header is not None and part.wants(header):
-            yield Bounded(header, values[_WIDTH:])
+            yield BlockZones(header, values[_WIDTH:])
 
 
 def open_blocks(
     part: BucketRead, headers: Sequence[BlockRow]
-) -> Iterator[Tuple[BucketRead, Opened]]:
+) -> Iterator[Tuple[BucketRead, OpenedBlock]]:
     """Fetch and unpack blocks with known headers; blocks deleted meanwhile are left out."""
     for n in range(0, len(headers), AT_ONCE):
         for row in part.blocks(part.fetch(headers[n : n + AT_ONCE]).page()):

@@ -90,7 +90,7 @@ def count_part(
     return count + sum(len(block.between(*ends)) for block in blocks)
 
 
-class Measured:
+class RemainingMessages:
     """Number, bytes and time range of the messages that are left in a block."""
 
     def __init__(self, row: BlockRow, block: Optional[Block] = None) -> None:
@@ -106,12 +106,14 @@ class Measured:
             self.largest = 0 if row.nchunks else int(block.sizes[places].max())
 
 
-def measure(table: RowTable, node: str, bucket: int) -> Iterator[Tuple[BlockRow, Measured]]:
+def measure(
+    table: RowTable, node: str, bucket: int
+) -> Iterator[Tuple[BlockRow, RemainingMessages]]:
     """Yield the counts of each block; only blocks with deleted messages are unpacked."""
     cut = []
     for row in headers(table, node, bucket):
         if not len(row.gone):
-            yield row, Measured(row)
+            yield row, RemainingMessages(row)
         elif row.left:
             cut.append(row)
     by_key = {row.key: row for row in cut}
@@ -119,11 +121,11 @@ def measure(table: RowTable, node: str, bucket: int) -> Iterator[Tuple[BlockRow,
         for block in opened(table, node, bucket, iter(cut)):
             by_key.pop(block.row.key, None)
             if block.row.left:
-                yield block.row, Measured(block.row, block)
+                yield block.row, RemainingMessages(block.row, block)
     except CorruptMessage:
         # The headers still tell the number of messages.
         for row in by_key.values():
-            yield row, Measured(row)
+            yield row, RemainingMessages(row)
 
 
 def positions(block: Block, low: int, high: int) -> Longs:

@@ -18,7 +18,7 @@ from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.tables.row_table import BlockKey, Order, RowTable, decode_long
 
 
-class Cutter:
+class BlockDeletion:
     """Deletes messages of one bucket.
 
     Attributes:

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import List, Optional
 
 from cassandra_ros.blocks.block_row import WHOLE, Block, read_blocks
-from cassandra_ros.connection.paging import Asked
+from cassandra_ros.connection.paging import PagedRead
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import COUNTER_BITS, Position, writer_of
 from cassandra_ros.tables.row_table import (
@@ -24,7 +24,7 @@ KEPT_BLOCKS = 16
 _PAGE_BLOCKS = 16
 
 
-def ask_over(table: RowTable, node: str, t: int, writer: Optional[int] = None) -> Asked:
+def ask_over(table: RowTable, node: str, t: int, writer: Optional[int] = None) -> PagedRead:
     """Request the blocks that may hold a message of a time; writer None = of all writers.
 
     The table's metadata limit the time range of a block, so earlier blocks are left out.
@@ -39,14 +39,14 @@ def ask_over(table: RowTable, node: str, t: int, writer: Optional[int] = None) -
     return table.send(bind(table.select_over(WHOLE), values, _PAGE_BLOCKS))
 
 
-def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> Asked:
+def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> PagedRead:
     """Request the blocks that may hold a message, or the first message of its time."""
     t, node, seq = position[:3]
     return ask_over(table, node, t, None if any_seq else writer_of(seq))
 
 
 def answer_one(
-    table: RowTable, position: Position, asked: Asked, *, any_seq: bool = False
+    table: RowTable, position: Position, asked: PagedRead, *, any_seq: bool = False
 ) -> Optional[TableRow]:
     """Return the row of a message in the requested blocks; None if they do not hold it.
 
@@ -70,7 +70,7 @@ def answer_one(
     return min(found, default=None)
 
 
-class Finder:
+class MessageFinder:
     """Finds messages of one table one after the other; keeps blocks that may hold further ones."""
 
     def __init__(self, table: RowTable) -> None:

@@ -13,12 +13,12 @@ from cassandra_ros.blocks.bucket_read import (
     BLOCK_BYTES,
     GROWTH,
     BucketRead,
-    Held,
-    Opened,
+    OpenedBlock,
+    WaitingRows,
     key_of,
 )
 from cassandra_ros.connection.driver_errors import DRIVER_ERRORS
-from cassandra_ros.connection.paging import Asked, RawRow
+from cassandra_ros.connection.paging import PagedRead, RawRow
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ, Order, TableRow, Terms
 
@@ -32,7 +32,7 @@ MAX_HEADERS = 5000
 FEW_ROWS = 8
 """Minimum number of rows that are made of a block in a read of few messages."""
 
-_Item = Union[BlockRow, Opened]
+_Item = Union[BlockRow, OpenedBlock]
 """A block that has to be fetched, or the rest of a block of which some messages were taken."""
 
 
@@ -56,13 +56,13 @@ class Headers:
         """Key of the last block whose header was read."""
         self._behind: Optional[RawRow] = None
 
-    def _filtered(self, filters: Sequence[Terms]) -> List[Asked]:
+    def _filtered(self, filters: Sequence[Terms]) -> List[PagedRead]:
         try:
             return [self._part.ask(HEADER, MAX_HEADERS, terms=terms) for terms in filters]
         except SchemaConflict as exc:
             return self._unfiltered(exc)
 
-    def _unfiltered(self, exc: object) -> List[Asked]:
+    def _unfiltered(self, exc: object) -> List[PagedRead]:
         """Read the headers of all blocks, if a server forbids filtering or is too slow at it."""
         topic = self._part.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
@@ -103,11 +103,11 @@ class _Batch:
     """
 
     def __init__(
-        self, part: BucketRead, taken: List[_Item], wanted: int, early: Optional[Asked] = None
+        self, part: BucketRead, taken: List[_Item], wanted: int, early: Optional[PagedRead] = None
     ) -> None:
         self._part = part
         self.taken, self.wanted = taken, wanted
-        self._open = [item for item in taken if isinstance(item, Opened)]
+        self._open = [item for item in taken if isinstance(item, OpenedBlock)]
         headers = [item for item in taken if isinstance(item, BlockRow)]
         self._here: List[BlockRow] = []
         if early is not None:
@@ -117,7 +117,7 @@ class _Batch:
         missing = [header for header in headers if header.key not in here]
         self._asked = part.fetch(missing) if missing else None
 
-    def blocks(self) -> Iterator[Opened]:
+    def blocks(self) -> Iterator[OpenedBlock]:
         """Yield the blocks, unpacked."""
         yield from self._open
         came = [] if self._asked is None else self._part.blocks(self._asked.page())
@@ -127,7 +127,7 @@ class _Batch:
                 yield opened
 
 
-class Needed:
+class BlockQueue:
     """The blocks of a bucket that still have messages to yield, in the order of need.
 
     In ascending order this is the order of their first messages, in which they are stored. In
@@ -236,9 +236,9 @@ class Needed:
         return max(first, default=MIN_SEQ)
 
 
-def upwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
+def upwards(part: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     """Yield the rows of a bucket in the order (t, seq)."""
-    held, coming = Held(), needed.batch()
+    held, coming = WaitingRows(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):
             held.add(rows)
@@ -250,9 +250,9 @@ def upwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
     yield from held.rest()
 
 
-def downwards(part: BucketRead, needed: Needed) -> Iterator[TableRow]:
+def downwards(part: BucketRead, needed: BlockQueue) -> Iterator[TableRow]:
     """Yield the rows of a bucket, newest first."""
-    held, coming = Held(), needed.batch()
+    held, coming = WaitingRows(), needed.batch()
     while coming is not None:
         for rows in needed.rows(coming):
             held.add(rows)

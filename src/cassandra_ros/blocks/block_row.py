@@ -12,7 +12,7 @@ from typing import FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Tu
 import numpy as np
 
 from cassandra_ros.blocks.codec import Longs, Unpacked, unpack_block
-from cassandra_ros.connection.paging import Asked, RawRow
+from cassandra_ros.connection.paging import PagedRead, RawRow
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import writer_of
 from cassandra_ros.tables.checksum import crc32
@@ -121,7 +121,7 @@ _NONE: Longs = np.empty(0, np.int64)
 
 def ask_blocks(
     table: RowTable, place: Tuple[bytes, bytes], keys: Sequence[Order], names: str = WHOLE
-) -> Asked:
+) -> PagedRead:
     """Request blocks by their keys, in one page; blocks deleted meanwhile are left out."""
     size = encode_int(_PAIR_BYTES)
     pairs = b"".join(

@@ -14,18 +14,18 @@ from __future__ import annotations
 
 from typing import Iterator, List, Optional, Sequence, Tuple
 
-from cassandra_ros.blocks.block_queue import Headers, Needed, downwards, upwards
+from cassandra_ros.blocks.block_queue import BlockQueue, Headers, downwards, upwards
 from cassandra_ros.blocks.block_row import WHOLE, BlockRow
 from cassandra_ros.blocks.bucket_read import (
     BLOCK_BYTES,
     GROWTH,
     MAX_BLOCKS,
     BucketRead,
-    Held,
-    Opened,
+    OpenedBlock,
+    WaitingRows,
     key_of,
 )
-from cassandra_ros.connection.paging import Asked, RawRow
+from cassandra_ros.connection.paging import PagedRead, RawRow
 from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.tables.row_table import Order, TableRow
 
@@ -39,16 +39,16 @@ def stream(part: BucketRead) -> Iterator[TableRow]:
     """
     if part.filters is None and not part.reverse and not part.wanted:
         return _whole(part, _Pages(part))
-    needed = Needed(part, Headers(part))
+    needed = BlockQueue(part, Headers(part))
     return downwards(part, needed) if part.reverse else upwards(part, needed)
 
 
-def opened(part: BucketRead) -> Iterator[Opened]:
+def opened(part: BucketRead) -> Iterator[OpenedBlock]:
     """Yield the blocks of a bucket in the order of their keys; sends the request at once."""
     return _opened(part, _Pages(part))
 
 
-def _opened(part: BucketRead, pages: _Pages) -> Iterator[Opened]:
+def _opened(part: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:
     for blocks, _ in pages:
         for block in blocks:
             found = part.open(block)
@@ -62,7 +62,7 @@ class _Pages:
     def __init__(self, part: BucketRead) -> None:
         self._part = part
         self._count = max(1, part.page_bytes // BLOCK_BYTES)
-        self._asked: Optional[Asked] = part.ask(WHOLE, self._count)
+        self._asked: Optional[PagedRead] = part.ask(WHOLE, self._count)
 
     def __iter__(self) -> Iterator[Tuple[List[BlockRow], Optional[Order]]]:
         """Yield blocks, and a key that all blocks of later pages lie after.
@@ -87,7 +87,7 @@ class _Pages:
 
 
 def _whole(part: BucketRead, pages: _Pages) -> Iterator[TableRow]:
-    held = Held()
+    held = WaitingRows()
     for blocks, behind in pages:
         keys: List[Optional[Order]] = [*(block.key for block in blocks[1:]), behind]
         for block, bound in zip(blocks, keys):

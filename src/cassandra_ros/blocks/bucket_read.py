@@ -20,7 +20,7 @@ from cassandra_ros.blocks.block_row import (
 )
 from cassandra_ros.blocks.codec import Longs, Unpacked
 from cassandra_ros.connection.driver_errors import is_refused
-from cassandra_ros.connection.paging import Asked, RawRow
+from cassandra_ros.connection.paging import PagedRead, RawRow
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.tables.row_table import (
     ALL,
@@ -94,7 +94,7 @@ class BucketRead:
         count: int,
         last: Optional[RawRow] = None,
         terms: Terms = (),
-    ) -> Asked:
+    ) -> PagedRead:
         """Request ``count`` blocks a page, those after the last row that was read."""
         low, high = self.ends
         past = last is not None and last[0] is not None and last[0] >= encode_long(low[0])
@@ -110,7 +110,7 @@ class BucketRead:
             refused=is_refused if terms else None,
         )
 
-    def fetch(self, headers: Sequence[BlockRow]) -> Asked:
+    def fetch(self, headers: Sequence[BlockRow]) -> PagedRead:
         """Request blocks with known headers."""
         return ask_blocks(self.table, self._place, [header.key for header in headers])
 
@@ -124,7 +124,7 @@ class BucketRead:
         written = self.writers is None or block.writer in self.writers
         return written and block.last >= self.ends[0][0] and block.left > 0
 
-    def open(self, row: BlockRow) -> Opened:
+    def open(self, row: BlockRow) -> OpenedBlock:
         """Unpack a block, select its messages to read, and report both numbers to ``opened``.
 
         Raises:
@@ -138,7 +138,7 @@ class BucketRead:
                 raise
             _log.warning("%s", exc)
             inside = self.ends[0] <= row.key <= self.ends[1]
-            return Opened(row, None, np.arange(inside))
+            return OpenedBlock(row, None, np.arange(inside))
         places = block.between(*self.ends)
         if self.sift is not None and block.unpacked is not None and len(places):
             mask = self.sift(block.unpacked)
@@ -146,16 +146,16 @@ class BucketRead:
                 places = places[mask[places]]
         if self.opened is not None:
             self.opened(len(block), len(places))
-        return Opened(row, block, places)
+        return OpenedBlock(row, block, places)
 
-    def rows(self, opened: Opened) -> List[TableRow]:
+    def rows(self, opened: OpenedBlock) -> List[TableRow]:
         """Return the rows of the remaining messages of a block, in order."""
         if opened.block is None:
             return [stand_in(self.table, self.node, opened.row)] * len(opened.places)
         return opened.block.rows(opened.places, bare=self.bare) if opened.left else []
 
 
-class Opened:
+class OpenedBlock:
     """The messages of a block that are to be read, or of a damaged block.
 
     Attributes:
@@ -188,15 +188,15 @@ class Opened:
         """Key time of the last remaining message, ns."""
         return self.row.t if self.block is None else int(self.block.times[self.places[-1]])
 
-    def take(self, count: int, *, reverse: bool) -> Opened:
+    def take(self, count: int, *, reverse: bool) -> OpenedBlock:
         """Take at most ``count`` messages, from the beginning or (reverse) from the end."""
         cut = max(0, self.left - count) if reverse else min(count, self.left)
         parts = self.places[:cut], self.places[cut:]
         taken, self.places = parts[::-1] if reverse else parts
-        return Opened(self.row, self.block, taken)
+        return OpenedBlock(self.row, self.block, taken)
 
 
-class Held:
+class WaitingRows:
     """Sorted rows of overlapping blocks, kept until no earlier row can come."""
 
     def __init__(self) -> None:

@@ -26,7 +26,7 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from cassandra_ros.blocks.layouts import Part, lay_out, read_layout
+from cassandra_ros.blocks.layouts import BytesLike, lay_out, read_layout
 from cassandra_ros.blocks.words import code_words, decode_words, most_bytes
 from cassandra_ros.errors import CorruptMessage
 
@@ -161,7 +161,7 @@ def pack_block(
     """
     t = np.array(times, np.int64)
     sizes = np.fromiter(map(len, wires), np.int64, len(wires))
-    parts: List[Part] = []
+    parts: List[BytesLike] = []
     parts += _planes(_differences(t)), _planes(_differences(np.array(seqs, np.int64)))
     parts.append(_planes(sizes.astype("<u4")))
     if received is not None:
@@ -185,7 +185,7 @@ def pack_block(
     return _finished(flags, parts, len(t))
 
 
-def _finished(flags: int, parts: Sequence[Part], messages: int) -> bytes:
+def _finished(flags: int, parts: Sequence[BytesLike], messages: int) -> bytes:
     """Return the bytes of a block, compressed at the level that a sample suggests."""
     # If the bytes are stored plain they are not copied again.
     stored = b"".join([bytes((VERSION, flags | _STORED)), *parts])
@@ -255,7 +255,7 @@ def _decode(body: memoryview, sizes: Longs, coded: int) -> Tuple[memoryview, Fro
     short = int(np.searchsorted(ordered, LONG)) if coded & _WORDS else len(ordered)
     words = ordered[short:].tolist()
     as_rows: Set[int] = set(words)
-    parts: List[Part] = []
+    parts: List[BytesLike] = []
     done = 0
     for begin, end in _many(ordered[:short]) if coded & _LAYOUTS else ():
         size, between = int(ordered[begin]), int(ordered[done:begin].sum())

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from cassandra_ros.errors import CorruptMessage
 
 Bytes = NDArray[np.uint8]
-Part = Union[bytes, memoryview]
+BytesLike = Union[bytes, memoryview]
 
 _PLANES, _COLUMNS, _ROWS = 0, 1, 2
 _UNIT = 8
@@ -46,17 +46,17 @@ _HARDLY = 0.8
 time."""
 
 
-class Laid(NamedTuple):
+class LaidGroup(NamedTuple):
     """A group that was read."""
 
-    data: Part
+    data: BytesLike
     """Its planes, or its messages one after the other."""
     as_planes: bool
     length: int
     """Number of bytes that the group takes in the block."""
 
 
-def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[Part]:
+def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[BytesLike]:
     """Return the layout of at least one message of at least one byte, as parts to be joined.
 
     Args:
@@ -92,7 +92,7 @@ def _rows(wires: Sequence[bytes]) -> Bytes:
     return np.frombuffer(b"".join(wires), np.uint8).reshape(len(wires), -1)
 
 
-def read_layout(data: memoryview, size: int, count: int) -> Laid:
+def read_layout(data: memoryview, size: int, count: int) -> LaidGroup:
     """Read the group at the beginning of some bytes.
 
     Raises:
@@ -104,15 +104,15 @@ def read_layout(data: memoryview, size: int, count: int) -> Laid:
     if kind not in (_PLANES, _COLUMNS, _ROWS) or len(data) < end:
         raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes as it says")
     if kind == _ROWS:
-        return Laid(data[begin:end], False, end)
+        return LaidGroup(data[begin:end], False, end)
     if kind == _COLUMNS:
-        return Laid(_from_columns(data[begin:end], size, count), False, end)
+        return LaidGroup(_from_columns(data[begin:end], size, count), False, end)
     rises = np.unpackbits(np.frombuffer(data, np.uint8, begin - 1, 1))[:size].astype(np.bool_)
     if not rises.any():
-        return Laid(data[begin:end], True, end)
+        return LaidGroup(data[begin:end], True, end)
     planes = np.frombuffer(data, np.uint8, size * count, begin).reshape(size, count).copy()
     planes[rises] = np.add.accumulate(planes[rises], axis=1, dtype=np.uint8)
-    return Laid(planes.tobytes(), True, end)
+    return LaidGroup(planes.tobytes(), True, end)
 
 
 def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:

@@ -12,13 +12,13 @@ from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.topics.stored_row import StoredRow
 
-Asked = Tuple[float, float, float, str, str]
+NearDisk = Tuple[float, float, float, str, str]
 """x, y and radius (m) in a frame, the frame, and the robot; '' = to be found out."""
 
 
 def near_rows(
     catalog: Catalog,
-    asked: Asked,
+    asked: NearDisk,
     topics: Optional[Iterable[str]],
     read: Read,
     where: Conditions,
@@ -37,7 +37,7 @@ def near_rows(
         raise InvalidOption(exc.reason) from exc
 
 
-def _and_near(where: Optional[Where], asked: Asked) -> Where:
+def _and_near(where: Optional[Where], asked: NearDisk) -> Where:
     """Return the condition NEAR, joined with another condition if there is one."""
     values = list(asked if asked[-1] else asked[:-1])
     near = f"NEAR({', '.join('?' * len(values))})"

@@ -23,7 +23,7 @@ from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
-from cassandra_ros.topics.descriptions import Infos, RunList
+from cassandra_ros.topics.descriptions import InfoList, RunList
 from cassandra_ros.topics.key_selection import Clock, range_between
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
@@ -291,12 +291,12 @@ class RosCassandra:
         *,
         nodeID: Optional[str] = None,
         run: RunName = None,
-    ) -> Infos:
+    ) -> InfoList:
         """Describe what is stored: counts, sizes and times by topic, table and node.
 
         With a node or run only the tables in which it has messages are listed.
         """
-        return Infos(self.catalog.infos(topics, nodeID, run))
+        return InfoList(self.catalog.infos(topics, nodeID, run))
 
     def runs(self) -> RunList:
         """Return the recordings and imports, with their present state, counts and losses."""

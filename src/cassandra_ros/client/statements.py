@@ -20,7 +20,7 @@ from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery, Topic
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.overview.envelopes import EnvelopeCache
-from cassandra_ros.overview.plot_series import WHOLE, Asker, Series, Window, read_series
+from cassandra_ros.overview.plot_series import WHOLE, Series, SeriesRequest, Window, read_series
 from cassandra_ros.query.plan.key_bounds import meant_as_seconds
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.change_statements import (
@@ -153,7 +153,7 @@ class Statements:
         """
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
-        asker = Asker(self._catalog.whose(node, run), cache, watch)
+        asker = SeriesRequest(self._catalog.whose(node, run), cache, watch)
         return read_series(self._keyspace, self.topic_of(select), select, window, asker)
 
     def topic_of(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:

@@ -39,7 +39,7 @@ GROWTH = 4
 
 RawRow = Tuple[Optional[bytes], ...]
 """Columns of a row as the bytes that Cassandra stores; None = null."""
-Refused = Callable[[BaseException], bool]
+IsRefused = Callable[[BaseException], bool]
 """Returns whether an error of the driver is raised at once as it is, without a retry."""
 OnPage = Callable[[Sequence[RawRow]], None]
 """Called on the driver's thread with the rows of each page as soon as they arrive."""
@@ -88,7 +88,7 @@ def retried(
     call: Callable[[], _T],
     *,
     seconds: Seconds = RETRY_SEC,
-    refused: Refused | None = None,
+    refused: IsRefused | None = None,
     outage: Outage | None = None,
 ) -> _T:
     """Make an idempotent request; repeat it for ``seconds`` while it fails with what may pass.
@@ -160,7 +160,7 @@ def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
     return future.result()
 
 
-class Asked:
+class PagedRead:
     """A read of raw rows, in one page or many; it is sent when the object is made.
 
     Args:
@@ -180,7 +180,7 @@ class Asked:
         send: Callable[[Statement], ResponseFuture],
         statement_from: Callable[[Optional[RawRow]], Statement],
         what: str,
-        refused: Optional[Refused] = None,
+        refused: Optional[IsRefused] = None,
         on_page: Optional[OnPage] = None,
         first_rows: int = 0,
         outage: Optional[Outage] = None,

@@ -54,7 +54,7 @@ _HEAD = struct.Struct(">BBhBi")
 _BATCH = struct.Struct(">BH")
 """Type of a batch and number of its statements; the statements follow."""
 _PLAIN = (ExecuteMessage, BatchMessage)
-_Decoding = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
+_DecodedResult = ProtocolHandler.message_types_by_opcode[ResultMessage.opcode]
 
 
 class EncodedRows:
@@ -93,7 +93,7 @@ class EncodedRows:
             _BATCH.pack_into(view, start, msg.batch_type.value, len(self))
 
 
-class _Received:
+class _ReceiveBuffer:
     """Received bytes that no answer has taken yet, in the pieces in which they arrived.
 
     It replaces the driver's BytesIO. There each piece is copied in, each answer is copied out, and
@@ -138,7 +138,7 @@ class _Received:
         return b"".join(found)
 
 
-class _Alarm:
+class _RequestTimer:
     """The timer of a request, which drops its reference to the request when that is answered.
 
     The driver's own timer keeps the reference, and the request refers to its timer. The messages of
@@ -161,7 +161,7 @@ class _Alarm:
             timer.cancel()
 
 
-class LargeBuffers(DefaultConnection):
+class BufferedConnection(DefaultConnection):
     """A connection whose socket is read and written in pieces of up to BUFFER_BYTES."""
 
     in_buffer_size = BUFFER_BYTES
@@ -172,9 +172,9 @@ class LargeBuffers(DefaultConnection):
     """Header of the answer that is being received, and the size of its body in bytes."""
 
     @classmethod
-    def create_timer(cls, timeout: float, callback: Callable[[], None]) -> _Alarm:
+    def create_timer(cls, timeout: float, callback: Callable[[], None]) -> _RequestTimer:
         """Call a function on the driver's thread after ``timeout`` seconds."""
-        alarm = _Alarm(callback)
+        alarm = _RequestTimer(callback)
         alarm.timer = super().create_timer(timeout, alarm)
         return alarm
 
@@ -198,8 +198,8 @@ class LargeBuffers(DefaultConnection):
         super().handle_pushed(response)
 
     @cached_property
-    def _iobuf(self) -> _Received:
-        return _Received()
+    def _iobuf(self) -> _ReceiveBuffer:
+        return _ReceiveBuffer()
 
     def process_io_buffer(self) -> None:
         """Process each complete answer; protocol version 4 has no segments."""
@@ -258,29 +258,29 @@ class LargeBuffers(DefaultConnection):
         return b""  # wakes the driver's thread
 
 
-def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[LargeBuffers]:
+def connection_class(tls: Tls | None, changes: SchemaChanges) -> type[BufferedConnection]:
     """Return the class of connections, which with TLS trust the certificates of their own host.
 
     Args:
         changes: Receiver of the schema changes that the connections get.
     """
 
-    class Listening(LargeBuffers):
+    class ListeningConnection(BufferedConnection):
         schema_changes = changes
 
     if tls is None or not tls.certfiles:
-        return Listening
+        return ListeningConnection
     files, make = tls.certfiles, functools.lru_cache(maxsize=None)(tls.context)
     # The driver knows nodes by address; the cqlshrc may name them.
     names = {address: name for name in files for address in _addresses_of(name)}
 
-    class Encrypted(Listening):
+    class TlsConnection(ListeningConnection):
         def _wrap_socket_from_context(self) -> ssl.SSLSocket:
             address = self.endpoint.address
             self.ssl_context = make(address if address in files else names.get(address, address))
             return super()._wrap_socket_from_context()  # type: ignore[no-any-return]
 
-    return Encrypted
+    return TlsConnection
 
 
 def _addresses_of(name: str) -> set[object]:
@@ -290,7 +290,7 @@ def _addresses_of(name: str) -> set[object]:
         return set()
 
 
-class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
+class _RawResultMessage(_DecodedResult):  # type: ignore[misc, valid-type]
     column_metadata: list[_Column] | None
     column_names: list[str]
     column_types: list[object]
@@ -315,7 +315,7 @@ class _RawResultMessage(_Decoding):  # type: ignore[misc, valid-type]
             rest, again = io.BytesIO(body), _RawResultMessage(kind)
             rest.seek(start)
             # The compiled parser calls recv_results_metadata of its class, so ours above runs.
-            _Decoding.recv_results_rows(again, rest, version, types, known, policy)
+            _DecodedResult.recv_results_rows(again, rest, version, types, known, policy)
             rows: Sequence[RawRow] = again.parsed_rows
             return rows
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cassandra_ros.connection.paging import RawRow
 
-Places = NDArray[np.int64]
+Offsets = NDArray[np.int64]
 _size = struct.Struct(">i").unpack_from
 _FOUR = struct.pack(">i", 4)
 
@@ -93,7 +93,7 @@ class RawPage(Sequence[RawRow]):
             at = self.end(at)
         return rows
 
-    def bounds(self, sized_at: int, mark: bytes) -> Optional[Tuple[Places, Places]]:
+    def bounds(self, sized_at: int, mark: bytes) -> Optional[Tuple[Offsets, Offsets]]:
         """Guess where the rows begin and end; None if that is not possible.
 
         Rows with the same value in one column of four bytes are taken to be equally long, unless
@@ -132,7 +132,7 @@ class RawPage(Sequence[RawRow]):
         self._last = int(found[-2])
         return found[:-1], found[1:]
 
-    def _alike(self, mark: bytes) -> Optional[Places]:
+    def _alike(self, mark: bytes) -> Optional[Offsets]:
         """Return where rows of one length begin, and the end of the last.
 
         None if lengths differ.

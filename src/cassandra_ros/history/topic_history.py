@@ -35,7 +35,7 @@ from cassandra_ros.keys import SECOND_NS, split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.recording.message_buffer import starts_with_header
-from cassandra_ros.topics.stored_row import Place, StoredRow
+from cassandra_ros.topics.stored_row import MessageIdentity, StoredRow
 
 _log = logging.getLogger(__name__)
 
@@ -117,13 +117,13 @@ class History:
     ) -> None:
         self._past, self._queue, self._connected = past, queue, connected
         self._since, self._low = since, 0
-        self._done: Dict[Place, int] = {}
+        self._done: Dict[MessageIdentity, int] = {}
         self._floor, self._room = 0, ROOM
         """All yielded rows from the time _floor on, ns, are in _done; _room is its maximum size."""
         self._over: Dict[_WriterStream, _Arrival] = {}
         self._heard: Dict[Publisher, Live] = {}
         self._late_sec: List[float] = []
-        self._seen: Dict[Place, _StoredMark] = {}
+        self._seen: Dict[MessageIdentity, _StoredMark] = {}
         self._newest = 0
         self._last: Dict[_WriterStream, Mark] = {}
         self._counted: Dict[Publisher, int] = {}

@@ -20,10 +20,10 @@ from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
 from cassandra_ros.arrays.column_values import Convert, compile_convert
 from cassandra_ros.arrays.envelope import Envelope, Grid
 from cassandra_ros.arrays.table_values import TableValues
-from cassandra_ros.blocks.block_bounds import Bounded, ask_bounds, open_blocks, read_bounds
+from cassandra_ros.blocks.block_bounds import BlockZones, ask_bounds, open_blocks, read_bounds
 from cassandra_ros.blocks.block_row import BlockRow
 from cassandra_ros.blocks.bucket_read import BucketRead
-from cassandra_ros.connection.paging import Asked
+from cassandra_ros.connection.paging import PagedRead
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.messages.wire.zones import HIGH, LOW
 from cassandra_ros.overview.plot_columns import Column, as_floats
@@ -46,11 +46,11 @@ MOST_MESSAGES = 100_000
 """Number of messages that are made into arrays together."""
 _NOTHING = ArrayType("mixed")
 """Type in place of a column that a table lacks."""
-Coming = Optional[Tuple[BucketRead, Asked]]
+ZoneRead = Optional[Tuple[BucketRead, PagedRead]]
 """A read of zones that was sent; None = messages have to be read."""
 
 
-class Piece(NamedTuple):
+class EnvelopePart(NamedTuple):
     """A part of a bucket that is read at once."""
 
     table: TopicTable
@@ -61,7 +61,7 @@ class Piece(NamedTuple):
     """Last time of the part, included, ns."""
 
 
-class Part:
+class PartEnvelope:
     """The envelope of a piece as far as it was read.
 
     Attributes:
@@ -81,7 +81,7 @@ class Part:
         return self.sure.nbytes + self.around.nbytes + 512 * len(self.edges)
 
 
-class _Zoned(NamedTuple):
+class _ZoneColumns(NamedTuple):
     """Zone columns of a table, and how to read them."""
 
     names: Tuple[str, ...]
@@ -91,7 +91,7 @@ class _Zoned(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Wanted:
+class EnvelopeRequest:
     """The columns of a topic's messages that are drawn, and the condition for the messages."""
 
     select: Select
@@ -121,14 +121,14 @@ class PieceReader:
         watch: See Watch.
     """
 
-    def __init__(self, keyspace: Keyspace, wanted: Wanted, watch: Watch) -> None:
+    def __init__(self, keyspace: Keyspace, wanted: EnvelopeRequest, watch: Watch) -> None:
         self._rows = keyspace.rows
         self._wanted, self._watch = wanted, watch
         self._select = wanted.selected
         self._count = len(wanted.columns)
-        self._zoned: dict[str, Optional[_Zoned]] = {}
+        self._zoned: dict[str, Optional[_ZoneColumns]] = {}
 
-    def ask(self, piece: Piece) -> Coming:
+    def ask(self, piece: EnvelopePart) -> ZoneRead:
         """Request the zones of a piece's blocks, if they are enough."""
         name = piece.table.name
         if name not in self._zoned:
@@ -139,18 +139,18 @@ class PieceReader:
         blocks = self._blocks(piece)
         return blocks, ask_bounds(blocks, zoned.names)
 
-    def read(self, piece: Piece, shift: int, coming: Coming) -> Part:
+    def read(self, piece: EnvelopePart, shift: int, coming: ZoneRead) -> PartEnvelope:
         """Read a piece in pixels of 2 ** shift ns; coming: result of ``ask`` for the piece."""
-        part = Part(Grid.over(piece.low, piece.high, shift), self._count)
+        part = PartEnvelope(Grid.over(piece.low, piece.high, shift), self._count)
         if coming is None:
             self._add_messages(piece, part.sure)
         else:
             self._add_bounds(piece, part, list(read_bounds(*coming)))
         return part
 
-    def refined(self, piece: Piece, part: Part) -> Part:
+    def refined(self, piece: EnvelopePart, part: PartEnvelope) -> PartEnvelope:
         """Return the envelope of a piece after some more of its edges were unpacked."""
-        found = Part(part.sure.grid, self._count)
+        found = PartEnvelope(part.sure.grid, self._count)
         found.sure.merge(part.sure)
         now, found.edges = part.edges[:EDGES_AT_ONCE], part.edges[EDGES_AT_ONCE:]
         values = self._values(piece.table)
@@ -162,14 +162,14 @@ class PieceReader:
             found.around.merge(part.around)
         return found
 
-    def _blocks(self, piece: Piece) -> BucketRead:
+    def _blocks(self, piece: EnvelopePart) -> BucketRead:
         ends = (piece.low, MIN_SEQ), (piece.high, MAX_SEQ)
         writers = self._wanted.bounds.read.whose.writers
         return BucketRead(piece.table, piece.node, piece.bucket, ends, writers=writers)
 
     # ---------------------------------------------------------------- bounds
 
-    def _zones(self, table: TopicTable) -> Optional[_Zoned]:
+    def _zones(self, table: TopicTable) -> Optional[_ZoneColumns]:
         """Return how the zones of all columns are read; None if messages have to be read."""
         known = table.zone_map
         if known is None or not self._wanted.bounds.whole:
@@ -189,9 +189,11 @@ class PieceReader:
                 return None
             names += [LOW + zone.name, HIGH + zone.name]
             converts.append((convert, kind))
-        return _Zoned(tuple(names), tuple(converts))
+        return _ZoneColumns(tuple(names), tuple(converts))
 
-    def _add_bounds(self, piece: Piece, part: Part, blocks: Sequence[Bounded]) -> None:
+    def _add_bounds(
+        self, piece: EnvelopePart, part: PartEnvelope, blocks: Sequence[BlockZones]
+    ) -> None:
         """Add blocks that are in one pixel, and note those that have to be unpacked."""
         zoned = self._zoned[piece.table.name]
         if zoned is None or not blocks:
@@ -208,7 +210,7 @@ class PieceReader:
         part.around.add_wide(firsts[edge], lasts[edge], low[:, edge], high[:, edge])
 
     def _numbers(
-        self, zoned: _Zoned, values: Sequence[Sequence[Optional[bytes]]]
+        self, zoned: _ZoneColumns, values: Sequence[Sequence[Optional[bytes]]]
     ) -> Tuple[AnyArray, AnyArray]:
         """Return the minimum and the maximum of each column: (columns, blocks) each."""
         raws = iter(list(zip(*values)))
@@ -225,7 +227,7 @@ class PieceReader:
     def _values(self, table: TopicTable) -> TableValues:
         return TableValues(self._select, table, Findings(self._select.text))
 
-    def _add_messages(self, piece: Piece, envelope: Envelope) -> None:
+    def _add_messages(self, piece: EnvelopePart, envelope: Envelope) -> None:
         """Read the messages of a piece, and make arrays of a limited number at a time."""
         values, count = self._values(piece.table), 0
         for taken in self._taken(piece, values):
@@ -236,7 +238,7 @@ class PieceReader:
                 count = 0
         _drain(values, envelope)
 
-    def _taken(self, piece: Piece, values: TableValues) -> Iterator[int]:
+    def _taken(self, piece: EnvelopePart, values: TableValues) -> Iterator[int]:
         """Pass messages to the makers of arrays; yield how many, each time."""
         whose = Whose((piece.node,), self._wanted.bounds.read.whose.writers)
         read = Read(TimeRange(piece.low, piece.high), whose)
@@ -268,7 +270,7 @@ class PieceReader:
         return filter(test.hit, chain.from_iterable(map(rows, bounds.reads())))
 
 
-def _check_table(table: Table, piece: Piece) -> None:
+def _check_table(table: Table, piece: EnvelopePart) -> None:
     """Raise TopicNotFound for messages of a table that has replaced the one to be read."""
     if table.name != piece.table.name:
         raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")

@@ -15,7 +15,13 @@ from itertools import groupby
 from typing import Deque, Iterator, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.arrays.envelope import Envelope, Grid
-from cassandra_ros.overview.bucket_envelope import Coming, Part, Piece, PieceReader, Wanted
+from cassandra_ros.overview.bucket_envelope import (
+    EnvelopePart,
+    EnvelopeRequest,
+    PartEnvelope,
+    PieceReader,
+    ZoneRead,
+)
 from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.tables.directory import BucketRow
 from cassandra_ros.topics.keyspace import Keyspace
@@ -41,11 +47,11 @@ class EnvelopeCache:
 
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
         self._most = most_bytes
-        self._parts: OrderedDict[object, Tuple[Part, int]] = OrderedDict()
+        self._parts: OrderedDict[object, Tuple[PartEnvelope, int]] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
 
-    def get(self, key: object) -> Optional[Part]:
+    def get(self, key: object) -> Optional[PartEnvelope]:
         """Return a part, which must not be changed; None if it is not in the cache."""
         with self._lock:
             found = self._parts.get(key)
@@ -54,7 +60,7 @@ class EnvelopeCache:
             self._parts.move_to_end(key)
             return found[0]
 
-    def put(self, key: object, part: Part) -> None:
+    def put(self, key: object, part: PartEnvelope) -> None:
         """Add a part."""
         with self._lock:
             known = self._parts.pop(key, None)
@@ -68,7 +74,7 @@ class EnvelopeCache:
 class _Listed(NamedTuple):
     """A piece, and its entries in the directory."""
 
-    piece: Piece
+    piece: EnvelopePart
     rows: float
     """Approximate number of messages in the piece."""
     state: Optional[Tuple[object, ...]]
@@ -102,7 +108,7 @@ class EnvelopeReader:
         self,
         keyspace: Keyspace,
         tables: Sequence[TopicTable],
-        wanted: Wanted,
+        wanted: EnvelopeRequest,
         cache: Optional[EnvelopeCache],
         watch: Watch,
     ) -> None:
@@ -181,7 +187,7 @@ class EnvelopeReader:
             share = rows * (high - low) / length
             low, high = max(low, first_ns), min(high - 1, last_ns)
             if low <= high and any(_reaches(row, low, high) for row in writers):
-                yield _Listed(Piece(table, node, bucket, low, high), share, state)
+                yield _Listed(EnvelopePart(table, node, bucket, low, high), share, state)
 
     def _key(self, listed: _Listed, grid: Grid) -> object:
         piece = listed.piece
@@ -192,12 +198,12 @@ class EnvelopeReader:
         """Return whether the envelope of a piece is cached for the next time."""
         return self._cache is not None and listed.state is not None
 
-    def _known(self, listed: _Listed, grid: Grid) -> Optional[Part]:
+    def _known(self, listed: _Listed, grid: Grid) -> Optional[PartEnvelope]:
         if self._cache is None or not self._keeps(listed):
             return None
         return self._cache.get(self._key(listed, grid))
 
-    def _keep(self, listed: _Listed, grid: Grid, part: Part) -> None:
+    def _keep(self, listed: _Listed, grid: Grid, part: PartEnvelope) -> None:
         if self._cache is not None and self._keeps(listed):
             self._cache.put(self._key(listed, grid), part)
 
@@ -205,9 +211,9 @@ class EnvelopeReader:
 
     def _new(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
-    ) -> Iterator[Tuple[int, Part]]:
+    ) -> Iterator[Tuple[int, PartEnvelope]]:
         """Read pieces that are not in the cache; the zones of some are requested ahead."""
-        coming: Deque[Tuple[int, Coming]] = deque()
+        coming: Deque[Tuple[int, ZoneRead]] = deque()
         left = iter(places)
         while True:
             for n in left:
@@ -222,21 +228,23 @@ class EnvelopeReader:
             self._keep(listed[n], grid, part)
             yield n, part
 
-    def _refined(self, listed: _Listed, grid: Grid, part: Part) -> Part:
+    def _refined(self, listed: _Listed, grid: Grid, part: PartEnvelope) -> PartEnvelope:
         found = self._pieces.refined(listed.piece, part)
         self._keep(listed, grid, found)
         return found
 
     def _at_once(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
-    ) -> Iterator[Tuple[int, Part]]:
+    ) -> Iterator[Tuple[int, PartEnvelope]]:
         """Read pieces in full, without a time limit."""
         for n, part in self._new(listed, places, grid):
             while part.edges:
                 part = self._refined(listed[n], grid, part)
             yield n, part
 
-    def _joined(self, grid: Grid, listed: Sequence[_Listed], parts: dict[int, Part]) -> Envelopes:
+    def _joined(
+        self, grid: Grid, listed: Sequence[_Listed], parts: dict[int, PartEnvelope]
+    ) -> Envelopes:
         envelope, read, edges = Envelope(grid, self._columns), 0.0, 0
         for n, part in parts.items():
             envelope.merge(part.sure)

@@ -40,40 +40,40 @@ class Column(NamedTuple):
     what: Union[Term, Aggregate]
 
 
-class Undrawn(NamedTuple):
+class OmittedColumn(NamedTuple):
     """A column that is not drawn, and the reason."""
 
     name: str
     reason: str
 
 
-class Drawn(NamedTuple):
+class PlotColumns(NamedTuple):
     """The columns of a statement, divided into those that are drawn and those that are not."""
 
     columns: Tuple[Column, ...]
-    left_out: Tuple[Undrawn, ...]
+    left_out: Tuple[OmittedColumn, ...]
 
 
-def drawn_columns(select: Select, tables: Sequence[Table]) -> Drawn:
+def drawn_columns(select: Select, tables: Sequence[Table]) -> PlotColumns:
     """Divide the columns of a statement, without KEY, into those that can be drawn and others.
 
     Raises:
         InvalidQuery: The statement names a field that the topic does not have.
     """
     columns: list[Column] = []
-    left_out: list[Undrawn] = []
+    left_out: list[OmittedColumn] = []
     for name, found in _columns(select, tables).items():
         output, kind, table, selected = found
         reason = _reason(kind)
         if reason:
-            left_out.append(Undrawn(name, reason))
+            left_out.append(OmittedColumn(name, reason))
         elif len(columns) == MAX_COLUMNS:
-            left_out.append(Undrawn(name, f"more than {MAX_COLUMNS} columns are too many"))
+            left_out.append(OmittedColumn(name, f"more than {MAX_COLUMNS} columns are too many"))
         else:
             what = _what(output, selected)
             unit = "" if table.definition is None else unit_of(what, table.definition)
             columns.append(Column(name, SECONDS if kind.kind == "duration" else unit, what))
-    return Drawn(tuple(columns), tuple(left_out))
+    return PlotColumns(tuple(columns), tuple(left_out))
 
 
 _Found = Tuple[Output, ArrayType, Table, Optional[Selected]]

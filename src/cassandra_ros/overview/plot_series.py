@@ -18,9 +18,15 @@ import numpy as np
 from cassandra_ros.arrays.array_types import AnyArray, column_types
 from cassandra_ros.arrays.envelope import Envelope, Grid, Points
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.overview.bucket_envelope import Wanted
+from cassandra_ros.overview.bucket_envelope import EnvelopeRequest
 from cassandra_ros.overview.envelopes import EnvelopeCache, EnvelopeReader, Envelopes
-from cassandra_ros.overview.plot_columns import Column, Drawn, Undrawn, as_float, drawn_columns
+from cassandra_ros.overview.plot_columns import (
+    Column,
+    OmittedColumn,
+    PlotColumns,
+    as_float,
+    drawn_columns,
+)
 from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of
 from cassandra_ros.query.plan.near_conditions import spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
@@ -60,7 +66,7 @@ WHOLE = Window()
 
 
 @dataclass(frozen=True)
-class Asker:
+class SeriesRequest:
     """Restrictions of a request for a series, and its cache.
 
     Attributes:
@@ -81,7 +87,7 @@ class Series:
 
     topic: str
     columns: Tuple[Column, ...]
-    left_out: Tuple[Undrawn, ...]
+    left_out: Tuple[OmittedColumn, ...]
     """Columns that cannot be drawn."""
     grid: Grid
     """Pixels of the plot: whole ones, so they cover slightly more than the window."""
@@ -114,7 +120,7 @@ def read_series(
     topic: CassandraTopic,
     select: Select,
     window: Window,
-    asker: Asker,
+    asker: SeriesRequest,
 ) -> Series:
     """Read the numbers that a statement gives over time.
 
@@ -141,7 +147,7 @@ def read_series(
     grid = Grid.between(*ends, window.pixels)
     key = _key(plain, bounds, drawn, near=settled is not plain)
     bounds = replace(bounds, spans=spans_of(settled.condition))
-    wanted = Wanted(settled, bounds, drawn.columns, key)
+    wanted = EnvelopeRequest(settled, bounds, drawn.columns, key)
 
     def read(now: Sequence[TopicTable]) -> Envelopes:
         reader = EnvelopeReader(keyspace, now, wanted, asker.cache, asker.watch)
@@ -152,7 +158,7 @@ def read_series(
     return Series(topic.name, *drawn, grid, points, found.share, found.edges)
 
 
-def _key(select: Select, bounds: Bounds, drawn: Drawn, near: bool) -> str:
+def _key(select: Select, bounds: Bounds, drawn: PlotColumns, near: bool) -> str:
     """Return a text that identifies a request among all requests for the same messages."""
     # The trees, because the values of bound parameters are not in the text.
     key = repr(([column.what for column in drawn.columns], select.condition, bounds))
@@ -160,15 +166,15 @@ def _key(select: Select, bounds: Bounds, drawn: Drawn, near: bool) -> str:
     return f"{key} {time.time() // NEAR_KEPT_SEC}" if near else key
 
 
-def _nothing(topic: CassandraTopic, drawn: Drawn) -> Series:
+def _nothing(topic: CassandraTopic, drawn: PlotColumns) -> Series:
     grid = Grid(0, 0, 1)
     return Series(topic.name, *drawn, grid, Envelope(grid, len(drawn.columns)).points())
 
 
-def _without(drawn: Drawn, reason: str) -> Drawn:
+def _without(drawn: PlotColumns, reason: str) -> PlotColumns:
     """Move every column to those left out, with one reason."""
-    left_out = (Undrawn(column.name, reason) for column in drawn.columns)
-    return Drawn((), (*left_out, *drawn.left_out))
+    left_out = (OmittedColumn(column.name, reason) for column in drawn.columns)
+    return PlotColumns((), (*left_out, *drawn.left_out))
 
 
 def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[Tuple[int, int]]:
@@ -194,7 +200,7 @@ def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> Optional[in
 
 
 def _of_rows(
-    topic: CassandraTopic, select: Select, drawn: Drawn, window: Window, asker: Asker
+    topic: CassandraTopic, select: Select, drawn: PlotColumns, window: Window, asker: SeriesRequest
 ) -> Series:
     """Draw the rows of a result, which are all made."""
     if select.columns is not None and not (select.aggregates or select.group or select.distinct):

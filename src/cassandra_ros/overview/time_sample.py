@@ -19,7 +19,7 @@ from cassandra_ros.topics.stored_row import StoredRow
 
 
 @dataclass(frozen=True)
-class Chosen:
+class MessageChoice:
     """The messages of a topic from which a sample is taken."""
 
     start: Optional[Time] = None
@@ -63,7 +63,7 @@ class Chosen:
 
 
 def spaced_rows(
-    catalog: Catalog, name: str, chosen: Chosen, count: int, every_ns: int = 0
+    catalog: Catalog, name: str, chosen: MessageChoice, count: int, every_ns: int = 0
 ) -> Iterator[StoredRow]:
     """Choose messages of a topic that are evenly spaced between its first and last message.
 
@@ -111,7 +111,9 @@ def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:
     return [first + (last - first) * n // gaps for n in range(count)]
 
 
-def _looked_up(topic: CassandraTopic, chosen: Chosen, times: Sequence[int]) -> Iterator[StoredRow]:
+def _looked_up(
+    topic: CassandraTopic, chosen: MessageChoice, times: Sequence[int]
+) -> Iterator[StoredRow]:
     for t in times:
         row = topic.getRow(
             Stamp.from_ns(t), nearest="either", nodeID=chosen.node, run=chosen.writers

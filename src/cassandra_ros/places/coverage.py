@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Times at which a robot may have been in a region: from the index, and where it is incomplete.
 
-The index covers the time ranges in its ``Placed`` records, by run and table. A record is used only
-while the frames are fixed to each other as they were when it was written, because otherwise the
-places differ. The index may still hold visits whose messages were deleted, but it never lacks one.
+The index covers the time ranges in its ``IndexedPoses`` records, by run and table. A record is used
+only while the frames are fixed to each other as they were when it was written, because otherwise
+the places differ. The index may still hold visits whose messages were deleted, but it never lacks
+one.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from cassandra_ros.places.robots import MAX_FRAMES, Robot
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import overlapping_pairs
 from cassandra_ros.query.plan.near_conditions import NsRange
-from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square
+from cassandra_ros.tables.place_index import IndexedPoses, PlaceIndex, Square
 
 _FIRST = LONGEST_NS + JOIN_NS
 """How long before a time a visit that lasts until then may have begun, ns."""
@@ -50,7 +51,7 @@ class Coverage:
             found += self._visits(robot, cells, low, high)
         return list(clip_ranges(merge_ranges(sorted(found)), low, high))
 
-    def _noted(self, robot: Robot) -> List[Placed]:
+    def _noted(self, robot: Robot) -> List[IndexedPoses]:
         """Return the index records of a robot that are still valid."""
         tables = [table.name for table in robot.topic.tables]
         every = [
@@ -68,7 +69,7 @@ class Coverage:
         return self._index.visits(squares, robot.node, max(0, low) - _FIRST, high)
 
 
-def is_valid(noted: Placed, robot: Robot, fixed: Mapping[str, str]) -> bool:
+def is_valid(noted: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> bool:
     """Return whether an index record is still valid for a robot.
 
     Args:
@@ -88,7 +89,7 @@ def _carries(frame: str, fixed: Mapping[str, str]) -> bool:
     return any(how.startswith(f"{frame} [") for how in fixed.values())
 
 
-def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[Placed]) -> Iterator[NsRange]:
+def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[IndexedPoses]) -> Iterator[NsRange]:
     """Yield the time ranges that the index does not fully cover, in no order.
 
     These are the times of poses without an index record, those around the ends of records, and

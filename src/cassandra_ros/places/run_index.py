@@ -24,7 +24,7 @@ from cassandra_ros.places.pose_topic import PoseTopic, tells_poses
 from cassandra_ros.places.poses import MAX_SPAN_NS, Poses
 from cassandra_ros.places.robots import MAX_FRAMES, fixed_frames, frames_above, frames_in
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
-from cassandra_ros.tables.place_index import Placed, PlaceIndex, Square, Visited
+from cassandra_ros.tables.place_index import IndexedPoses, PlaceIndex, Square, Visit
 
 MAX_FRAMES_ABOVE = 16
 """Maximum number of frames above a robot in which its places are indexed."""
@@ -64,12 +64,12 @@ class _RobotVisits:
         self._at = (frame, robot)
         self._open = OpenVisits()
 
-    def visits(self, whose: RobotRun, low: int, high: int) -> Iterator[Visited]:
+    def visits(self, whose: RobotRun, low: int, high: int) -> Iterator[Visit]:
         """Yield the visits of the time range [low, high], ns, and of the path into it."""
         path = Path.of(self._poses.tracks(low - LONGEST_GAP_NS, high))
         for visit in self._open.visits(path):
             square = Square(*self._at, *visit.cell)
-            yield Visited(square, whose.node, visit.low, whose.writer, visit.high)
+            yield Visit(square, whose.node, visit.low, whose.writer, visit.high)
 
 
 class TfVisits:
@@ -89,7 +89,7 @@ class TfVisits:
         self._seen: Set[str] = set()
         self._begun = False
 
-    def visits(self, low: int, high: int) -> Iterator[Visited]:
+    def visits(self, low: int, high: int) -> Iterator[Visit]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         samples = self._frames.read(low, high)
         seen = frames_in(self._frames, [samples])
@@ -105,11 +105,11 @@ class TfVisits:
                         self._ways[robot, frame] = _RobotVisits(poses, frame, robot)
                     yield from self._ways[robot, frame].visits(self._whose, low, high)
 
-    def placed(self, table: str, low: int, high: int) -> List[Placed]:
+    def placed(self, table: str, low: int, high: int) -> List[IndexedPoses]:
         """Return the index records of the row keys [low, high], ns, in a table."""
         fixed = fixed_frames(self._frames)
         return [
-            Placed(
+            IndexedPoses(
                 table,
                 *self._whose,
                 robot,
@@ -135,16 +135,16 @@ class TopicVisits:
         self._poses = Poses(recording)
         self._ways: Dict[str, _RobotVisits] = {}
 
-    def visits(self, table: str, low: int, high: int) -> Iterator[Visited]:
+    def visits(self, table: str, low: int, high: int) -> Iterator[Visit]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
         if table not in self._ways:
             self._ways[table] = _RobotVisits(self._poses, self._frame, table)
         yield from self._ways[table].visits(self._whose, low, high)
 
-    def placed(self, table: str, low: int, high: int) -> List[Placed]:
+    def placed(self, table: str, low: int, high: int) -> List[IndexedPoses]:
         """Return the index records of the row keys [low, high], ns, in a table."""
         frames = frozenset([self._frame])
-        return [Placed(table, *self._whose, table, low, high, frames, {self._frame: ""})]
+        return [IndexedPoses(table, *self._whose, table, low, high, frames, {self._frame: ""})]
 
 
 class IndexResult(NamedTuple):
@@ -221,10 +221,10 @@ class _TopicPoses(NamedTuple):
     """The poses of one topic."""
 
     extents: Sequence[Extent]
-    visits: Callable[[int, int], Iterator[Visited]]
-    note: Callable[[str, int, int], List[Placed]]
+    visits: Callable[[int, int], Iterator[Visit]]
+    note: Callable[[str, int, int], List[IndexedPoses]]
 
-    def placed(self) -> Iterator[Placed]:
+    def placed(self) -> Iterator[IndexedPoses]:
         """Yield the index records of the poses, by table."""
         for table in sorted({extent.table for extent in self.extents}):
             own = [extent for extent in self.extents if extent.table == table]

@@ -26,7 +26,7 @@ from cassandra_ros.playing.robot_alignment import (
 from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
 from cassandra_ros.read import TimeRange
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.hit_windows import Piece, joined, merge_windows
+from cassandra_ros.topics.hit_windows import WindowPart, joined, merge_windows
 from cassandra_ros.topics.stored_row import StoredRow
 
 _Timed = Tuple[int, StoredRow]
@@ -166,13 +166,13 @@ class Stream:
         """
         return list(joined(self._pieces(self._time_range.low)))
 
-    def _pieces(self, low: int) -> Iterator[Piece]:
+    def _pieces(self, low: int) -> Iterator[WindowPart]:
         """Yield the pieces of the windows from a time on, cut off at that time."""
         bounds, around = self._time_range, self._around
         low = max(low, bounds.low)
         if around is None:
             if low <= bounds.high:
-                yield Piece(low, low, bounds.high)
+                yield WindowPart(low, low, bounds.high)
             return
         reach = TimeRange(max(bounds.low, low - around.after), bounds.high)
         hits = heapq.merge(
@@ -180,7 +180,7 @@ class Stream:
         )
         for piece in merge_windows(hits, around.before, around.after, bounds, PIECE_NS):
             if piece.high >= low:
-                yield Piece(max(piece.window, low), max(piece.low, low), piece.high)
+                yield WindowPart(max(piece.window, low), max(piece.low, low), piece.high)
 
     def _first_window(self, around: WindowRule) -> int:
         first = next(self._pieces(self._time_range.low), None)

@@ -41,7 +41,7 @@ from cassandra_ros.read import Read, Writers
 from cassandra_ros.recording.live_row import LiveRow, LiveTable
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
-from cassandra_ros.tables.place_index import Placed, Visited
+from cassandra_ros.tables.place_index import IndexedPoses, Visit
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.key_selection import range_between
 from cassandra_ros.transforms.transform_samples import TRANSFORMS_MD5
@@ -254,8 +254,8 @@ class PlaceKeeper:
             self._gone += self._topics[name].drop(self._noted - 2 * LONGEST_GAP_NS)
         if high < low:
             return  # no pose to index
-        visits: List[Visited] = []
-        placed: List[Placed] = []
+        visits: List[Visit] = []
+        placed: List[IndexedPoses] = []
         for name in moving:
             visits += self._visits(name, low, high)
             placed += self._placed(name, high)
@@ -325,7 +325,7 @@ class PlaceKeeper:
             raise TopicNotFound(f"topic {name} is not recorded")
         return self._topics[name]
 
-    def _visits(self, name: str, low: int, high: int) -> List[Visited]:
+    def _visits(self, name: str, low: int, high: int) -> List[Visit]:
         if name == TF:
             if self._tf is None:
                 self._tf = TfVisits(self._find, self._whose)
@@ -334,7 +334,7 @@ class PlaceKeeper:
             self._told[name] = TopicVisits(self._find, name, self._whose)
         return list(self._told[name].visits(self._table(name), low, high))
 
-    def _placed(self, name: str, high: int) -> List[Placed]:
+    def _placed(self, name: str, high: int) -> List[IndexedPoses]:
         notes = self._tf if name == TF else self._told[name]
         if notes is None:
             return []

@@ -23,7 +23,7 @@ LATER_SEC = 1
 has not expired. After that readers skip the value."""
 
 
-class Written(NamedTuple):
+class WrittenRow(NamedTuple):
     """A stored row with its write time."""
 
     row: TableRow
@@ -33,10 +33,10 @@ class Written(NamedTuple):
     """Remaining time to live when its page was read, s; None = it does not expire."""
 
 
-class Update(NamedTuple):
+class ShadowUpdate(NamedTuple):
     """A row and the value that it gets."""
 
-    written: Written
+    written: WrittenRow
     value: bytes | None
     """Encoded value; None = the index cannot hold the row's value, and the row is marked odd."""
 
@@ -48,7 +48,7 @@ class Backfill:
         self._table = table
         self._set_value, self._set_odd = table.update(shadow), table.update("_odd")
 
-    def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[Written]]:
+    def pages(self, node: str, bucket: int, largest: int) -> Iterator[list[WrittenRow]]:
         """Yield the rows of a bucket by pages.
 
         ``largest`` = bytes of its largest message in a row.
@@ -61,18 +61,18 @@ class Backfill:
         for page in asked.pages(ahead=False):
             yield [self._written(node, each) for each in page if not table.is_rest(each)]
 
-    def _written(self, node: str, values: RawRow) -> Written:
+    def _written(self, node: str, values: RawRow) -> WrittenRow:
         *own, timestamp, ttl = values
         row = self._table.row_from_values(node, tuple(own))
-        return Written(row, timestamp or b"", None if ttl is None else decode_long(ttl))
+        return WrittenRow(row, timestamp or b"", None if ttl is None else decode_long(ttl))
 
-    def write(self, updates: Sequence[Update]) -> None:
+    def write(self, updates: Sequence[ShadowUpdate]) -> None:
         """Write the values for rows of one bucket; return when they are acknowledged."""
         batches = [self._batch(part) for part in _parts(updates)]
         for sent in [self._table.send(batch, "indexing") for batch in batches]:
             sent.page()
 
-    def _batch(self, updates: Sequence[Update]) -> BatchStatement:
+    def _batch(self, updates: Sequence[ShadowUpdate]) -> BatchStatement:
         batch = BatchStatement(BatchType.UNLOGGED)
         batch.is_idempotent = True
         for (row, timestamp, ttl), value in updates:
@@ -83,9 +83,9 @@ class Backfill:
         return batch
 
 
-def _parts(updates: Sequence[Update]) -> Iterator[list[Update]]:
+def _parts(updates: Sequence[ShadowUpdate]) -> Iterator[list[ShadowUpdate]]:
     """Divide updates into batches of limited size."""
-    part: list[Update] = []
+    part: list[ShadowUpdate] = []
     size = 0
     for update in updates:
         part.append(update)

@@ -34,7 +34,7 @@ WIDER = 4
 
 Group = List[BucketRow]
 """Rows of the directory of all writers for one bucket and node."""
-Found = Tuple[int, Group]
+BucketGroup = Tuple[int, Group]
 """A bucket and its group. An empty group means that the directory was read up to here."""
 _Slot = Tuple[int, Tuple[str, ...]]
 """A slot, and the nodes that have buckets in it."""
@@ -42,7 +42,7 @@ _Answers = Iterator[Callable[[], List[BucketRow]]]
 """Functions that wait for the buckets of one node each."""
 
 
-class Walk:
+class BucketWalk:
     """The buckets of one table in [first, last], in order of time, or newest first.
 
     Args:
@@ -75,7 +75,7 @@ class Walk:
         self._few = few
         self.met: Set[str] = set()
 
-    def groups(self) -> Iterator[Found]:
+    def groups(self) -> Iterator[BucketGroup]:
         """Yield the buckets of all nodes in order of time.
 
         If few are needed, an empty group is yielded before each further request.

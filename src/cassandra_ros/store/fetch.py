@@ -14,10 +14,10 @@ from typing import Iterable, Iterator, NamedTuple, Sequence, Union
 from cassandra.cluster import ResultSet
 from cassandra.query import BoundStatement
 
-from cassandra_ros.blocks.block_lookup import Finder, answer_one, ask_one
+from cassandra_ros.blocks.block_lookup import MessageFinder, answer_one, ask_one
 from cassandra_ros.blocks.block_stream import stream
 from cassandra_ros.blocks.bucket_read import BucketRead
-from cassandra_ros.connection.paging import Asked, RawRow, sent_ahead
+from cassandra_ros.connection.paging import PagedRead, RawRow, sent_ahead
 from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
@@ -28,7 +28,7 @@ from cassandra_ros.tables.row_table import (
     FIRST,
     LAST,
     RowTable,
-    Sent,
+    SentRequest,
     TableRow,
     bind,
     decode_long,
@@ -43,22 +43,22 @@ FEW_ROWS = 1000
 """Maximum number of keys that are fetched by one query over the whole table and sorted here."""
 
 
-_Side = Union[Asked, Iterator[TableRow]]
+_Side = Union[PagedRead, Iterator[TableRow]]
 """The read of the rows before or after a time, or the messages of blocks there."""
 
 
-class Wanted(NamedTuple):
+class RowKey(NamedTuple):
     """Table and position of a row to be fetched."""
 
     table: RowTable
     position: Position
 
 
-def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRow]:
+def fetch_rows(wanted: Iterable[RowKey], ahead: int = AHEAD) -> Iterator[TableRow]:
     """Yield rows in the given order; rows that were deleted meanwhile are left out."""
-    finders: dict[str, Finder] = {}
+    finders: dict[str, MessageFinder] = {}
 
-    def sent(key: Wanted) -> tuple[Wanted, Asked | None]:
+    def sent(key: RowKey) -> tuple[RowKey, PagedRead | None]:
         # The block of one message may hold the next ones too, so blocks are not requested ahead.
         return key, None if key.table.packed else _ask(key)
 
@@ -66,14 +66,14 @@ def fetch_rows(wanted: Iterable[Wanted], ahead: int = AHEAD) -> Iterator[TableRo
         if asked is not None:
             row = _answer(key, asked)
         else:
-            row = finders.setdefault(key.table.name, Finder(key.table)).find(key.position)
+            row = finders.setdefault(key.table.name, MessageFinder(key.table)).find(key.position)
         if row is not None:
             yield row
 
 
 def fetch_row(table: RowTable, position: Position) -> TableRow | None:
     """Return one row by its position, None if there is no such row: one SELECT."""
-    key = Wanted(table, position)
+    key = RowKey(table, position)
     return _answer(key, _ask(key))
 
 
@@ -101,7 +101,7 @@ def first_at(
 
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
-    keys = [Wanted(table, Position(t, node, 0, table.name)) for table, node in places]
+    keys = [RowKey(table, Position(t, node, 0, table.name)) for table, node in places]
     asked = [(key, _ask(key, any_seq=True)) for key in keys]
     rows = [_answer(*each, any_seq=True) for each in asked]
     found = [row for row in rows if row is not None]
@@ -156,7 +156,7 @@ def _best_side(asked: Sequence[tuple[RowTable, str, _Side]], reverse: bool) -> T
     """Return the nearest row of all nodes; None if there is no row, or the first is not known."""
     rows: list[TableRow] = []
     for table, node, each in asked:
-        if not isinstance(each, Asked):
+        if not isinstance(each, PagedRead):
             rows += _first_of(each)
             continue
         values = each.page()
@@ -178,7 +178,7 @@ def _first_of(messages: Iterator[TableRow]) -> list[TableRow]:
     return found and [min(found)]
 
 
-def _ask(key: Wanted, *, any_seq: bool = False) -> Asked:
+def _ask(key: RowKey, *, any_seq: bool = False) -> PagedRead:
     table, (t, node, seq, _, name) = key
     if table.packed:
         return ask_one(table, key.position, any_seq=any_seq)
@@ -188,7 +188,7 @@ def _ask(key: Wanted, *, any_seq: bool = False) -> Asked:
     return table.ask_row(place, *table.stored_order(t, seq))
 
 
-def _answer(key: Wanted, asked: Asked, *, any_seq: bool = False) -> TableRow | None:
+def _answer(key: RowKey, asked: PagedRead, *, any_seq: bool = False) -> TableRow | None:
     table, position = key
     if table.packed:
         return answer_one(table, position, asked, any_seq=any_seq)
@@ -202,12 +202,12 @@ def _select_chunks(table: RowTable, row: TableRow) -> BoundStatement:
     return bind(table.select_chunks(), table.key_of(row), _PAGE_CHUNKS)
 
 
-def ask_chunks(table: RowTable, row: TableRow) -> Sent:
+def ask_chunks(table: RowTable, row: TableRow) -> SentRequest:
     """Request the chunks of a large message, for read_chunks."""
     return table.begin(_select_chunks(table, row))
 
 
-def read_chunks(table: RowTable, row: TableRow, sent: Sent | None = None) -> bytes:
+def read_chunks(table: RowTable, row: TableRow, sent: SentRequest | None = None) -> bytes:
     """Return the bytes of a large message; raises CorruptMessage if they do not match its row.
 
     Args:
@@ -302,10 +302,10 @@ def _versions_of(table: RowTable, name: str, node: str, reverse: bool) -> Iterat
 
 def keys_by_shadow(
     directory: Directory, table: RowTable, shadow: str, value: bytes, nodes: Sequence[str] | None
-) -> Iterator[Wanted]:
+) -> Iterator[RowKey]:
     """Yield the keys of the rows with an encoded value in a shadow column, in order of time."""
 
-    def keys(rows: Iterable[RawRow]) -> list[Wanted]:
+    def keys(rows: Iterable[RawRow]) -> list[RowKey]:
         return [_wanted(table, values) for values in rows]
 
     asked = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), FEW_ROWS))
@@ -326,7 +326,7 @@ def keys_by_shadow(
         yield from sorted(found, key=lambda key: key.position)
 
 
-def _wanted(table: RowTable, values: RawRow) -> Wanted:
+def _wanted(table: RowTable, values: RawRow) -> RowKey:
     node, t, seq = values
     position = Position(decode_long(t), (node or b"").decode(), decode_long(seq), table.name)
-    return Wanted(table, position)
+    return RowKey(table, position)

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Collection, Dict, Iterable, List, Sequence, Tuple
 
 from cassandra_ros.read import Read
-from cassandra_ros.store.piece import Piece, first_and_last, may_hold
+from cassandra_ros.store.piece import BucketPart, first_and_last, may_hold
 from cassandra_ros.tables.directory import BucketRow, Directory
 from cassandra_ros.tables.row_table import RowTable
 
@@ -21,9 +21,9 @@ MOST = 8
 
 def foresee(
     directory: Directory, tables: Sequence[RowTable], read: Read
-) -> Tuple[List[Piece], int]:
+) -> Tuple[List[BucketPart], int]:
     """Return the buckets in which a read probably begins, and the number of nodes of its tables."""
-    found: List[Piece] = []
+    found: List[BucketPart] = []
     streams = 0
     for table in tables:
         known, groups = directory.first.get((table.name, read.reverse), ((), ()))
@@ -31,7 +31,7 @@ def foresee(
         streams += len(nodes)
         low, high = first_and_last(read, table)
         found += [
-            Piece(0, table, group[0].node, group[0].bucket, group)
+            BucketPart(0, table, group[0].node, group[0].bucket, group)
             for group in groups
             if group[0].node in nodes and low <= group[0].bucket <= high and may_hold(read, group)
         ]
@@ -41,7 +41,7 @@ def foresee(
 def note_first(
     directory: Directory,
     walks: Iterable[Tuple[RowTable, Collection[str]]],
-    begun: Iterable[Piece],
+    begun: Iterable[BucketPart],
     read: Read,
 ) -> None:
     """Cache the buckets in which a read began, and the nodes that were found in each table."""

@@ -11,7 +11,7 @@ from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cassandra_ros.connection.raw_page import Places, RawPage
+from cassandra_ros.connection.raw_page import Offsets, RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.tables.row_table import RowTable, TableRow
 
@@ -51,10 +51,10 @@ _MARKS = {
 class _Heads(NamedTuple):
     """Places of the rows of a page, and the values of our own columns."""
 
-    starts: Places
-    begins: Places
+    starts: Offsets
+    begins: Offsets
     """Offsets at which the columns of the format begin."""
-    ends: Places
+    ends: Offsets
     fits: NDArray[np.bool_]
     """Whether all sizes are as in _MARKS."""
     values: NDArray[Any]

@@ -40,7 +40,7 @@ def may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
     )
 
 
-class Piece(NamedTuple):
+class BucketPart(NamedTuple):
     """A bucket of a read, with the sizes of its pages."""
 
     start: int
@@ -70,7 +70,7 @@ class Piece(NamedTuple):
         return self.listed * min(1.0, span_ns / max(1, length))
 
 
-def ends_of(piece: Piece, read: Read) -> tuple[Order, Order]:
+def ends_of(piece: BucketPart, read: Read) -> tuple[Order, Order]:
     """Return the first and the last row key in a bucket that the read includes."""
     first, last = read.time_range
     low, high = (first, MIN_SEQ), (last, MAX_SEQ)

@@ -26,16 +26,16 @@ from typing import (
 from cassandra.query import PreparedStatement
 
 from cassandra_ros.blocks.block_stream import opened, stream
-from cassandra_ros.blocks.bucket_read import EARLY_BLOCKS, BucketRead, Opened, Sift
+from cassandra_ros.blocks.bucket_read import EARLY_BLOCKS, BucketRead, OpenedBlock, Sift
 from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
-from cassandra_ros.connection.paging import GROWTH, Asked, RawRow
+from cassandra_ros.connection.paging import GROWTH, PagedRead, RawRow
 from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.read import Chooser, Query, Read
-from cassandra_ros.store.bucket_walk import Walk
+from cassandra_ros.store.bucket_walk import BucketWalk
 from cassandra_ros.store.first_buckets import foresee, note_first
 from cassandra_ros.store.page_rows import rows_of_page
-from cassandra_ros.store.piece import Piece, ends_of, first_and_last, may_hold, takes_few
+from cassandra_ros.store.piece import BucketPart, ends_of, first_and_last, may_hold, takes_few
 from cassandra_ros.tables.directory import BucketRow, Directory
 from cassandra_ros.tables.row_table import (
     KEYS,
@@ -72,11 +72,11 @@ _Request = Tuple[str, str, int, int, int, int]
 _T = TypeVar("_T")
 
 _ALL: Query = ((), False)
-Chosen = Optional[Sequence[Query]]
+Queries = Optional[Sequence[Query]]
 """Queries that return the rows of a bucket that may match; None = read all rows."""
 
 
-def _open(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
+def _open(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
     """Request the first rows of a bucket by some queries (None: all rows); return them in order."""
     if piece.table.packed:
         return _blocks(piece, read, chosen)
@@ -87,7 +87,7 @@ def _open(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
     return _found(piece, read, [_Stream(share, read, query) for query in chosen])
 
 
-def _blocks(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
+def _blocks(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
     """Request the first blocks of a bucket; return their messages."""
     table, chooser = piece.table, read.chooser
     columns = None if read.columns is None else read.columns(table)
@@ -105,7 +105,7 @@ def _blocks(piece: Piece, read: Read, chosen: Chosen) -> Iterator[TableRow]:
 
 
 def _part(
-    piece: Piece,
+    piece: BucketPart,
     read: Read,
     *,
     bare: bool = False,
@@ -130,12 +130,14 @@ def _part(
     )
 
 
-def _open_blocks(piece: Piece, read: Read, chosen: Chosen) -> Iterator[tuple[BucketRead, Opened]]:
+def _open_blocks(
+    piece: BucketPart, read: Read, chosen: Queries
+) -> Iterator[tuple[BucketRead, OpenedBlock]]:
     part = _part(piece, read)
     return zip(repeat(part), opened(part))
 
 
-def _counted(piece: Piece, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
+def _counted(piece: BucketPart, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
     count = 0
     for row in rows:
         count += 1
@@ -143,7 +145,7 @@ def _counted(piece: Piece, chooser: Chooser, rows: Iterator[TableRow]) -> Iterat
     chooser.learn(piece.table, piece.rows, count)
 
 
-def _found(piece: Piece, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
+def _found(piece: BucketPart, read: Read, streams: Sequence[_Stream]) -> Iterator[TableRow]:
     """Yield the rows of several queries in one order, without duplicates."""
     count, last = 0, None
     found = [stream.rows() for stream in streams]
@@ -168,7 +170,7 @@ def _place(row: TableRow) -> tuple[int, int]:
 class _Stream:
     """The rows of one bucket that match one query."""
 
-    def __init__(self, piece: Piece, read: Read, query: Query) -> None:
+    def __init__(self, piece: BucketPart, read: Read, query: Query) -> None:
         self._piece = piece
         self._read = read
         wanted = None if read.columns is None else read.columns(piece.table)
@@ -188,10 +190,10 @@ class _Stream:
         writers = read.whose.writers
         self._heads = None if writers is None else {encode_int(each) for each in writers}
         self._at_once = min(KEYS_AT_ONCE, piece.page_rows)
-        self._early: tuple[Sequence[RawRow], Asked | None] = ((), None)
+        self._early: tuple[Sequence[RawRow], PagedRead | None] = ((), None)
         self._asked = self._start(None)
 
-    def _start(self, last: RawRow | None) -> Asked:
+    def _start(self, last: RawRow | None) -> PagedRead:
         """Request the rows after the last one that was read."""
         table = self._piece.table
         if self._keyed:
@@ -214,7 +216,7 @@ class _Stream:
                 raise
             return self._all(exc, last)
 
-    def _all(self, exc: object, last: RawRow | None) -> Asked:
+    def _all(self, exc: object, last: RawRow | None) -> PagedRead:
         """Go on with all rows, if a server forbids filtering or is too slow at it."""
         topic = self._piece.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
@@ -295,7 +297,7 @@ class _Stream:
     def _these(self) -> PreparedStatement:
         return self._piece.table.select_these(self._columns, reverse=self._read.reverse)
 
-    def _ask_these(self, part: Sequence[RawRow]) -> Asked:
+    def _ask_these(self, part: Sequence[RawRow]) -> PagedRead:
         values = (*self._place, _pairs(part))
         return self._piece.table.send(bind(self._these(), values, self._at_once))
 
@@ -314,7 +316,7 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
     """
     sign = -1 if read.reverse else 1
     heap: list[tuple[_Order, int, TableRow, Iterator[TableRow]]] = []
-    waiting = _Prefetched(directory, tables, read, _open)
+    waiting = _BucketQueue(directory, tables, read, _open)
     count = 0
     while heap or waiting.left:
         while waiting.left and (not heap or waiting.opens_before(heap[0][2].t, sign)):
@@ -342,12 +344,12 @@ def read_rows(directory: Directory, tables: Sequence[RowTable], read: Read) -> I
 
 def read_blocks(
     directory: Directory, tables: Sequence[RowTable], read: Read
-) -> Iterator[tuple[BucketRead, Opened]]:
+) -> Iterator[tuple[BucketRead, OpenedBlock]]:
     """Yield the blocks of several packed tables, bucket by bucket, in any order within a bucket.
 
     Each comes with the read of its bucket. Columns and chooser of the read are ignored.
     """
-    waiting = _Prefetched(directory, tables, read, _open_blocks)
+    waiting = _BucketQueue(directory, tables, read, _open_blocks)
     while waiting.left:
         yield from waiting.take()
 
@@ -363,8 +365,8 @@ def _inverted(text: str) -> tuple[int, ...]:
     return (*(-ord(c) for c in text), 1)
 
 
-def _walk(directory: Directory, table: RowTable, read: Read) -> Walk:
-    return Walk(
+def _walk(directory: Directory, table: RowTable, read: Read) -> BucketWalk:
+    return BucketWalk(
         directory,
         table.name,
         *first_and_last(read, table),
@@ -375,7 +377,7 @@ def _walk(directory: Directory, table: RowTable, read: Read) -> Walk:
     )
 
 
-def _pieces(table: RowTable, walk: Walk, read: Read) -> Iterator[Piece]:
+def _pieces(table: RowTable, walk: BucketWalk, read: Read) -> Iterator[BucketPart]:
     """Yield the buckets of a table that may hold rows of a read, in order of their beginnings."""
     length = table.metadata.bucket_ns
     high = read.time_range.high
@@ -385,14 +387,14 @@ def _pieces(table: RowTable, walk: Walk, read: Read) -> Iterator[Piece]:
         if group and not may_hold(read, group):
             continue
         start = min((bucket + 1) * length, high + 1) if read.reverse else bucket * length
-        yield Piece(start, table, group[0].node if group else "", bucket, group)
+        yield BucketPart(start, table, group[0].node if group else "", bucket, group)
 
 
-def _begins(piece: Piece) -> tuple[int, str, str]:
+def _begins(piece: BucketPart) -> tuple[int, str, str]:
     return piece.start, piece.node, piece.table.name
 
 
-def _request(piece: Piece) -> _Request:
+def _request(piece: BucketPart) -> _Request:
     """Return what distinguishes the request for a piece from that for another piece of a read."""
     sizes = piece.page_rows, piece.page_bytes, piece.first_rows
     return (piece.table.name, piece.node, piece.bucket, *sizes)
@@ -409,7 +411,7 @@ def _page_rows(group: Sequence[BucketRow], page_bytes: int) -> int:
     return max(1, min(MAX_PAGE_ROWS, int(rows)))
 
 
-class _Prefetched(Generic[_T]):
+class _BucketQueue(Generic[_T]):
     """The buckets that are still to be read; the next ones are requested ahead.
 
     Of whole buckets one is requested ahead. Of filtered buckets, which return few rows, many are
@@ -431,7 +433,7 @@ class _Prefetched(Generic[_T]):
         directory: Directory,
         tables: Sequence[RowTable],
         read: Read,
-        open_piece: Callable[[Piece, Read, Chosen], Iterator[_T]],
+        open_piece: Callable[[BucketPart, Read, Queries], Iterator[_T]],
     ) -> None:
         self._directory = directory
         self._read = read
@@ -445,7 +447,7 @@ class _Prefetched(Generic[_T]):
         pieces = [_pieces(table, walk, read) for table, walk in walks]
         self._pieces = heapq.merge(*pieces, key=_begins, reverse=read.reverse)
         self._next = next(self._pieces, None)
-        self._asked: deque[tuple[Piece, Iterator[_T], bool]] = deque()
+        self._asked: deque[tuple[BucketPart, Iterator[_T], bool]] = deque()
         self._ahead = 0 if self._few else 1
         self._listed = 0
         self._unnoted = walks if self._few else []
@@ -491,7 +493,7 @@ class _Prefetched(Generic[_T]):
             self._rows = min(GROWTH * self._rows, MAX_PAGE_ROWS)
         return rows
 
-    def _asks(self, piece: Piece) -> bool:
+    def _asks(self, piece: BucketPart) -> bool:
         """Return whether a bucket is requested in addition to those that already are."""
         if not self._asked or (piece.rows and len(self._asked) <= self._ahead):
             return True
@@ -500,7 +502,7 @@ class _Prefetched(Generic[_T]):
         listed = self._listed + sum(each.listed for each, _, _ in self._asked)
         return piece.start == self._asked[0][0].start or listed < self._rows
 
-    def _sized(self, piece: Piece) -> Piece:
+    def _sized(self, piece: BucketPart) -> BucketPart:
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
         return piece._replace(
             page_rows=_page_rows(piece.rows, self._page_bytes),
@@ -508,7 +510,7 @@ class _Prefetched(Generic[_T]):
             first_rows=rows if self._few else 0,
         )
 
-    def _ask(self, piece: Piece) -> None:
+    def _ask(self, piece: BucketPart) -> None:
         if not piece.rows:
             self._asked.append((piece, iter(()), False))
             return

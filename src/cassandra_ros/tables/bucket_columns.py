@@ -18,9 +18,9 @@ from cassandra_ros.connection.paging import RawRow, answered, retried, sent_ahea
 
 Longs = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-Place = Tuple[str, str, int]
+SlotKey = Tuple[str, str, int]
 """Table, node and slot: a partition of the directory."""
-Wanted = Tuple[Place, Sequence[int], int]
+SlotRange = Tuple[SlotKey, Sequence[int], int]
 """A partition; its buckets, as the ends of a range (both included) or one by one; row limit."""
 
 COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, t_min, t_max, toTimestamp(now())"
@@ -54,7 +54,7 @@ class BucketColumns(NamedTuple):
 
 
 def read_columns(
-    cassandra: Cassandra, table: str, wanted: Iterable[Wanted], *, single: bool = False
+    cassandra: Cassandra, table: str, wanted: Iterable[SlotRange], *, single: bool = False
 ) -> Iterator[BucketColumns]:
     """Read partitions of cr_bucket, several at once, and yield them in the order of ``wanted``.
 
@@ -72,7 +72,7 @@ def read_columns(
 
 
 def _ask(
-    cassandra: Cassandra, cql: str, wanted: Wanted, single: bool
+    cassandra: Cassandra, cql: str, wanted: SlotRange, single: bool
 ) -> Callable[[], BucketColumns]:
     place, buckets, limit = wanted
     values = (*place, list(buckets), limit) if single else (*place, *buckets, limit)

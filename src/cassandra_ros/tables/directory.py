@@ -31,7 +31,7 @@ from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.connection.paging import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.tables.block_limits import MAX_BYTES, MAX_MESSAGES
-from cassandra_ros.tables.bucket_columns import BucketColumns, Wanted, read_columns
+from cassandra_ros.tables.bucket_columns import BucketColumns, SlotRange, read_columns
 from cassandra_ros.tables.row_table import RowTable
 from cassandra_ros.tables.side_tables import SideTables
 
@@ -118,7 +118,7 @@ def slot_of(bucket: int) -> int:
 
 
 _COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
-Place = Tuple[str, str, int, int]
+BucketKey = Tuple[str, str, int, int]
 """Table, node, bucket and writer: the key of a row of cr_bucket."""
 
 
@@ -286,7 +286,9 @@ class Directory:
             asked = self._cassandra.begin(cql, (*each, limit), what=what, retry_sec=retry_sec)
             yield partial(_bucket_rows, each[1], asked)
 
-    def columns(self, wanted: Iterable[Wanted], *, single: bool = False) -> Iterator[BucketColumns]:
+    def columns(
+        self, wanted: Iterable[SlotRange], *, single: bool = False
+    ) -> Iterator[BucketColumns]:
         """Read many buckets as columns, several partitions at once; see read_columns."""
         if not self._tables.has("cr_bucket"):
             return iter(())
@@ -310,7 +312,7 @@ class Directory:
 
     def mark(
         self,
-        place: Place,
+        place: BucketKey,
         ttl: int,
         filled: Iterable[str] = (),
         totals: BucketTotals | None = None,
@@ -372,7 +374,7 @@ class Directory:
         self._tables.delete("cr_node", ("tbl",), [(table,)], "clearing the directory")
 
 
-def _key(place: Place) -> dict[str, object]:
+def _key(place: BucketKey) -> dict[str, object]:
     """Return the primary key of a row of cr_bucket: column → value."""
     table, node, bucket, writer = place
     slot = slot_of(bucket)

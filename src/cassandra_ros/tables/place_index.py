@@ -41,7 +41,7 @@ class Square(NamedTuple):
     """Number of the square to the east and to the north; (0, 0) begins at the origin."""
 
 
-class Visited(NamedTuple):
+class Visit(NamedTuple):
     """A visit: a robot may have been in a square from t_in to t_out, ns, both included."""
 
     square: Square
@@ -52,7 +52,7 @@ class Visited(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Placed:
+class IndexedPoses:
     """Poses whose visits are all in the index.
 
     They are the poses of one robot in one table that one run stored, in a range of keys.
@@ -80,7 +80,7 @@ class PlaceIndex:
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
-    def put(self, visits: Sequence[Visited], done: Iterable[Placed], ttl: int = 0) -> None:
+    def put(self, visits: Sequence[Visit], done: Iterable[IndexedPoses], ttl: int = 0) -> None:
         """Write visits, and then the poses whose visits are complete.
 
         For ttl seconds, 0 = for ever.
@@ -96,7 +96,7 @@ class PlaceIndex:
         what = "noting how far the index of places goes"
         self._tables.insert_many("cr_placed", _DONE, placed, what, ttl=ttl)
 
-    def placed(self, tables: Sequence[str]) -> list[Placed]:
+    def placed(self, tables: Sequence[str]) -> list[IndexedPoses]:
         """Return the rows of cr_placed of some tables."""
         what = "reading how far the index of places goes"
         every = [(table,) for table in tables]
@@ -155,6 +155,8 @@ class PlaceIndex:
             self._tables.delete("cr_placed", ("tbl",), [(table,)], what)
 
 
-def _placed(row: CqlRow) -> Placed:
+def _placed(row: CqlRow) -> IndexedPoses:
     table, node, writer, robot, low, high, frames, above = row
-    return Placed(table, node, writer, robot, low, high, frozenset(frames or ()), dict(above or {}))
+    return IndexedPoses(
+        table, node, writer, robot, low, high, frozenset(frames or ()), dict(above or {})
+    )

@@ -74,7 +74,7 @@ class Run:
 _RUN = tuple(each.name for each in fields(Run) if each.name != "state")
 
 
-class Sign(NamedTuple):
+class SignOfLife(NamedTuple):
     """Last sign of life of a run that has not ended."""
 
     age_sec: float
@@ -208,21 +208,21 @@ class Registry:
         rows = self._tables.select("cr_run", ", ".join(_RUN), what="listing the runs")
         return [_run(row) for row in rows]
 
-    def signs(self) -> dict[tuple[int, str], Sign]:
+    def signs(self) -> dict[tuple[int, str], SignOfLife]:
         """Return the last sign of life of each run, by writer and node (two full scans)."""
         now, what = "toTimestamp(now())", "reading the state of the runs"
         begun = self._tables.select("cr_run", f"writer, node, started, {now}", what=what)
         names = f"writer, node, heartbeat, interrupted, {now}"
         seen = self._tables.select("cr_context", names, what=what)
         beats = {(writer, node): (beat, broken) for writer, node, beat, broken, _ in seen}
-        found: dict[tuple[int, str], Sign] = {}
+        found: dict[tuple[int, str], SignOfLife] = {}
         for writer, node, started, asked in begun:
             beat, broken = beats.get((writer, node), (None, None))
             last = max(filter(None, (started, beat)), default=None)
             age_sec = math.inf if last is None else (asked - last).total_seconds()
             # An import that is repeated has started again after its interruption.
             failed = broken is not None and (started is None or broken >= started)
-            found[writer, node] = Sign(age_sec, failed)
+            found[writer, node] = SignOfLife(age_sec, failed)
         return found
 
     def put_heartbeat(self, writer: int, node: str, *, interrupted: bool = False) -> None:

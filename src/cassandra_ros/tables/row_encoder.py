@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Callable, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
-from cassandra_ros.connection.raw_page import Places
+from cassandra_ros.connection.raw_page import Offsets
 
 Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
 """Encoded values of the format's columns (None = unset), whether the row must be marked odd, and
@@ -39,7 +39,7 @@ class RowEncoder(Protocol):
         """
 
     def decode_together(
-        self, data: bytes, starts: Places, ends: Places, sizes: Places
+        self, data: bytes, starts: Offsets, ends: Offsets, sizes: Offsets
     ) -> Sequence[Optional[bytes]]:
         """Return the messages, of these sizes, whose columns are from starts to ends in data.
 

@@ -13,7 +13,7 @@ from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Stat
 
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.cql_names import chunk_table_name, qualified, quote_name
-from cassandra_ros.connection.paging import Asked, OnPage, RawRow, Refused, answered, retried
+from cassandra_ros.connection.paging import IsRefused, OnPage, PagedRead, RawRow, answered, retried
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata
@@ -71,7 +71,7 @@ class NewRow(NamedTuple):
     name: str = ""
 
 
-class Sent(NamedTuple):
+class SentRequest(NamedTuple):
     """A request whose answer has not been awaited yet."""
 
     future: ResponseFuture
@@ -334,9 +334,9 @@ class RowTable:
         reverse: bool = False,
         last: RawRow | None = None,
         what: str = "reading",
-        refused: Refused | None = None,
+        refused: IsRefused | None = None,
         on_page: OnPage | None = None,
-    ) -> Asked:
+    ) -> PagedRead:
         """Request the rows of one partition in a range, or those of them after ``last``.
 
         Args:
@@ -355,7 +355,7 @@ class RowTable:
 
         return self._asked(rest, what, refused, on_page, first_rows)
 
-    def ask_row(self, place: tuple[bytes, bytes], t: int, seq: int | None) -> Asked:
+    def ask_row(self, place: tuple[bytes, bytes], t: int, seq: int | None) -> PagedRead:
         """Request a whole row; seq None = the first one with this time.
 
         A server finds a row by equal keys 60 us sooner than by a range that holds one key.
@@ -366,7 +366,7 @@ class RowTable:
         statement = self._select(self._every, _ROW)
         return self.send(bind(statement, (*place, encode_long(t), encode_long(seq))))
 
-    def send(self, statement: Statement, what: str = "reading") -> Asked:
+    def send(self, statement: Statement, what: str = "reading") -> PagedRead:
         """Send a statement whose answer is one page, or of which only the first page is needed."""
         return self._asked(lambda last: statement, what)
 
@@ -374,12 +374,14 @@ class RowTable:
         self,
         statement_from: Callable[[RawRow | None], Statement],
         what: str,
-        refused: Refused | None = None,
+        refused: IsRefused | None = None,
         on_page: OnPage | None = None,
         first_rows: int = 0,
-    ) -> Asked:
+    ) -> PagedRead:
         send, outage = self._cassandra.ask_raw, self._cassandra.outage
-        return Asked(send, statement_from, self._doing(what), refused, on_page, first_rows, outage)
+        return PagedRead(
+            send, statement_from, self._doing(what), refused, on_page, first_rows, outage
+        )
 
     def collect(
         self,
@@ -387,7 +389,7 @@ class RowTable:
         make: Callable[[ResultSet], _T],
         what: str = "reading",
         *,
-        sent: Sent | None = None,
+        sent: SentRequest | None = None,
     ) -> _T:
         """Pass all rows of a statement to ``make``; start again if one of its pages fails.
 
@@ -403,9 +405,9 @@ class RowTable:
         outage = self._cassandra.outage
         return retried(self._doing(what), run, outage=outage)
 
-    def begin(self, statement: BoundStatement) -> Sent:
+    def begin(self, statement: BoundStatement) -> SentRequest:
         """Send a statement whose rows ``collect`` will take."""
-        return Sent(self._cassandra.send_raw(statement))
+        return SentRequest(self._cassandra.send_raw(statement))
 
     def _doing(self, what: str) -> str:
         return f"{what} topic {self.metadata.topic}"

@@ -53,10 +53,10 @@ _UNFINISHED = (
     "client that died, is empty, and may be dropped"
 )
 
-Planned = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
+TablePlan = Tuple[TopicMetadata, Mapping[str, str], Mapping[str, str]]
 """Metadata for a comment (``create`` chooses the generation), the columns of the format, and the
 columns with an index, both name → CQL type."""
-Planner = Callable[[Sequence[TopicMetadata]], Planned]
+Planner = Callable[[Sequence[TopicMetadata]], TablePlan]
 
 
 class Schema:
@@ -181,7 +181,7 @@ class Schema:
             name = self.create(plan(others), lock)
         return name
 
-    def create(self, planned: Planned, lock: SchemaLock) -> str:
+    def create(self, planned: TablePlan, lock: SchemaLock) -> str:
         """Make a table as planned, under the lock, and check it; return its name."""
         metadata, columns, shadows = planned
         columns = {**_own_columns(metadata), **columns, **shadows}

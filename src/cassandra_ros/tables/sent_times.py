@@ -24,7 +24,7 @@ _BYTES = 2 * STRIPE * _NUMBER.itemsize
 Longs = NDArray[np.int64]
 
 
-class Sent(NamedTuple):
+class SendTimes(NamedTuple):
     """Send times and sequence numbers of STRIPE consecutive messages."""
 
     delays: Longs
@@ -32,7 +32,7 @@ class Sent(NamedTuple):
     sequences: Longs
 
 
-class SentTimes:
+class SendTimeStore:
     """Reads and writes the send times in one keyspace."""
 
     def __init__(self, side_tables: SideTables) -> None:
@@ -42,7 +42,7 @@ class SentTimes:
         """Return whether the keyspace has the table of send times."""
         return self._tables.has(_TABLE)
 
-    def put(self, writer: int, node: str, stripe: int, sent: Sent) -> None:
+    def put(self, writer: int, node: str, stripe: int, sent: SendTimes) -> None:
         """Write those of the messages from number ``stripe * STRIPE`` on of an import."""
         self._tables.make(_TABLE)
         # Differences with like bytes side by side: consecutive numbers compress to nothing.
@@ -51,7 +51,7 @@ class SentTimes:
         row = {"writer": writer, "node": node, "stripe": stripe, "sent": zstandard.compress(raw)}
         self._tables.insert(_TABLE, row, "storing when messages were sent")
 
-    def get(self, writer: int, node: str, stripe: int) -> Sent | None:
+    def get(self, writer: int, node: str, stripe: int) -> SendTimes | None:
         """Return the send times and sequence numbers of a stripe; None if none are stored.
 
         Raises:
@@ -71,4 +71,4 @@ class SentTimes:
                 f"when messages of run {writer} were sent cannot be read: row {stripe} of {_TABLE} "
                 f"is damaged ({exc}); import the file again"
             ) from exc
-        return Sent(delays, np.cumsum(steps))
+        return SendTimes(delays, np.cumsum(steps))

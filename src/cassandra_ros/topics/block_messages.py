@@ -12,7 +12,7 @@ from typing import Deque, Iterable, Iterator, Optional, Sequence, Tuple
 import numpy as np
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
-from cassandra_ros.blocks.bucket_read import BucketRead, Opened
+from cassandra_ros.blocks.bucket_read import BucketRead, OpenedBlock
 from cassandra_ros.blocks.codec import Unpacked
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.keys import writer_of
@@ -25,7 +25,7 @@ _log = logging.getLogger(__name__)
 
 
 def messages_of(
-    blocks: Iterable[Tuple[BucketRead, Opened]], tables: Sequence[TopicTable]
+    blocks: Iterable[Tuple[BucketRead, OpenedBlock]], tables: Sequence[TopicTable]
 ) -> Iterator[MessageBlock]:
     """Yield the messages to read of blocks; large messages, each a block of one, come last."""
     by_name = {table.name: table for table in tables}

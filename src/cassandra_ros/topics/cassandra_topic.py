@@ -26,11 +26,11 @@ from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
 from cassandra_ros.printable import public_names
 from cassandra_ros.read import Chooser, Columns, Named, Read, Whose
-from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.descriptions import topic_html, topic_line
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
 from cassandra_ros.topics.key_selection import AnyKey, range_between
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_adder import MessageAdder
 from cassandra_ros.topics.message_objects import with_messages
 from cassandra_ros.topics.row_finder import Filter, Finder, Where
 from cassandra_ros.topics.run_finder import RunName
@@ -72,7 +72,7 @@ class CassandraTopic:
         name: Name of the topic as it is stored.
     """
 
-    def __init__(self, keyspace: Keyspace, adder: Adder, wish: Wish) -> None:
+    def __init__(self, keyspace: Keyspace, adder: MessageAdder, wish: Wish) -> None:
         self.name = wish.metadata.topic
         self._keyspace = keyspace
         self._adder = adder

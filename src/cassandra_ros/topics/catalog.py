@@ -33,11 +33,11 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.directory import STALE_SEC
-from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.key_selection import Clock, spellings
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_adder import MessageAdder
 from cassandra_ros.topics.new_tables import check_packed
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.row_finder import Filter, Where, time_range_between
@@ -63,7 +63,7 @@ class Catalog:
 
     def __init__(self, cassandra: Cassandra, keyspace: str, clock: Optional[Clock]) -> None:
         self.keyspace = Keyspace(cassandra, keyspace, robots=lambda: self.places)
-        self.adder = Adder(self.keyspace, clock)
+        self.adder = MessageAdder(self.keyspace, clock)
         self._pending: dict[str, Wish] = {}
         self._mutex = threading.Lock()
         self.stored_places = StoredPlaces(self.keyspace, self.get, lambda: self.all(None))

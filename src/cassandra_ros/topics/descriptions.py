@@ -71,7 +71,7 @@ def _time(ns: int | None) -> str:
     return "" if ns is None else iso_time(ns)
 
 
-class Infos(Listing[TopicInfo]):
+class InfoList(Listing[TopicInfo]):
     """Stored topics: a row for each topic, table and robot."""
 
     COLUMNS = {

@@ -9,7 +9,7 @@ from typing import Iterable, Iterator, NamedTuple, Optional
 from cassandra_ros.read import TimeRange
 
 
-class Piece(NamedTuple):
+class WindowPart(NamedTuple):
     """A window, or a part of a long one; times in ns, both ends included."""
 
     window: int
@@ -24,7 +24,7 @@ def merge_windows(
     after: int,
     bounds: TimeRange,
     longest: int,
-) -> Iterator[Piece]:
+) -> Iterator[WindowPart]:
     """Yield windows around hits, lazily; windows that overlap or touch are merged.
 
     Memory: that of one window, however many hits there are.
@@ -38,12 +38,12 @@ def merge_windows(
     Yields:
         Pieces in order, without overlap.
     """
-    current: Optional[Piece] = None
+    current: Optional[WindowPart] = None
     for hit in hits:
         low, high = max(bounds.low, hit - before), min(bounds.high, hit + after)
         if current is None or low > current.high + 1:
             yield from _filled(current)
-            current = Piece(low, low, high)
+            current = WindowPart(low, low, high)
             continue
         current = current._replace(high=max(current.high, high))
         if current.high - current.low >= longest:
@@ -53,12 +53,12 @@ def merge_windows(
     yield from _filled(current)
 
 
-def _filled(piece: Optional[Piece]) -> Iterator[Piece]:
+def _filled(piece: Optional[WindowPart]) -> Iterator[WindowPart]:
     if piece is not None and piece.low <= piece.high:
         yield piece
 
 
-def joined(pieces: Iterable[Piece]) -> Iterator[TimeRange]:
+def joined(pieces: Iterable[WindowPart]) -> Iterator[TimeRange]:
     """Yield whole windows, joined from their pieces."""
     whole: Optional[TimeRange] = None
     for window, _, high in pieces:

@@ -18,10 +18,10 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import NAMED_FORMATS, split_seq
 from cassandra_ros.messages.index_field import IndexField, nearest_fields
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.store.backfill import Backfill, Update, Written
+from cassandra_ros.store.backfill import Backfill, ShadowUpdate, WrittenRow
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, Directory
-from cassandra_ros.topics.adder import Adder
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_adder import MessageAdder
 from cassandra_ros.topics.stored_row import read_wire
 from cassandra_ros.topics.topic_table import TopicTable, definition_in
 
@@ -37,7 +37,7 @@ UNKNOWN_ROW_BYTES = 32 * 1024
 
 
 def create_index(
-    space: Keyspace, adder: Adder, topic: str, field: str, progress: Optional[Progress]
+    space: Keyspace, adder: MessageAdder, topic: str, field: str, progress: Optional[Progress]
 ) -> int:
     """Make an index, or complete it; see CassandraTopic.createIndex."""
     space.schema.tables(fresh=True)
@@ -211,9 +211,9 @@ class IndexFilling:
         self,
         table: TopicTable,
         index: IndexField,
-        page: List[Written],
+        page: List[WrittenRow],
         totals: Dict[int, BucketTotals],
-    ) -> Iterator[Update]:
+    ) -> Iterator[ShadowUpdate]:
         for written in page:
             row = written.row
             counted = totals.get(split_seq(row.seq)[0])
@@ -228,7 +228,7 @@ class IndexFilling:
             counted.count(row.t, row.size, row.nchunks > 0, odd or row.odd)
             self._done += 1
             if value is not None or (odd and not row.odd):
-                yield Update(written, value)
+                yield ShadowUpdate(written, value)
 
     def _mark(self, table: TopicTable, row: BucketRow, shadow: str, totals: BucketTotals) -> bool:
         wanted = row._replace(filled=row.filled | {shadow})

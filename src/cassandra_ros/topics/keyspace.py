@@ -17,7 +17,7 @@ from cassandra_ros.tables.registry import Registry
 from cassandra_ros.tables.schema import Schema
 from cassandra_ros.tables.side_tables import SideTables
 from cassandra_ros.topics.new_tables import NewTables
-from cassandra_ros.topics.replaced_tables import Following
+from cassandra_ros.topics.replaced_tables import FollowingReader
 from cassandra_ros.topics.row_reader import RowReader
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
@@ -49,7 +49,7 @@ class Keyspace:
         self.runs = Runs(name, self.registry, self._has_written)
         self.tables = TopicTables(cassandra, self.schema, self.connections, self.runs, robots)
         self.new_tables = NewTables(self.schema, self.tables)
-        self.rows = Following(RowReader(cassandra, self.directory))
+        self.rows = FollowingReader(RowReader(cassandra, self.directory))
 
     def _has_written(self, writer: int) -> bool:
         whose, every = Whose(None, frozenset([writer])), self.schema.tables(fresh=True)

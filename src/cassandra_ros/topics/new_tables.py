@@ -24,7 +24,7 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.tables.directory import MIN_SPAN_NS, UNKNOWN_SPAN_NS, limit_for_ttl
-from cassandra_ros.tables.schema import Planned, Planner, Schema
+from cassandra_ros.tables.schema import Planner, Schema, TablePlan
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition_in
 from cassandra_ros.topics.topic_wish import Wish
 
@@ -121,7 +121,7 @@ def planner(metadata: TopicMetadata, definition: Optional[Definition]) -> Planne
     """Return the planner of a table for NewTables.make, which gets the topic's other metadata."""
     fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
 
-    def plan(others: Sequence[TopicMetadata]) -> Planned:
+    def plan(others: Sequence[TopicMetadata]) -> TablePlan:
         wanted = _beside(metadata, others)
         if fmt.PACKED:
             check_packed(wanted, definition)

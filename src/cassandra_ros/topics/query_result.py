@@ -111,7 +111,7 @@ class Condition:
         return filter(projections.hit, rows_inside(source, bounds))
 
 
-class Place(NamedTuple):
+class ResultPlace(NamedTuple):
     """A place in a result: after some of the rows that the message at a position gives."""
 
     given: int
@@ -128,20 +128,20 @@ class Place(NamedTuple):
         return "" if at is None else f"{self.given}.{self.skip}.{encode_cursor(at)}"
 
 
-START = Place(0, 0, None)
+START = ResultPlace(0, 0, None)
 
 
-def read_place(cursor: Cursor) -> Place:
+def read_place(cursor: Cursor) -> ResultPlace:
     """Parse a cursor; a bare position means after its message. InvalidKey: malformed cursor."""
     if cursor is None or cursor == "":
         return START
     if isinstance(cursor, Position):
-        return Place(0, 0, cursor)
+        return ResultPlace(0, 0, cursor)
     given, _, rest = str(cursor).partition(".")
     skip, _, position = rest.partition(".")
     if not all(n.isascii() and n.isdigit() and len(n) <= _MAX_DIGITS for n in (given, skip)):
         raise InvalidKey(f"{str(cursor)[:80]!r} is not a cursor of this package")
-    return Place(int(given), int(skip), decode_cursor(position))
+    return ResultPlace(int(given), int(skip), decode_cursor(position))
 
 
 _NOWHERE = Position(0, "", 0, "")
@@ -238,7 +238,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def cursor(self) -> str:
         """Cursor to continue after the last row that was taken; '' at the beginning."""
         row = self._row
-        return (self._place if row is None else Place(self._given, self._skip, row.position)).text
+        return (
+            self._place if row is None else ResultPlace(self._given, self._skip, row.position)
+        ).text
 
     @property
     def position(self) -> Optional[Position]:
@@ -258,7 +260,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
-    def _selected(self, place: Place) -> _Rows:
+    def _selected(self, place: ResultPlace) -> _Rows:
         given = place.given
         last = None if self._left is None else given + self._left
         if last == given:
@@ -287,7 +289,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
                         return
                 values = following
 
-    def _stored(self, place: Place) -> Iterator[Row]:
+    def _stored(self, place: ResultPlace) -> Iterator[Row]:
         at, bounds = place.position, self._bounds
         reverse = bounds.read.reverse
         if at is None or not (place.skip or reverse):
@@ -329,7 +331,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         last = None if self._left is None else given + self._left
         for row in islice(self._made(last), given, last):
             given += 1
-            self._place = Place(given, 0, _NOWHERE)
+            self._place = ResultPlace(given, 0, _NOWHERE)
             yield row
 
     def _made(self, most: Optional[int]) -> Iterator[ResultRow]:

@@ -8,7 +8,7 @@ from itertools import chain, islice
 from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
 
 from cassandra_ros.blocks.block_counts import headers
-from cassandra_ros.blocks.block_deletion import Cutter
+from cassandra_ros.blocks.block_deletion import BlockDeletion
 from cassandra_ros.places.paths import LONGEST_GAP_NS
 from cassandra_ros.read import Read
 from cassandra_ros.store.row_counts import scan_keys, scan_written
@@ -76,7 +76,7 @@ def _delete_blocks(space: Keyspace, partition: _Partition, read: Read) -> int:
     while some := list(islice(rows, ROWS_AT_ONCE)):
         space.schema.listing().check_staying(table.name)
         _mark_deleted(space.directory, table, node, int(where))
-        cutter = Cutter(space.cassandra, table, node, int(where))
+        cutter = BlockDeletion(space.cassandra, table, node, int(where))
         deleted += cutter.time_range(some, low, high)
         _delete_chunks(space, partition, [(*key, True) for key in cutter.large])
     return deleted
@@ -190,7 +190,7 @@ def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> 
             cuts.setdefault(block, set()).add(place)
     space.schema.listing().check_staying(table.name)
     _mark_deleted(space.directory, table, node, int(where))
-    Cutter(space.cassandra, table, node, int(where)).cut(cuts)
+    BlockDeletion(space.cassandra, table, node, int(where)).cut(cuts)
     _delete_chunks(space, partition, [_key_of(row) for row in rows])
 
 

@@ -78,7 +78,7 @@ def _replaced(tables: Tables, gone: TopicNotFound) -> Tables:
     return now
 
 
-class Following:
+class FollowingReader:
     """Reads the rows of one keyspace with the methods of RowReader, in replaced tables too."""
 
     def __init__(self, rows: RowReader) -> None:

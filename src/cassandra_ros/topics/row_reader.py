@@ -17,7 +17,7 @@ from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import Named, Read, Valued, Whose
 from cassandra_ros.store.fetch import (
-    Wanted,
+    RowKey,
     beside,
     fetch_row,
     fetch_rows,
@@ -89,7 +89,7 @@ class RowReader:
     def _named(self, tables: Sequence[TopicTable], read: Read) -> Iterator[TableRow]:
         low, high = read.time_range
         keys = [
-            Wanted(table, key.position)
+            RowKey(table, key.position)
             for table in tables
             for key in list_names(table, read.whose.nodes)
             if low <= key.position.t <= high
@@ -113,7 +113,7 @@ class RowReader:
         return (row for row in merged if read.whose.has(row) and _inside(row.position, read))
 
     def _valued(self, tables: Sequence[TopicTable], only: Valued, read: Read) -> Iterator[TableRow]:
-        keys: list[Iterator[Wanted]] = []
+        keys: list[Iterator[RowKey]] = []
         problems: list[InvalidKey] = []
         parts = [(table, table.value_part) for table in tables if table.value_part is not None]
         for table, part in parts:
@@ -126,13 +126,13 @@ class RowReader:
                 keys.append(self._keys_of(table, part, value, read.whose))
         if problems and len(problems) == len(parts):
             raise problems[0]  # the field has the value's type in none of the tables
-        merged: Iterable[Wanted] = heapq.merge(*keys, key=lambda key: key.position)
+        merged: Iterable[RowKey] = heapq.merge(*keys, key=lambda key: key.position)
         merged = (key for key in merged if _inside(key.position, read))
         yield from fetch_rows(reversed(list(merged)) if read.reverse else merged)
 
     def _keys_of(
         self, table: TopicTable, part: KeyPart, wanted: bytes, whose: Whose
-    ) -> Iterator[Wanted]:
+    ) -> Iterator[RowKey]:
         index = part.index(wanted)
         if index is not None:
             shadow = table.metadata.indexes[part.field]
@@ -142,7 +142,7 @@ class RowReader:
         # The text is too long for the index: its rows are marked as odd.
         for row in self.read([table], Read(whose=whose)):
             if row.odd and part.value(row.wire) == wanted:
-                yield Wanted(table, row.position)
+                yield RowKey(table, row.position)
 
     def received(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times.
@@ -158,7 +158,7 @@ class RowReader:
             for r in read_rows(self._directory, list(foreign.values()), listing)
             if low <= r.received <= high
         )
-        wanted = (Wanted(foreign[position.table], position) for *_, position in keys)
+        wanted = (RowKey(foreign[position.table], position) for *_, position in keys)
         late = self._stored(fetch_rows(wanted), tables)
         return heapq.merge(own, late, key=lambda row: row.arrival)
 

@@ -15,7 +15,7 @@ from cassandra_ros.read import Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import STALE_SEC, Directory
-from cassandra_ros.tables.registry import Run, Sign
+from cassandra_ros.tables.registry import Run, SignOfLife
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.replaced_tables import followed
 from cassandra_ros.topics.stored_totals import buckets_of
@@ -23,7 +23,7 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 
 @dataclass
-class _Held:
+class _StoredCounts:
     """Messages that are stored of one writer."""
 
     stored: Counts[str] = field(default_factory=Counter)
@@ -38,7 +38,7 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
     """
     runs, signs = space.registry.runs(), space.registry.signs()
     left = frozenset(run.writer for run in runs if not _has_ended(run))
-    held: Dict[int, _Held] = {}
+    held: Dict[int, _StoredCounts] = {}
     if left:
         held = followed(tables, lambda now: _held(space.directory, now, left))
     lost: Dict[int, Counts[str]] = {}
@@ -46,11 +46,11 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
         lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count
     found: List[Run] = []
     for run in runs:
-        sign = signs.get((run.writer, run.node), Sign(math.inf, False))
+        sign = signs.get((run.writer, run.node), SignOfLife(math.inf, False))
         if _has_ended(run):
             found.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
             continue
-        mine = held.get(run.writer, _Held())
+        mine = held.get(run.writer, _StoredCounts())
         alive = not sign.interrupted and min(sign.age_sec, mine.age_sec) <= STALE_SEC
         state = "recording" if alive else "interrupted"
         stored = {topic: count for topic, count in sorted(mine.stored.items()) if count}
@@ -66,21 +66,21 @@ def _has_ended(run: Run) -> bool:
 
 def _held(
     directory: Directory, tables: Sequence[TopicTable], writers: FrozenSet[int]
-) -> Dict[int, _Held]:
+) -> Dict[int, _StoredCounts]:
     """Count the stored messages of some writers, by the directory where possible."""
-    found: Dict[int, _Held] = {}
+    found: Dict[int, _StoredCounts] = {}
     whose = Whose(None, writers)
     for table in tables:
         topic = table.metadata.topic
         if table.named:
             for key in list_names(table, None):
                 if whose.wrote(key.position.seq):
-                    held = found.setdefault(writer_of(key.position.seq), _Held())
+                    held = found.setdefault(writer_of(key.position.seq), _StoredCounts())
                     held.stored[topic] += 1
             continue
         rows = buckets_of(directory, table, whose)
         for row in settle(directory, table, rows):
-            held = found.setdefault(row.writer, _Held())
+            held = found.setdefault(row.writer, _StoredCounts())
             held.stored[topic] += row.rows
             held.age_sec = min(held.age_sec, row.age_sec)
     return found

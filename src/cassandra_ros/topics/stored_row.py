@@ -19,10 +19,10 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.printable import public_names
 from cassandra_ros.store.fetch import ask_chunks, fetch_row, read_chunks
-from cassandra_ros.tables.row_table import BlockKey, Sent, TableRow
+from cassandra_ros.tables.row_table import BlockKey, SentRequest, TableRow
 from cassandra_ros.topics.topic_table import TopicTable
 
-Place = Tuple[int, str, int, str]
+MessageIdentity = Tuple[int, str, int, str]
 """Key time (ns), node, seq and name of a message."""
 Key = Union[Stamp, RowName]
 """Key by which one stored message is found again: its time, or its name."""
@@ -57,7 +57,7 @@ class StoredRow:
         self._wire: Optional[bytes] = row.raw
         if self.columns:
             self._wire = self.columns[0] if block else None
-        self._sent: Optional[Sent] = None
+        self._sent: Optional[SentRequest] = None
 
     def __iter__(self) -> Iterator[Any]:
         t = Stamp.from_ns(self.t, self.node, self.seq, self.table.name)
@@ -95,7 +95,7 @@ class StoredRow:
         return self._row[13:15]
 
     @property
-    def place(self) -> Place:
+    def place(self) -> MessageIdentity:
         """Identity of the message in all tables: a conversion moves it to another table."""
         return (self.t, self.node, self.seq, self.name)
 
@@ -179,7 +179,7 @@ class StoredRow:
         return deserialize(self.message_class(), self.wire)
 
 
-def read_wire(table: TopicTable, row: TableRow, sent: Optional[Sent] = None) -> bytes:
+def read_wire(table: TopicTable, row: TableRow, sent: Optional[SentRequest] = None) -> bytes:
     """Return the serialised message of a row; ``sent``: its chunks if they were requested before.
 
     Raises:

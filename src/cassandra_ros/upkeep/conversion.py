@@ -32,12 +32,12 @@ from cassandra_ros.store.fetch import list_names
 from cassandra_ros.tables import replacement
 from cassandra_ros.tables.directory import STALE_SEC, span_for
 from cassandra_ros.tables.expiry import set_lifetime
-from cassandra_ros.tables.schema import Planned
+from cassandra_ros.tables.schema import TablePlan
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed, planner
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
-from cassandra_ros.upkeep.table_copy import Copy, Progress
+from cassandra_ros.upkeep.table_copy import Progress, TableCopy
 
 _log = logging.getLogger(__name__)
 
@@ -256,7 +256,7 @@ class Conversion:
             self._settle()
             _await_writers(self._space, self._topic, self._olds)
             before = _state(self._space, self._olds)
-            copy = Copy(self._space, self._olds, new, self._progress)
+            copy = TableCopy(self._space, self._olds, new, self._progress)
             copy.fill()
             count = copy.compare()
             if new.metadata.ttl:
@@ -302,7 +302,7 @@ class Conversion:
         headers = list(self._space.registry.headers(self._names))
         wanted = self._plan.metadata.with_(span_ns=self._span(len(headers)))
 
-        def planned(olds: Sequence[TopicMetadata]) -> Planned:
+        def planned(olds: Sequence[TopicMetadata]) -> TablePlan:
             # The plan already contains what the metadata of the other tables say.
             return planner(wanted, self._plan.newest.definition)([wanted])
 

@@ -104,7 +104,7 @@ def retain(
     rules.check()
     catalog.adder.close()  # buckets that it has open count as being written
     tables = _timed(catalog, topics)
-    work = _Work(catalog, tables, rules, dry_run)
+    work = _Retention(catalog, tables, rules, dry_run)
     found: Dict[str, Retained] = {}
     counts = [count_rows(catalog.keyspace.directory, [t], Read()) for t in tables]
     for number, table in enumerate(tables):
@@ -128,7 +128,7 @@ def _timed(catalog: Catalog, topics: Optional[Iterable[str]]) -> List[TopicTable
     return [table for table in tables if not table.named]
 
 
-class _Work:
+class _Retention:
     """Applies rules to tables.
 
     Attributes:

@@ -13,7 +13,7 @@ from cassandra_ros.places.frame_poses import TF, TfRecording
 from cassandra_ros.places.pose_topic import tells_poses
 from cassandra_ros.places.robots import fixed_frames
 from cassandra_ros.places.run_index import RobotRun, RunIndex
-from cassandra_ros.tables.place_index import Placed
+from cassandra_ros.tables.place_index import IndexedPoses
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
@@ -78,7 +78,7 @@ def _states(catalog: Catalog, node: Optional[str], run: RunName) -> List[Tuple[R
         for each in list_runs(catalog.keyspace, catalog.tables(None))
         if node in (None, each.node) and (writers is None or each.writer in writers)
     ]
-    look = _Look(catalog)
+    look = _IndexComparison(catalog)
     return [(each, look.at(each)) for each in runs]
 
 
@@ -86,14 +86,14 @@ def _tell_poses(stored: StoredPlaces) -> List[CassandraTopic]:
     return [t for t in stored.topics() if t.name == TF or tells_poses(t)]
 
 
-class _Look:
+class _IndexComparison:
     """Compares the index of places with the stored poses."""
 
     def __init__(self, catalog: Catalog) -> None:
         self._stored = catalog.stored_places
         self._topics = _tell_poses(self._stored)
         names = [table.name for topic in self._topics for table in topic.tables]
-        self._noted: Dict[Tuple[str, int], List[Placed]] = {}
+        self._noted: Dict[Tuple[str, int], List[IndexedPoses]] = {}
         for each in catalog.keyspace.place_index.placed(names):
             self._noted.setdefault((each.node, each.writer), []).append(each)
 

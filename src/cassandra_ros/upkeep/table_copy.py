@@ -10,7 +10,7 @@ from typing import Callable, Dict, FrozenSet, Iterator, List, Optional, Sequence
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
 from cassandra_ros.read import EVERYTHING, Read, TimeRange, Whose
-from cassandra_ros.store.fetch import Wanted, fetch_row, fetch_rows, list_names
+from cassandra_ros.store.fetch import RowKey, fetch_row, fetch_rows, list_names
 from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
 from cassandra_ros.topics.keyspace import Keyspace
@@ -29,7 +29,7 @@ WRITERS_AT_ONCE = 16
 read several times."""
 
 
-class Copy:
+class TableCopy:
     """Copies rows with node, times, seq, connection, name, bytes, and remaining lifetime.
 
     Args:
@@ -46,7 +46,7 @@ class Copy:
         self._reader = RowReader(space.cassandra, space.directory)
         self._newest = self._newest_of_names()
         rows = count_rows(space.directory, olds, EVERYTHING)
-        self._tell = _Told(progress, 2 * rows)
+        self._tell = _CopyProgress(progress, 2 * rows)
         names = {old.name for old in olds}
         self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
 
@@ -98,11 +98,11 @@ class Copy:
     ) -> Iterator[Tuple[int, Callable[[], Iterator[StoredRow]]]]:
         """Yield parts of a table with the maximum remaining lifetime of their rows, s."""
         if table.named:
-            by_left: Dict[int, List[Wanted]] = {}
+            by_left: Dict[int, List[RowKey]] = {}
             for place, left in left_by_name(table).items():
                 if whose.wrote(place.seq):
                     left = rounded(left, table.metadata.ttl)
-                    by_left.setdefault(left, []).append(Wanted(table, place))
+                    by_left.setdefault(left, []).append(RowKey(table, place))
             for left, wanted in by_left.items():
                 yield left, _fetching(table, wanted)
             return
@@ -232,7 +232,7 @@ class Copy:
         return count
 
 
-class _Told:
+class _CopyProgress:
     """Calls the progress function of a copy."""
 
     def __init__(self, progress: Progress, total: int) -> None:
@@ -253,5 +253,5 @@ class _Told:
             self._progress(self._done, max(self._done, self._total))
 
 
-def _fetching(table: TopicTable, wanted: Sequence[Wanted]) -> Callable[[], Iterator[StoredRow]]:
+def _fetching(table: TopicTable, wanted: Sequence[RowKey]) -> Callable[[], Iterator[StoredRow]]:
     return lambda: (StoredRow(row, table) for row in fetch_rows(wanted))

@@ -41,7 +41,7 @@ from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
     from cassandra_ros.drawing.contact_sheet import Cell
-    from cassandra_ros.overview.time_sample import Chosen
+    from cassandra_ros.overview.time_sample import MessageChoice
     from cassandra_ros.topics.catalog import Catalog
 
 MAX_PICTURES = 1000
@@ -157,15 +157,15 @@ def _draw(
             yield _Thumbnail(row.t, row.node, Cell("", None), exc)
 
 
-def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> Chosen:
-    from cassandra_ros.overview.time_sample import Chosen
+def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> MessageChoice:
+    from cassandra_ros.overview.time_sample import MessageChoice
 
     start, end = read_times(options)
     where = {catalog.get(name).name: text for name, text in read_where(options).items()}
     if set(where) - {topic}:
         raise InvalidOption(f"--where is for {topic}, which is drawn, and for no other topic")
     writers = catalog.keyspace.runs.writers(options.run)
-    return Chosen(start, end, options.node_id, writers, where.get(topic))
+    return MessageChoice(start, end, options.node_id, writers, where.get(topic))
 
 
 def _tell_problems(drawn: list[_Thumbnail]) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from cassandra_ros.blocks.block_counts import headers
 from cassandra_ros.keys import writer_of
-from cassandra_ros.overview.timeline.range_counts import Keys, Piece
+from cassandra_ros.overview.timeline.range_counts import MessageKeys, RangeCounts
 from cassandra_ros.overview.timeline.time_cells import WIDE_CELLS, Bools, Longs, Scale, TimeRanges
 from cassandra_ros.read import Whose
 from cassandra_ros.store.row_counts import scan_keys
@@ -49,8 +49,8 @@ class _Budget:
 
 
 def refined(
-    pieces: Sequence[Piece], scale: Scale, whose: Whose, gone: threading.Event
-) -> List[Piece]:
+    pieces: Sequence[RangeCounts], scale: Scale, whose: Whose, gone: threading.Event
+) -> List[RangeCounts]:
     """Return pieces in more detail, where buckets cover several cells or have no counts.
 
     Args:
@@ -73,7 +73,7 @@ def refined(
     return found
 
 
-def _coarse(piece: Piece, scale: Scale) -> Bools:
+def _coarse(piece: RangeCounts, scale: Scale) -> Bools:
     """Return which time ranges are worth reading in detail."""
     each = piece.time_ranges
     near = (each.first <= scale.end) & (each.last >= scale.start)
@@ -84,15 +84,15 @@ def _coarse(piece: Piece, scale: Scale) -> Bools:
 
 
 def _better(
-    piece: Piece, coarse: Bools, cost: float, scale: Scale, whose: Whose, budget: _Budget
-) -> Optional[Piece]:
+    piece: RangeCounts, coarse: Bools, cost: float, scale: Scale, whose: Whose, budget: _Budget
+) -> Optional[RangeCounts]:
     """Return a piece with its buckets read in detail; None if that would be too much to read."""
     buckets = np.unique(piece.buckets[coarse])
     left = ~np.isin(piece.buckets, buckets)
     rest = piece._replace(time_ranges=piece.time_ranges.where(left), buckets=piece.buckets[left])
     if cost <= budget.keys:
         keys = _keys(piece, buckets, scale, whose, budget)
-        return None if keys is None else rest._replace(keys=Keys.joined([piece.keys, keys]))
+        return None if keys is None else rest._replace(keys=MessageKeys.joined([piece.keys, keys]))
     if piece.table.packed and cost <= budget.blocks * _BLOCK_MESSAGES:
         blocks = _blocks(piece, buckets, scale, whose, budget)
         if blocks is not None:
@@ -105,8 +105,8 @@ def _better(
 
 
 def _keys(
-    piece: Piece, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
-) -> Optional[Keys]:
+    piece: RangeCounts, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
+) -> Optional[MessageKeys]:
     rows: List[Tuple[int, int, int]] = []
     for bucket in map(int, buckets):
         scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
@@ -115,11 +115,11 @@ def _keys(
         if not budget.take_keys(len(some)):
             return None
         rows += [row for row in some if whose.writers is None or row[1] in whose.writers]
-    return Keys(*np.array(rows, np.int64).reshape(-1, 3).T)
+    return MessageKeys(*np.array(rows, np.int64).reshape(-1, 3).T)
 
 
 def _blocks(
-    piece: Piece, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
+    piece: RangeCounts, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
 ) -> Optional[Tuple[TimeRanges, Longs]]:
     rows: List[Tuple[int, ...]] = []
     for bucket in map(int, buckets):

@@ -17,10 +17,15 @@ import numpy as np
 
 from cassandra_ros.connection.cassandra import AT_ONCE
 from cassandra_ros.connection.paging import sent_ahead
-from cassandra_ros.overview.timeline.range_counts import Piece, piece_of, slots_between, unread
+from cassandra_ros.overview.timeline.range_counts import (
+    RangeCounts,
+    piece_of,
+    slots_between,
+    unread,
+)
 from cassandra_ros.read import LAST_NS, Whose
 from cassandra_ros.store.row_counts import settle
-from cassandra_ros.tables.bucket_columns import BucketColumns, Place, Wanted
+from cassandra_ros.tables.bucket_columns import BucketColumns, SlotKey, SlotRange
 from cassandra_ros.tables.directory import ALL_ROWS, SLOT_BUCKETS, Directory, slot_of
 from cassandra_ros.topics.topic_table import TopicTable
 
@@ -50,11 +55,11 @@ Listed = List[Tuple[int, str]]
 """Slots of a table and the nodes that have buckets in them, in order."""
 
 
-Part = Tuple[TopicTable, Place, Ends]
+SlotPart = Tuple[TopicTable, SlotKey, Ends]
 """A partition of the directory, and the range of its buckets to read."""
 
 
-class _Kept(NamedTuple):
+class _CachedRows(NamedTuple):
     until: float
     ends: Ends
     """The requested buckets."""
@@ -63,7 +68,7 @@ class _Kept(NamedTuple):
     """Number of buckets for which each one in the columns stands."""
 
 
-class Reader:
+class DirectoryReader:
     """Reads the directory for timelines, with a cache. Thread-safe.
 
     Args:
@@ -74,7 +79,7 @@ class Reader:
     def __init__(self, directory: Directory, clock: Callable[[], float] = time.monotonic) -> None:
         self._directory = directory
         self._clock = clock
-        self._kept: OrderedDict[Place, _Kept] = OrderedDict()
+        self._kept: OrderedDict[SlotKey, _CachedRows] = OrderedDict()
         self._slots: Dict[str, Tuple[float, Listed]] = {}
         self._size = 0
         self._mutex = threading.Lock()
@@ -146,12 +151,12 @@ class Reader:
                     times += (row.bucket * length, (row.bucket + 1) * length - 1)
             yield table, times
 
-    def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> List[Piece]:
+    def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> List[RangeCounts]:
         """Return what tables hold in the buckets that meet a time range.
 
         Tables whose messages have names are left out.
         """
-        found: List[Piece] = []
+        found: List[RangeCounts] = []
         parts = list(self._parts(tables, ends, whose))
         stride = max(1, -(-len(parts) // MAX_PARTITIONS))
         chosen, left = _thinned(parts, stride)
@@ -161,7 +166,7 @@ class Reader:
             found.append(piece_of(table, node, columns, each, whose))
         return [*found, *_rest(left, found)]
 
-    def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[Part]:
+    def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[SlotPart]:
         """Yield the partitions with buckets in a time range, and the range of these buckets."""
         slots = self.slots(tables)
         for table in tables:
@@ -174,28 +179,28 @@ class Reader:
                     inside = max(begin, low), min(begin + SLOT_BUCKETS - 1, high)
                     yield table, (table.name, node, slot), inside
 
-    def _columns(self, parts: Sequence[Part], limit: int) -> List[Tuple[BucketColumns, int]]:
+    def _columns(self, parts: Sequence[SlotPart], limit: int) -> List[Tuple[BucketColumns, int]]:
         """Return the buckets of partitions, and the number of buckets for which each one stands."""
         until, left = self._clock() + KEEP_SEC, MAX_RECOUNTS
         tables = {place: table for table, place, _ in parts}
         found = {place: self._get(place, ends, limit) for _, place, ends in parts}
         missing = [(place, ends) for _, place, ends in parts if found[place] is None]
 
-        def keep(place: Place, ends: Ends, columns: BucketColumns, stride: int) -> None:
+        def keep(place: SlotKey, ends: Ends, columns: BucketColumns, stride: int) -> None:
             nonlocal left
             columns, done = self._recounted(tables[place], place[1], columns, left)
             left -= done
-            found[place] = self._keep(place, _Kept(until, ends, columns, stride))
+            found[place] = self._keep(place, _CachedRows(until, ends, columns, stride))
 
         # One row more than the limit shows that there are too many.
-        wanted: List[Wanted] = [(place, ends, limit + 1) for place, ends in missing]
-        many: List[Tuple[Place, Ends, int]] = []
+        wanted: List[SlotRange] = [(place, ends, limit + 1) for place, ends in missing]
+        many: List[Tuple[SlotKey, Ends, int]] = []
         for (place, ends), columns in zip(missing, self._directory.columns(wanted)):
             if len(columns.bucket) > limit:
                 many.append((place, ends, -(-(ends[1] - ends[0] + 1) // limit)))
             else:
                 keep(place, ends, columns, 1)
-        samples: List[Wanted] = [
+        samples: List[SlotRange] = [
             (place, _sample(ends, stride), ALL_ROWS) for place, ends, stride in many
         ]
         answers = self._directory.columns(samples, single=True)
@@ -226,7 +231,7 @@ class Reader:
             columns.closed[n] = not columns.writing[n]
         return columns, len(buckets)
 
-    def _get(self, place: Place, ends: Ends, limit: int) -> Optional[Tuple[BucketColumns, int]]:
+    def _get(self, place: SlotKey, ends: Ends, limit: int) -> Optional[Tuple[BucketColumns, int]]:
         """Return the cached rows of a partition.
 
         None if they are too few, too coarse or too old.
@@ -242,7 +247,7 @@ class Reader:
         inside = (bucket > ends[0] - kept.stride) & (bucket <= ends[1])
         return kept.columns.where(inside), kept.stride
 
-    def _keep(self, place: Place, kept: _Kept) -> Tuple[BucketColumns, int]:
+    def _keep(self, place: SlotKey, kept: _CachedRows) -> Tuple[BucketColumns, int]:
         with self._mutex:
             before = self._kept.pop(place, None)
             self._kept[place] = kept
@@ -266,11 +271,11 @@ def _outmost_slots(slots: Listed, reverse: bool) -> Dict[str, int]:
     return {node: slot for slot, node in ordered}  # of equal keys the last one stays
 
 
-def _thinned(parts: Sequence[Part], stride: int) -> Tuple[List[Part], List[Part]]:
+def _thinned(parts: Sequence[SlotPart], stride: int) -> Tuple[List[SlotPart], List[SlotPart]]:
     """Choose one in ``stride`` partitions of each table and node, always with the first one."""
     met: Counter[Tuple[str, str]] = Counter()
-    chosen: List[Part] = []
-    left: List[Part] = []
+    chosen: List[SlotPart] = []
+    left: List[SlotPart] = []
     for part in parts:
         lane = part[1][:2]
         (left if met[lane] % stride else chosen).append(part)
@@ -278,7 +283,7 @@ def _thinned(parts: Sequence[Part], stride: int) -> Tuple[List[Part], List[Part]
     return chosen, left
 
 
-def _rest(parts: Sequence[Part], read: Sequence[Piece]) -> Iterator[Piece]:
+def _rest(parts: Sequence[SlotPart], read: Sequence[RangeCounts]) -> Iterator[RangeCounts]:
     """Yield estimates for the partitions that were not read."""
     left: Dict[Tuple[str, str], Tuple[TopicTable, List[Ends]]] = {}
     for table, (_, node, _), inside in parts:

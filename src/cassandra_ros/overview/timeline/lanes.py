@@ -17,8 +17,8 @@ import numpy as np
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.overview.timeline.bucket_detail import refined
-from cassandra_ros.overview.timeline.directory_reader import Ends, Reader
-from cassandra_ros.overview.timeline.range_counts import Keys, Piece, named_pieces
+from cassandra_ros.overview.timeline.directory_reader import DirectoryReader, Ends
+from cassandra_ros.overview.timeline.range_counts import MessageKeys, RangeCounts, named_pieces
 from cassandra_ros.overview.timeline.time_cells import (
     Cells,
     Longs,
@@ -68,13 +68,13 @@ class Lane:
         topic: str,
         node: str,
         tables: Sequence[TopicTable],
-        pieces: Sequence[Piece],
+        pieces: Sequence[RangeCounts],
         ends: Ends,
     ) -> None:
         self.topic, self.node, self.tables = topic, node, tables
         joined = TimeRanges.joined([piece.time_ranges for piece in pieces])
         self.time_ranges = joined.within(*ends)
-        keys = Keys.joined([piece.keys for piece in pieces])
+        keys = MessageKeys.joined([piece.keys for piece in pieces])
         inside = (keys.times >= ends[0]) & (keys.times <= ends[1])
         self.keys = keys.where(inside)
         self.sampled = any(piece.sampled for piece in pieces)
@@ -226,7 +226,7 @@ class Timeline:
 
     def __init__(self, catalog: Catalog) -> None:
         self._catalog = catalog
-        self._reader = Reader(catalog.keyspace.directory)
+        self._reader = DirectoryReader(catalog.keyspace.directory)
 
     def picture(self, view: View, gone: Optional[threading.Event] = None) -> Picture:
         """Draw a timeline.
@@ -261,14 +261,14 @@ class Timeline:
         return Picture(extent, scale, self._lanes(tables, [*pieces, *named], view.whose, ends))
 
     def _lanes(
-        self, tables: Sequence[TopicTable], pieces: Sequence[Piece], whose: Whose, ends: Ends
+        self, tables: Sequence[TopicTable], pieces: Sequence[RangeCounts], whose: Whose, ends: Ends
     ) -> List[Lane]:
         """Return the lanes of tables, one for each robot that has messages in them, now or ever."""
         slots = self._reader.slots(tables)
-        of_table: Dict[str, List[Piece]] = {}
+        of_table: Dict[str, List[RangeCounts]] = {}
         for piece in pieces:
             of_table.setdefault(piece.table.name, []).append(piece)
-        lanes: Dict[Tuple[str, str], Tuple[List[TopicTable], List[Piece]]] = {}
+        lanes: Dict[Tuple[str, str], Tuple[List[TopicTable], List[RangeCounts]]] = {}
         for table in tables:
             listed = {node for _, node in slots.get(table.name, [])}
             own = of_table.get(table.name, [])
@@ -285,9 +285,9 @@ class Timeline:
         return [lane for lane in found if lane.times[0] is not None]
 
 
-def _extent(named: Sequence[Piece]) -> Optional[Ends]:
+def _extent(named: Sequence[RangeCounts]) -> Optional[Ends]:
     """Return the first and the last time of messages with names, ns; None without messages."""
-    times = Keys.joined([piece.keys for piece in named]).times
+    times = MessageKeys.joined([piece.keys for piece in named]).times
     return (int(times.min()), int(times.max())) if len(times) else None
 
 

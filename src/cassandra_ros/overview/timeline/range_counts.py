@@ -26,7 +26,7 @@ MAX_NAMES = 1000
 _SECOND_MS = 1000
 
 
-class Keys(NamedTuple):
+class MessageKeys(NamedTuple):
     """Single messages with known times."""
 
     times: Longs
@@ -34,18 +34,18 @@ class Keys(NamedTuple):
     sizes: Longs
     """Sizes of the serialised messages, bytes."""
 
-    def where(self, chosen: Bools) -> Keys:
+    def where(self, chosen: Bools) -> MessageKeys:
         """Return the messages for which ``chosen`` is true."""
-        return Keys(self.times[chosen], self.writers[chosen], self.sizes[chosen])
+        return MessageKeys(self.times[chosen], self.writers[chosen], self.sizes[chosen])
 
     @classmethod
-    def joined(cls, parts: Sequence[Keys]) -> Keys:
+    def joined(cls, parts: Sequence[MessageKeys]) -> MessageKeys:
         """Return the messages of several objects."""
         none = np.zeros(0, np.int64)
         return cls(*map(np.concatenate, zip((none, none, none), *parts)))
 
 
-class Piece(NamedTuple):
+class RangeCounts(NamedTuple):
     """What is known about the messages of one table and one robot."""
 
     table: TopicTable
@@ -57,13 +57,13 @@ class Piece(NamedTuple):
     """Whether some time ranges are estimates for buckets that were not read."""
     writing: bool = False
     """Whether a writer is writing now."""
-    keys: Keys = Keys.joined([])
+    keys: MessageKeys = MessageKeys.joined([])
     """Messages that are not in the time ranges."""
 
 
 def piece_of(
     table: TopicTable, node: str, columns: BucketColumns, stride: int, whose: Whose
-) -> Piece:
+) -> RangeCounts:
     """Return the piece of some buckets.
 
     Args:
@@ -85,7 +85,7 @@ def piece_of(
     counts = some.rows * stride, some.bytes * stride
     now = some.writing & (some.age_ms <= STALE_SEC * _SECOND_MS)
     time_ranges = TimeRanges(first, last, *counts, some.writer, sure)
-    return Piece(table, node, time_ranges, some.bucket, stride > 1, bool(now.any()))
+    return RangeCounts(table, node, time_ranges, some.bucket, stride > 1, bool(now.any()))
 
 
 def _living(columns: BucketColumns, ttl: int) -> Bools:
@@ -103,8 +103,8 @@ def _end_of_slot(buckets: Longs, length: int) -> Longs:
 
 
 def unread(
-    table: TopicTable, node: str, ends: Sequence[Tuple[int, int]], read: Sequence[Piece]
-) -> Piece:
+    table: TopicTable, node: str, ends: Sequence[Tuple[int, int]], read: Sequence[RangeCounts]
+) -> RangeCounts:
     """Return estimates for buckets that were not read: each part has the average of those read.
 
     Args:
@@ -121,10 +121,10 @@ def unread(
     unknown = np.zeros(len(ends), np.int64)
     sure = unknown.astype(bool)
     time_ranges = TimeRanges(first, last + length - 1, messages, size, unknown, sure)
-    return Piece(table, node, time_ranges, unknown - 1, sampled=True)
+    return RangeCounts(table, node, time_ranges, unknown - 1, sampled=True)
 
 
-def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
+def named_pieces(table: TopicTable, whose: Whose) -> List[RangeCounts]:
     """Return the pieces of messages with names, by robot; at most MAX_NAMES messages."""
     keys, every = some_names(table, MAX_NAMES)
     by_node: dict[str, List[Tuple[int, int, int]]] = {}
@@ -133,9 +133,11 @@ def named_pieces(table: TopicTable, whose: Whose) -> List[Piece]:
             by_node.setdefault(node, []).append((t, seq >> 32, size))
     found = []
     for node, rows in by_node.items():
-        single = Keys(*np.array(rows, np.int64).T)
+        single = MessageKeys(*np.array(rows, np.int64).T)
         nothing = TimeRanges.joined([])
-        found.append(Piece(table, node, nothing, nothing.first, sampled=not every, keys=single))
+        found.append(
+            RangeCounts(table, node, nothing, nothing.first, sampled=not every, keys=single)
+        )
     return found
 
 

@@ -24,7 +24,7 @@ from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
 
 
-class Adder:
+class MessageAdder:
     """Stores single messages under one writer id. Thread-safe."""
 
     def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
