@@ -79,6 +79,15 @@ class TestTimeField:
             assert topic.removeData(3.0, 4.0) == 2
             assert rosCas.info(["/imu"])[0].count == 2
 
+    def test_both_ends_of_a_range_of_reception_are_included(self, rosCas):
+        rosCas.addTopic("/imu", key_format="msg_part", key_part="header.stamp").addData(imu(SEC))
+        with rosCas.messageWriter(writer_id=9) as writer:
+            handle = writer.connect(api_connection("/imu", definition_of(Imu), "/x"))
+            for number in range(5):
+                writer.write(handle, T0 + number, number, serialize(imu((9 - number) * SEC)))
+        rows = rosCas.readMessages(["/imu"], T0 + 1, T0 + 3, received=True)
+        assert [row.received - T0 for row in rows] == [1, 2, 3]
+
     def test_equal_times_of_reception_are_in_the_order_of_nodes(self, rosCas):
         rosCas.addTopic("/imu", key_format="msg_part", key_part="header.stamp").addData(imu(SEC))
         for node, writer_id in (("a", 9), ("b", 5)):
