@@ -99,7 +99,7 @@ def test_what_makes_no_sense_says_why(store, cassandra, monkeypatch, words):
         (("-u", "0"), "'0' is not a duration"),
         (("-u", "-3"), "'-3' is not a duration"),
         (("--queue", "x"), "'x' is not a whole number"),
-        (("-d", "never"), "no number of seconds"),
+        (("-d", "never"), "is not a number of seconds"),
         (("-x", "("), "not a regular expression"),
         (("--where", "data > 1"), "is not of the form"),
         (("--around", "data > 1"), "is not of the form"),

@@ -144,7 +144,7 @@ def test_parameters_are_printed_and_loaded(store, call, roscore, monkeypatch):
 
 
 def test_what_is_wrong_with_parameters(store, call, monkeypatch):
-    assert "was not recorded live" in call("params", "yard")[2]
+    assert "only runs that were recorded live" in call("params", "yard")[2]
     assert "did you mean corridor" in call("params", "coridor")[2]
     assert "no parameter '/leg'" in call("params", "corridor", "--namespace", "/leg")[2]
     monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")

@@ -101,7 +101,7 @@ def test_what_others_can_read_is_not_used(home, caplog):
 )
 def test_a_provider_that_is_not_on_the_list_is_refused(home, text):
     home(text)
-    with pytest.raises(InvalidOption, match="none that is known: module = cassandra.auth"):
+    with pytest.raises(InvalidOption, match="is not supported: use module = cassandra.auth"):
         read_login()
 
 

@@ -387,7 +387,7 @@ def test_first_echoes_of_a_real_backpack(bags, fresh):
         bag = bags / "backpack_multiecho_bz2.bag"
         import_bag(made, bag, topics=["horizontal_laser_2d"], format="packed")
         topic = made.getTopic("horizontal_laser_2d")
-        with pytest.raises(TransformException, match="name what tells poses with odom="):
+        with pytest.raises(TransformException, match="name a topic with poses by odom="):
             makeMap(made, topic.name)
         first = topic.getData(topic.first())
         still = PoseChoice(frame=first.header.frame_id)
