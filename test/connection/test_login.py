@@ -137,7 +137,7 @@ def test_files_that_are_none(home, tmp_path, monkeypatch):
     with pytest.raises(InvalidOption, match=r"'many' \(.*cqlshrc\) is not a port"):
         read_login()
     home("", "username = d\npassword = secret\n")
-    with pytest.raises(InvalidOption, match="credentials .* line 1 is none") as caught:
+    with pytest.raises(InvalidOption, match="credentials .* line 1 does not belong") as caught:
         read_login()
     assert "secret" not in str(caught.value)
     home()
