@@ -171,7 +171,7 @@ def main(host, port, *forms):
             fill(rosCas, form)
         if not forms:
             fill_keys(rosCas)
-        rosCas._open.adder.close()
+        rosCas.catalog.adder.close()
         FOLDER.mkdir(exist_ok=True)
         tables = ask(
             rosCas,

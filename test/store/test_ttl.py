@@ -52,7 +52,7 @@ def test_all_that_belongs_to_a_row_has_its_time(rosCas, cql):
     buckets = ttls(cql, rosCas, "cr_bucket", "state")
     assert buckets
     assert all(1000 < left < 1000 + DAY_SEC for left in buckets)
-    rosCas._open.adder.close()  # writes the closing values
+    rosCas.catalog.adder.close()  # writes the closing values
     assert all(1000 < left < 1000 + DAY_SEC for left in ttls(cql, rosCas, "cr_bucket", "n"))
     topic.removeData(T0 + 10)
     assert all(1000 < left < 1000 + DAY_SEC for left in ttls(cql, rosCas, "cr_bucket", "deleted"))
@@ -61,7 +61,7 @@ def test_all_that_belongs_to_a_row_has_its_time(rosCas, cql):
 def test_without_a_ttl_nothing_goes(rosCas, cql):
     topic = rosCas.addTopic("/a")
     topic.addData(UInt8MultiArray(data=bytes(600_000)), key=T0)
-    rosCas._open.adder.close()
+    rosCas.catalog.adder.close()
     (table,) = topic.tables
     for name, column in (
         *((table.name, "_conn"), (table.name + "_c", "_data")),

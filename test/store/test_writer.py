@@ -288,7 +288,7 @@ def test_expired_messages_are_not_counted(rosCas):
     topic = rosCas.addTopic("/a", ttl=6)
     for number in range(3):
         topic.addData(String(), key=T0 + number)
-    rosCas._open.adder.close()
+    rosCas.catalog.adder.close()
     assert topic.countTopicData() == 3
     await_true(lambda: not list(topic.rows()))
     assert topic.countTopicData() == rosCas.info()[0].count == 0

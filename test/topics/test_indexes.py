@@ -293,7 +293,7 @@ def test_every_format(rosCas, form):
         topic = made[name]
         for number, message in enumerate(messages):
             topic.addData(message, key=T0 + SEC * 1000 * (number + 1))
-    rosCas._open.adder.close()
+    rosCas.catalog.adder.close()
     for name, topic in made.items():
         done, every = filled(rosCas, topic, fields.get(name, "data"))
         assert done == every
@@ -312,7 +312,7 @@ def test_large_messages_are_read_from_their_chunks(rosCas):
         msg = UInt8MultiArray(data=os.urandom(600_000 if number % 2 else 10))
         msg.layout.data_offset = number // 2
         topic.addData(msg, key=T0 + number)
-    rosCas._open.adder.close()
+    rosCas.catalog.adder.close()
     assert topic.createIndex("layout.data_offset") == 4
     offsets = ("layout.data_offset", lambda m: [m.layout.data_offset], 1)
     assert check(rosCas, topic, *offsets) == [2]
@@ -327,7 +327,7 @@ def test_large_messages_are_read_from_their_chunks(rosCas):
 def test_a_message_whose_chunks_are_gone_is_odd(rosCas):
     topic = rosCas.addTopic("/big")
     topic.addData(UInt8MultiArray(data=bytes(600_000)), key=T0)
-    rosCas._open.adder.close()
+    rosCas.catalog.adder.close()
     (table,) = topic.tables
     rosCas.cassandra.execute(f'TRUNCATE {rosCas.keyspace}."{table.name}_c"')
     assert topic.createIndex("layout.data_offset") == 1
@@ -417,10 +417,10 @@ def test_another_definition_gets_the_indexes_that_it_can_have(rosCas):
 def test_the_index_of_the_key(rosCas, monkeypatch):
     topic = rosCas.addTopic("/key", key_format="msg_part", key_part="data")
     # All of them in one bucket, whatever the time.
-    monkeypatch.setattr(rosCas._open.adder, "_clock", lambda: T0)
+    monkeypatch.setattr(rosCas.catalog.adder, "_clock", lambda: T0)
     for text in ("a", "b", "x" * 2000, "a"):
         topic.addData(String(data=text))
-    rosCas._open.adder.close()
+    rosCas.catalog.adder.close()
     (row,) = directory_rows(rosCas, topic.tables[0])
     assert row.filled == {"_ix0"} and row.odd == 1
     assert check(rosCas, topic, "data", data, "a") == [2]
@@ -480,7 +480,7 @@ def test_of_other_keys(rosCas):
         state = JointState(name=["ab"[number % 2]])
         state.header.stamp.secs = 1000 + number
         topic.addData(state)
-    rosCas._open.adder.close()
+    rosCas.catalog.adder.close()
     assert topic.createIndex("name") == 10
     state.header.stamp.secs = 10**6
     topic.addData(state)

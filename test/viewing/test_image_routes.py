@@ -67,8 +67,8 @@ def test_an_image_is_a_jpeg(viewer):
     ("path", "parameters", "status", "text"),
     [
         ("message", {"topic": "/camera", "key": str(T + 5)}, 404, "has no message at"),
-        ("message", {"topic": "/camera"}, 400, "give either position or key"),
-        ("message", {"topic": "/camera", "key": "1", "position": "x"}, 400, "give either position or key"),
+        ("message", {"topic": "/camera"}, 400, "position or key"),
+        ("message", {"topic": "/camera", "key": "1", "position": "x"}, 400, "position or key"),
         ("message", {"topic": "/camera", "position": "x"}, 400, "is not a cursor"),
         ("message", {"topic": "/camera", "key": str(T), "nearest": "x"}, 400, "not one of before"),
         ("message", {"topic": "/cam", "key": str(T)}, 404, "did you mean /camera"),

@@ -123,7 +123,7 @@ def connect(
     except InvalidOption as exc:
         usable_format = writer.format_of(connection)
         _log.error(
-            "topic %s is usable_format in format %s: %s", connection.topic, usable_format, exc
+            "topic %s is kept in format %s: %s", connection.topic, usable_format, exc
         )
         topic_settings = replace(topic_settings, format=usable_format)
         handle = _connect(writer, connection, lengths, topic_settings)
