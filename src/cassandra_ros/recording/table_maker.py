@@ -122,9 +122,7 @@ def connect(
         handle = _connect(writer, connection, lengths, topic_settings)
     except InvalidOption as exc:
         usable_format = writer.format_of(connection)
-        _log.error(
-            "topic %s is kept in format %s: %s", connection.topic, usable_format, exc
-        )
+        _log.error("topic %s is kept in format %s: %s", connection.topic, usable_format, exc)
         topic_settings = replace(topic_settings, format=usable_format)
         handle = _connect(writer, connection, lengths, topic_settings)
     for text in differences(topic_settings, handle.table.metadata):
