@@ -35,7 +35,7 @@ def shut_pools(store):
 
 def shut_all_pools(store):
     shut_pools(store)
-    for pool in store.cassandra._session.get_pools():
+    for pool in list(store.cassandra._session.get_pools()):
         pool.shutdown()
 
 

@@ -406,7 +406,7 @@ def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
 def test_what_is_deleted_between_copy_and_switch_does_not_come_back(rosCas, monkeypatch):
     """As an earlier release deletes, which knows nothing of conversions."""
     fill(rosCas, "ros", 20)
-    topic, compare, deleted = rosCas.getTopic("/t"), copying.Copy.compare, []
+    topic, compare, deleted = rosCas.getTopic("/t"), copying.TableCopy.compare, []
 
     def compare_then_delete(self):
         count = compare(self)
@@ -416,7 +416,7 @@ def test_what_is_deleted_between_copy_and_switch_does_not_come_back(rosCas, monk
                 deleted.append(topic.removeData(T0, T0))
         return count
 
-    monkeypatch.setattr(copying.Copy, "compare", compare_then_delete)
+    monkeypatch.setattr(copying.TableCopy, "compare", compare_then_delete)
     monkeypatch.setattr(convert, "DELETING_SEC", 0.0)
     before = topic.countTopicData()
     rosCas.convertTopic("/t", "json")

@@ -173,14 +173,14 @@ def test_one_that_is_killed_is_done_again(rosCas, cassandra, keyspace, monkeypat
 
 def during(monkeypatch, what):
     """Do something when the copy is compared, before the switch."""
-    compare = copying.Copy.compare
+    compare = copying.TableCopy.compare
 
     def compare_then(self):
         count = compare(self)
         what()
         return count
 
-    monkeypatch.setattr(copying.Copy, "compare", compare_then)
+    monkeypatch.setattr(copying.TableCopy, "compare", compare_then)
 
 
 @pytest.mark.parametrize("how", ["addData", "messageWriter"])
