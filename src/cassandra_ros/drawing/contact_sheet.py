@@ -25,7 +25,7 @@ class Cell(NamedTuple):
 
     caption: str
     picture: Image | None
-    """The picture; None if there is none, for the reason in the caption."""
+    """Picture; None if it could not be drawn: the caption says why."""
 
 
 def draw_sheet(cells: Sequence[Cell], columns: int, width: int, title: str) -> Image:
