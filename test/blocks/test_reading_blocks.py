@@ -278,6 +278,14 @@ def test_what_is_left_of_a_block_waits_for_those_whose_headers_are_not_read(crow
         assert [(r.t, r.seq) for r in rows] == [m[:2] for m in every if m[0] >= low]
 
 
+@pytest.mark.parametrize("wanted", [0, 1, 3, 40])
+def test_blocks_that_overlap_are_read_newest_first(crowded, wanted):
+    """The blocks of the second page of headers end later than most of the first page begin."""
+    table, every = crowded
+    rows = stream(BucketRead(table, "", table.bucket_of(T0), reverse=True, wanted=wanted))
+    assert [(r.t, r.seq) for r in rows] == [m[:2] for m in reversed(every)]
+
+
 def test_a_message_is_found_under_more_blocks_than_are_kept(crowded):
     table, every = crowded
     for t, seq, wire in every:

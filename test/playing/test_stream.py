@@ -226,6 +226,15 @@ def test_a_run_that_was_killed_before_the_window_gives_nothing(rosCas, monkeypat
         assert texts(before(rosCas, T0 + 35 * SEC)) == ["new"]
 
 
+def test_a_run_that_only_goes_on_after_the_range_gives_nothing(rosCas):
+    """Its bucket reaches into the range, its messages do not."""
+    with Robot(rosCas, 1, bucket_ns=600 * SEC) as robot:
+        robot.send("/map", 1, "old", latched=True)
+        robot.send("/tick", 50, "t")
+    assert texts(before(rosCas, T0 + 10 * SEC, to=T0 + 50 * SEC - 1)) == []
+    assert texts(before(rosCas, T0 + 10 * SEC, to=T0 + 50 * SEC)) == ["old"]
+
+
 @pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
 def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
     from std_msgs.msg import Header

@@ -185,6 +185,26 @@ def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatc
     assert outcomes == [None, None]
 
 
+def test_bytes_on_their_way_are_bounded(far, proxy):
+    """A request that would exceed the maximum waits until others are answered."""
+    cql = f"INSERT INTO {far.keyspace}.cr_definition (md5sum, hash, text) VALUES (?, ?, ?)"
+    statement, size = far.cassandra.prepare(cql), flight.MAX_BYTES // 2 + 1
+    first = proxy.catch(lambda f: f.opcode == EXECUTE and b"the first" in f.body, failed=False)
+    first.hold()
+    requests, outcomes = flight.Flight(far.cassandra.send_raw), []
+    requests.submit(bind(statement, (b"a", b"a", b"the first")), size, outcomes.append)
+    first.wait()
+    second = bind(statement, (b"b", b"b", b"the second"))
+    sending = threading.Thread(target=requests.submit, args=(second, size, outcomes.append))
+    sending.start()
+    sending.join(0.3)
+    assert sending.is_alive() and requests.nbytes == size
+    first.release()
+    sending.join()
+    requests.wait()
+    assert (outcomes, requests.nbytes) == ([None, None], 0)
+
+
 def test_a_bucket_whose_chunks_are_on_their_way_is_not_closed(far, proxy, rosCas, monkeypatch):
     monkeypatch.setattr(writing, "HEARTBEAT_SEC", -1.0)
     monkeypatch.setattr(writing, "IDLE_SEC", -1.0)

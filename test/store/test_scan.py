@@ -72,6 +72,22 @@ def wanted(topic, test, **reading):
     return [(r.position, r.wire) for r in every if test(struct.unpack("<I", r.wire)[0])]
 
 
+@pytest.mark.parametrize("reverse", [False, True])
+def test_equal_stamps_at_the_start_of_a_bucket_come_in_one_order(rosCas, reverse):
+    """Each of two tables, whatever their names are, has the first message of one bucket."""
+    for t, formats in ((T0, ("binary", "yaml")), (T0 + SEC, ("yaml", "binary"))):
+        for writer_id, format_name in enumerate(formats, 1):
+            with rosCas.messageWriter(writer_id=writer_id) as writer:
+                connection = api_connection("/n", definition_of(UInt32), "/x")
+                handle = writer.connect(connection, bucket_ns=SEC, format=format_name)
+                writer.write(handle, t, 0, serialize(UInt32()))
+    topic = rosCas.getTopic("/n")
+    assert len(topic.tables) == 2
+    wanted = [(t, writer_id) for t in (T0, T0 + SEC) for writer_id in (1, 2)]
+    found = [(row.t, row.seq >> 32) for row in topic.rows(reverse=reverse)]
+    assert found == (wanted[::-1] if reverse else wanted)
+
+
 @pytest.mark.parametrize("page_bytes", [1, 10**6])
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("few", [False, True])

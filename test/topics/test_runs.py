@@ -14,6 +14,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.plan.pushdown import PLANS
+from cassandra_ros.store.bucket_walk import FEW_BUCKETS
 from cassandra_ros.tables.context_blob import NodeGraph, RunContext, decode_context, encode_context
 from cassandra_ros.tables.registry import Loss, LossKind, Run
 from cassandra_ros.topics import removal
@@ -159,6 +160,21 @@ class Recorded:
 def connection_of(topic, kind):
     header = {"type": kind._type, "md5sum": kind._md5sum, "message_definition": kind._full_text}
     return live_connection(topic, header)
+
+
+def test_a_run_is_found_among_many_writers_of_one_bucket(rosCas):
+    """More writers than the directory gives in its first answer to a read of few rows."""
+    writers = range(1, FEW_BUCKETS + 3)
+    for writer_id in writers:
+        run = Run("", writer_id, "recording", name=f"run {writer_id}")
+        with rosCas.messageWriter(writer_id=writer_id, run=run) as writer:
+            handle = writer.connect(connection_of("/point", PointStamped), bucket_ns=SECOND_NS)
+            writer.write(handle, T0 + writer_id, 0, serialize(PointStamped()))
+    topic = rosCas.getTopic("/point")
+    for reverse in (False, True):
+        for writer_id in writers:
+            found = topic.items(run=f"run {writer_id}", limit=1, reverse=reverse)
+            assert [key.ns for key, _ in found] == [T0 + writer_id]
 
 
 RUNS = {"morning": 100, "evening": 101, 102: 102, "103": 103}
