@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""SECURITY.md: its figures are those of the code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cassandra_ros.bag import allowance
+from cassandra_ros.cli.recorder import make_parser
+from cassandra_ros.local_server.cluster_settings import Settings
+from cassandra_ros.messages import definition, shape
+from cassandra_ros.nodes import history_subscriber, query_node, subscription
+from cassandra_ros.query.rows import answer_bound
+from cassandra_ros.query.tree import parse
+from cassandra_ros.recording import place_keeper, recording, topic_settings
+from cassandra_ros.viewing import viewer_settings
+
+ROOT = Path(__file__).resolve().parents[1]
+LIMITS = viewer_settings.Limits()
+
+
+def mib(nbytes):
+    count, rest = divmod(nbytes, 1 << 20)
+    assert rest == 0
+    return f"{count} MiB"
+
+
+FIGURES = [
+    mib(recording.DEFAULT_BUFFER_BYTES),
+    mib(place_keeper.MAX_HELD_BYTES),
+    mib(subscription.MAX_HEADER_BYTES),
+    mib(history_subscriber.DEFAULT_BUFFER_BYTES),
+    mib(query_node.MAX_REPLY_BYTES),
+    mib(answer_bound.MAX_ANSWER_BYTES),
+    mib(parse.MAX_STATEMENT),
+    mib(definition.MAX_TEXT),
+    str(definition.MAX_TYPES),
+    str(shape.MAX_DEPTH),
+    mib(shape.MAX_FIXED_BYTES),
+    mib(allowance.MAX_CHUNK_BYTES),
+    f"{allowance.MAX_RATIO} times",
+    str(LIMITS.clients),
+    str(viewer_settings.DEFAULT_THREADS),
+    mib(LIMITS.answers_bytes),
+    f"{viewer_settings.DEFAULT_SPOOL_BYTES // 10**9} GB",
+    mib(topic_settings.MAX_CONFIG_BYTES),
+]
+
+
+def test_each_figure_is_that_of_the_code():
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    table = text.split("| piece | bound | figure |")[1].split("\n\n")[0]
+    rows = [line.strip("| ").split(" | ") for line in table.splitlines()[2:]]
+    assert [row[2] for row in rows] == FIGURES
+
+
+def test_the_ports_are_those_of_the_code():
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    port = Settings("x").port
+    assert f"| {viewer_settings.DEFAULT_PORT} (`--port`) |" in text
+    assert f"| {port} (`--port`) |" in text
+    assert viewer_settings.DEFAULT_HOST == "127.0.0.1"
+    assert make_parser().get_default("min_space") == "1G"
