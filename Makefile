@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo viewer screenshots test campaign ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer clean distclean
+.PHONY: help setup demo viewer screenshots test campaign ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -35,6 +35,7 @@ help:
 	@echo "make bench-formats  measure formats on messages of real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
+	@echo "make bench-trees    compare two checkouts: ARGS=\"EARLIER LATER\""
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
 setup:
@@ -88,6 +89,9 @@ bench-play: setup
 
 bench-viewer: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_viewer.py $(ARGS)
+
+bench-trees: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_trees.py $(ARGS)
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output
