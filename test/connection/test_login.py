@@ -201,16 +201,24 @@ def test_certificates_that_are_refused(home, make_certificate):
 
 
 @pytest.mark.parametrize(
-    ("right", "place"),
-    [("MODIFY", "table ros.t"), ("CREATE", "all keyspaces"), ("SELECT", "keyspace ros")],
+    ("right", "place", "resource"),
+    [
+        ("MODIFY", "table ros.t", 'KEYSPACE "ros"'),
+        ("CREATE", "all keyspaces", "ALL KEYSPACES"),
+        ("SELECT", "keyspace ros", 'KEYSPACE "ros"'),
+        ("CREATE", "all roles", "ALL ROLES"),
+    ],
 )
-def test_a_right_that_is_missing_is_named(right, place):
+def test_a_right_that_is_missing_is_named(right, place, resource):
     text = f"User ann lee has no {right} permission on <{place}> or any of its parents"
+    if place == "all roles":
+        text = "User ann lee does not have sufficient privileges to perform the requested operation"
     told = Unauthorized(f'Error from server: code=2100 [Unauthorized] message="{text}"')
     denied = translate(told, "writing")
     assert isinstance(denied, AccessDenied)
     assert denied.right == right
-    for part in ("writing: user ann lee lacks the right", place, "cassandra_bag roles"):
+    grant = f'GRANT {right} ON {resource} TO "ann lee"'
+    for part in ("writing: user ann lee lacks the right", place, "cassandra_bag roles", grant):
         assert part in str(denied)
     other = translate(Unauthorized("You have not logged in"), "writing")
     assert (type(other), other.right) == (AccessDenied, "")

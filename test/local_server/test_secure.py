@@ -8,12 +8,15 @@ import json
 import os
 import re
 import signal
+import socket
+import ssl
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from conftest import ROOT
+from local_server.users import KEYSPACE, Stranger
 from nodes.children import await_true, start_client, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
@@ -34,56 +37,12 @@ from cassandra_ros.local_server.cql import CqlRefused, CqlSession
 from cassandra_ros.local_server.server_security import Security, write_private
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables.role_grants import ROLES, role_name
-
-KEYSPACE = "fleet"
 
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("secure")
-    cluster = LocalCluster(folder, port=free_port(), heap="512M", secure=True)
-    try:
-        cluster.start(die_with_us=True)
-        yield cluster
-    finally:
-        cluster.stop()
-
-
-@pytest.fixture(scope="module")
-def cqlshrc(cluster):
-    return str(cluster.security.cqlshrc)
-
-
-@pytest.fixture(scope="module")
-def users(cluster, cqlshrc, tmp_path_factory):
-    """Credentials files of a viewer, a recorder and an owner of the keyspace."""
-    store = ["--cqlshrc", cqlshrc, "--keyspace", KEYSPACE]
-    for _ in range(2):  # repeating it changes nothing
-        assert cassandra_bag.main(["roles", "--apply", *store]) == 0
-    folder, found = tmp_path_factory.mktemp("users"), {}
+@pytest.fixture(scope="module", autouse=True)
+def first_message(cqlshrc, users):
     with RosCassandra(cqlshrc=cqlshrc, keyspace=KEYSPACE) as ours:
         ours.addTopic("/a").addData(String("first"), key=1)
-        for role in ROLES:
-            for cql in (
-                f"CREATE ROLE {role}_1 WITH LOGIN = true AND PASSWORD = 'of {role}'",
-                f"GRANT {role_name(KEYSPACE, role)} TO {role}_1",
-            ):
-                ours.cassandra.execute_text(cql, what="making a user")
-            found[role] = folder / role
-            found[role].write_text(
-                f"[PlainTextAuthProvider]\nusername = {role}_1\npassword = of {role}\n"
-            )
-            found[role].chmod(0o600)
-    return found
-
-
-@pytest.fixture
-def enter(cqlshrc, users):
-    """Makes a RosCassandra of one of the users."""
-    return lambda role: RosCassandra(
-        cqlshrc=cqlshrc, credentials=str(users[role]), keyspace=KEYSPACE
-    )
 
 
 def test_what_it_writes_is_its_owners_alone(cluster, capsys):
@@ -109,6 +68,48 @@ def lets_in(cluster, *login):
     except CqlRefused:
         return False
     return True
+
+
+def test_the_public_password_never_opens_it(started):
+    _, stranger = started
+    assert stranger.refusals
+    assert not stranger.let_in
+
+
+@pytest.mark.long
+def test_a_server_without_a_login_gets_one(tmp_path):
+    """Cassandra has made its superuser with the public password before."""
+    plain = LocalCluster(tmp_path / "one", port=free_port(), heap="256M")
+    try:
+        plain.start(die_with_us=True)
+        with RosCassandra("127.0.0.1", plain.settings.port, keyspace="ros") as store:
+            store.addTopic("/a").addData(String("kept"), key=1)
+        plain.stop()
+        secure = LocalCluster(tmp_path / "one", secure=True)
+        with Stranger(secure) as stranger:
+            secure.start(die_with_us=True)
+            await_true(lambda: stranger.refusals > 20)
+        assert not stranger.let_in
+        with RosCassandra(cqlshrc=str(secure.security.cqlshrc), keyspace="ros") as store:
+            assert store.getTopic("/a").getData(1).data == "kept"
+    finally:
+        plain.stop()
+
+
+def test_nodes_without_the_key_are_refused(cluster):
+    """Nodes greet each other with this number; a server without TLS waits for more."""
+    place = cluster.settings.host, cluster.settings.storage_port
+    with socket.create_connection(place, timeout=60) as plain:
+        plain.sendall(bytes.fromhex("ca552dfa00000000"))
+        answer = plain.recv(100)
+        assert answer[:1] in (b"", b"\x15")  # closed, or an alert of TLS
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.load_verify_locations(cluster.security.certificate)
+    with socket.create_connection(place, timeout=60) as plain, pytest.raises(ssl.SSLError):
+        with context.wrap_socket(plain) as tls:
+            tls.sendall(bytes.fromhex("ca552dfa00000000"))
+            tls.recv(100)
 
 
 def test_it_answers_when_its_user_is_made(cluster, monkeypatch, capsys):
@@ -141,7 +142,7 @@ def test_a_refused_login_gives_the_reason(
     foreign = make_certificate("foreign")
     with RosCassandra(cqlshrc=cqlshrc) as store:
         assert store.cassandra.port == cluster.settings.port
-    await_true(lambda: not lets_in(cluster, "cassandra", "cassandra"))  # cached for two seconds
+    assert not lets_in(cluster, "cassandra", "cassandra")
     for user, password in (("cassandra", "cassandra"), ("nobody", "x"), ("ros", "")):
         with pytest.raises(LoginFailed, match=f"refuses the user name '{user}'") as caught:
             RosCassandra(cqlshrc=cqlshrc, username=user, password=password)

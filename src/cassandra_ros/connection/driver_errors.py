@@ -26,6 +26,7 @@ from cassandra.connection import ConnectionBusy, ConnectionException
 from cassandra.pool import NoConnectionsAvailable
 from cassandra.protocol import ErrorMessage, OverloadedErrorMessage, SyntaxException
 
+from cassandra_ros.connection.cql_names import quote_name
 from cassandra_ros.errors import (
     AccessDenied,
     CassandraRosError,
@@ -164,19 +165,34 @@ def translate(exc: BaseException, what: str, nodes: str = "") -> CassandraRosErr
 
 # "User ann has no MODIFY permission on <table ros.imu> or any of its parents".
 _RIGHT = re.compile(r"User (.+?) has no ([A-Z_]+) permission on <(.*?)>")
+# The answer to CREATE ROLE, which does not name the right.
+_ROLES = re.compile(r"User (.+?) does not have sufficient privileges")
 
 
 def _denied(exc: Unauthorized, what: str) -> AccessDenied:
     text = str(exc)
     found = _RIGHT.search(text)
-    if not found:
-        return AccessDenied(f"{what}: this user may not do that: {text}")
-    user, right, place = found.groups()
+    on_roles = _ROLES.search(text)
+    if found:
+        user, right, place = found.groups()
+    elif on_roles:
+        user, right, place = on_roles[1], "CREATE", "all roles"
+    else:
+        return AccessDenied(f"{what}: this user may not do that: {text}; log in as another user")
     return AccessDenied(
-        f"{what}: user {user} lacks the right {right} on {place}; have an owner grant it "
-        "('cassandra_bag roles' prints how), or log in as another user",
+        f"{what}: user {user} lacks the right {right} on {place}; have an owner or administrator "
+        f"run: GRANT {right} ON {_resource(place)} TO {quote_name(user)} ('cassandra_bag roles' "
+        "prints the roles of a keyspace), or log in as another user",
         right=right,
     )
+
+
+def _resource(place: str) -> str:
+    """Return how GRANT names a place: of a table its keyspace, because a topic has many tables."""
+    kind, _, name = place.partition(" ")
+    if kind == "all":
+        return place.upper()
+    return f"KEYSPACE {quote_name(name.partition('.')[0])}"
 
 
 def cause_of(exc: BaseException, nodes: str = "") -> str:

@@ -32,7 +32,7 @@ from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
 from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
 from cassandra_ros.local_server.processes import locked
-from cassandra_ros.local_server.server_security import SUPERUSER, Security
+from cassandra_ros.local_server.server_security import Security
 
 START_TIMEOUT_SEC = 180.0
 STOP_TIMEOUT_SEC = 90.0
@@ -307,6 +307,8 @@ class LocalCluster:
             raise ServerError(f"{self.directory} cannot be written: {exc}") from exc
         if self.settings.secure:
             self.security.make_files(java)
+            directories = [node.directory for node in asleep]
+            self.security.set_superuser(directories, java, jars_directory())
         for node in asleep:
             if node != asleep[0]:
                 time.sleep(_STAGGER_SEC)
@@ -366,7 +368,7 @@ class LocalCluster:
         if not self.settings.secure:
             return schema_versions(node.address, self.settings.port)
         # A new cluster only has Cassandra's superuser until its own users are created.
-        for login in (self.security.login(), (SUPERUSER, SUPERUSER)):
+        for login in (self.security.login(), self.security.root_login()):
             context = self.security.context()
             versions = schema_versions(
                 node.address, self.settings.port, context=context, login=login

@@ -13,23 +13,11 @@ from pathlib import Path
 from cassandra_ros.local_server.cluster_settings import Settings
 from cassandra_ros.local_server.cql import answers_cql
 from cassandra_ros.local_server.jars import server_file
+from cassandra_ros.local_server.java_programs import module_options
 from cassandra_ros.local_server.server_security import Security, write_private
 
 _RING = 1 << 64
 
-_OPENS = (
-    "java.base/java.lang.module java.base/jdk.internal.loader java.base/jdk.internal.ref "
-    "java.base/jdk.internal.reflect java.base/jdk.internal.math java.base/jdk.internal.module "
-    "java.base/jdk.internal.util.jar java.base/sun.nio.ch java.base/java.io "
-    "java.base/java.lang.reflect java.base/java.lang java.base/java.util java.base/java.nio "
-    "jdk.management/com.sun.management.internal"
-)
-_EXPORTS = (
-    "java.base/jdk.internal.misc java.base/java.lang.ref "
-    "java.management.rmi/com.sun.jmx.remote.internal.rmi "
-    "java.management/com.sun.jmx.remote.security java.rmi/sun.rmi.registry "
-    "java.rmi/sun.rmi.server java.sql/java.sql jdk.unsupported/sun.misc"
-)
 # The options of bin/cassandra for Java 17, without those for large heaps. No JMX port is set, so
 # JMX is off; a SIGTERM drains the node without it.
 _JVM_FLAGS = (
@@ -167,7 +155,7 @@ class Node:
             arguments.append(f"-Dcassandra.replace_address_first_boot={self.address}")
             arguments.append(f"-Dcassandra.jmx.local.port={self.jmx_port}")
         arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
-        arguments += _doors()
+        arguments += module_options()
         return [
             *arguments,
             f"-Djava.io.tmpdir={self.directory / 'tmp'}",
@@ -184,17 +172,8 @@ class Node:
     def repair_command(self, java: str, jars: Path) -> list[str]:
         """Return the command line that compares all data of the node with the other copies."""
         words = [java, "-Xmx128M", f"-Duser.home={self.directory / 'tmp'}", "-cp", str(jars / "*")]
-        words += [*_doors(), "org.apache.cassandra.tools.NodeTool", "-h", "127.0.0.1"]
+        words += [*module_options(), "org.apache.cassandra.tools.NodeTool", "-h", "127.0.0.1"]
         return [*words, "-p", str(self.jmx_port), "repair", "-full"]
-
-
-def _doors() -> list[str]:
-    """Return the options that allow Cassandra's classes to use internal packages of Java."""
-    found = []
-    for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
-        for package in packages.split():
-            found += [option, f"{package}=ALL-UNNAMED"]
-    return found
 
 
 @dataclass(frozen=True)

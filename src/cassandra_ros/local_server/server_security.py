@@ -14,18 +14,20 @@ import secrets
 import shutil
 import ssl
 import struct
-import subprocess
 import time
 from pathlib import Path
+from typing import Sequence
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server.cluster_settings import LOGIN_DIRECTORY, Settings
 from cassandra_ros.local_server.cql import CqlSession
+from cassandra_ros.local_server.java_programs import run_to_end
+from cassandra_ros.local_server.superuser import set_superuser
 
 USER = "ros"
 """User of the programs. It has all rights in all keyspaces, and may make roles."""
 SUPERUSER = "cassandra"
-"""Cassandra's default superuser. Its default password is public, so it is changed."""
+"""Cassandra's default superuser. Its default password is public, so it never gets that one."""
 _VALID_DAYS = 3650
 _KEYTOOL_SEC = 60.0
 _ROLES_SEC = 60.0
@@ -94,9 +96,13 @@ class Security:
 
     def yaml(self) -> dict[str, object]:
         """Return the settings for login and TLS in a node's cassandra.yaml."""
+        keystore = {
+            "keystore": str(self._keystore),
+            "keystore_password": self._secret("keystore"),
+        }
         return {
             "authenticator": "PasswordAuthenticator",
-            # No cache, so that a changed password (the superuser's default one) is refused at once.
+            # No cache, so that a changed password is refused at once.
             "credentials_validity": "0ms",
             "authorizer": "CassandraAuthorizer",
             "role_manager": "CassandraRoleManager",
@@ -105,8 +111,17 @@ class Security:
                 "optional": False,
                 "require_client_auth": False,
                 "store_type": "PKCS12",
-                "keystore": str(self._keystore),
-                "keystore_password": self._secret("keystore"),
+                **keystore,
+            },
+            # A node speaks only with nodes that have the key of this cluster, over TLS.
+            "server_encryption_options": {
+                "internode_encryption": "all",
+                "optional": False,
+                "require_client_auth": True,
+                "store_type": "PKCS12",
+                **keystore,
+                "truststore": keystore["keystore"],
+                "truststore_password": keystore["keystore_password"],
             },
         }
 
@@ -121,6 +136,10 @@ class Security:
         """Return the user name and password of the programs."""
         return USER, self._secret("user")
 
+    def root_login(self) -> tuple[str, str]:
+        """Return the user name and password of Cassandra's superuser."""
+        return SUPERUSER, self._secret("root")
+
     def lets_in(self, address: str) -> bool:
         """Return whether a node accepts the login of the programs; False if files are missing."""
         try:
@@ -129,8 +148,16 @@ class Security:
             return False
         return True
 
+    def set_superuser(self, directories: Sequence[Path], java: str, jars: Path) -> None:
+        """Give Cassandra's superuser its password on those stopped nodes that do not have it yet.
+
+        Raises:
+            ServerError: The password cannot be set.
+        """
+        set_superuser(directories, self._secret("root"), java, jars, self.folder)
+
     def ensure_users(self) -> None:
-        """Change the password of the default superuser, and create the user of the programs.
+        """Create the user of the programs.
 
         Raises:
             ServerError: The stored passwords are refused, because they were changed elsewhere.
@@ -138,13 +165,12 @@ class Security:
         if self.lets_in(self._settings.host):
             return
         deadline = time.monotonic() + _ROLES_SEC
-        while True:  # the server creates its superuser a moment after it answers
-            for password in (self._secret("root"), SUPERUSER):
-                try:
-                    with self._session(SUPERUSER, password) as session:
-                        return self._make_users(session)
-                except (OSError, struct.error) as exc:
-                    refusal = exc
+        while True:  # with several nodes, the role may not be readable a moment after they answer
+            try:
+                with self._session(*self.root_login()) as session:
+                    return self._make_users(session)
+            except (OSError, struct.error) as exc:
+                refusal = exc
             if time.monotonic() > deadline:
                 raise ServerError(
                     f"the local Cassandra refuses the passwords that are kept in {self.folder} "
@@ -159,9 +185,8 @@ class Security:
                 "ALTER KEYSPACE system_auth WITH replication = "
                 f"{{'class': 'NetworkTopologyStrategy', 'datacenter1': {nodes}}}"
             )
-        # CQL of roles has no bound values. We made the passwords; they contain no quotes.
-        root, user = self._secret("root"), self._secret("user")
-        session.run(f"ALTER ROLE {SUPERUSER} WITH PASSWORD = '{root}'")
+        # CQL of roles has no bound values. We made the password; it contains no quotes.
+        user = self._secret("user")
         session.run(f"CREATE ROLE IF NOT EXISTS {USER}")
         for everything in ("ALL KEYSPACES", "ALL ROLES"):
             session.run(f"GRANT ALL PERMISSIONS ON {everything} TO {USER}")
@@ -220,24 +245,12 @@ class Security:
         if not tool:
             raise ServerError(f"keytool, which comes with Java, is not beside {java}")
         store = ["-alias", _ALIAS, "-keystore", str(self._keystore), "-storetype", "PKCS12"]
-        # Passed by the environment, because other users can see arguments.
-        password = {"KEYSTORE_PASSWORD": self._secret("keystore")}
-        try:
-            done = subprocess.run(
-                [tool, *_QUICK, *words, *store, "-storepass:env", "KEYSTORE_PASSWORD"],
-                env={**os.environ, **password, "LC_ALL": "C.UTF-8"},
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                timeout=_KEYTOOL_SEC,
-                check=False,
-            )
-        except subprocess.TimeoutExpired as exc:
-            raise ServerError(f"keytool did not end within {_KEYTOOL_SEC:.0f} s") from exc
-        if done.returncode:
-            raise ServerError(f"no certificate could be made: {done.stdout.strip()[-500:]}")
+        run_to_end(
+            [tool, *_QUICK, *words, *store, "-storepass:env", "KEYSTORE_PASSWORD"],
+            {"KEYSTORE_PASSWORD": self._secret("keystore")},
+            _KEYTOOL_SEC,
+            "no certificate could be made",
+        )
 
 
 def write_private(path: Path, text: str) -> None:

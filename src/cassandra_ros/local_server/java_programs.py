@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Short Java programs that a start needs, and the options that Cassandra's classes need of Java."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from typing import Mapping, Sequence
+
+from cassandra_ros.errors import ServerError
+
+_OPENS = (
+    "java.base/java.lang.module java.base/jdk.internal.loader java.base/jdk.internal.ref "
+    "java.base/jdk.internal.reflect java.base/jdk.internal.math java.base/jdk.internal.module "
+    "java.base/jdk.internal.util.jar java.base/sun.nio.ch java.base/java.io "
+    "java.base/java.lang.reflect java.base/java.lang java.base/java.util java.base/java.nio "
+    "jdk.management/com.sun.management.internal"
+)
+_EXPORTS = (
+    "java.base/jdk.internal.misc java.base/java.lang.ref "
+    "java.management.rmi/com.sun.jmx.remote.internal.rmi "
+    "java.management/com.sun.jmx.remote.security java.rmi/sun.rmi.registry "
+    "java.rmi/sun.rmi.server java.sql/java.sql jdk.unsupported/sun.misc"
+)
+
+
+def module_options() -> list[str]:
+    """Return the options that allow Cassandra's classes to use internal packages of Java."""
+    found = []
+    for option, packages in (("--add-exports", _EXPORTS), ("--add-opens", _OPENS)):
+        for package in packages.split():
+            found += [option, f"{package}=ALL-UNNAMED"]
+    return found
+
+
+def run_to_end(
+    command: Sequence[str], environment: Mapping[str, str], timeout_sec: float, failure: str
+) -> None:
+    """Run a program to its end.
+
+    Args:
+        environment: Variables in addition to ours. Secrets go this way: other users see arguments.
+        failure: Beginning of the error text.
+
+    Raises:
+        ServerError: The program fails, or takes longer than the timeout.
+    """
+    try:
+        done = subprocess.run(
+            command,
+            env={**os.environ, **environment, "LC_ALL": "C.UTF-8"},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            timeout=timeout_sec,
+            check=False,
+        )
+    except subprocess.TimeoutExpired as exc:
+        raise ServerError(
+            f"{failure}: {command[0]} did not end within {timeout_sec:.0f} s"
+        ) from exc
+    if done.returncode:
+        raise ServerError(f"{failure}: {done.stdout.strip()[-500:]}")
