@@ -1,20 +1,36 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The buckets of a table from one end on, by reading only as much of the directory as needed.
+"""The buckets of a read, found by reading only as much of the directory as needed.
 
 A topic that was recorded for a year has half a million buckets of a minute, and a read of its last
 message needs one of them. So the directory is read slot by slot, in windows that grow. A read of
-all
-rows gets a whole slot at once.
+all rows gets a whole slot at once.
+
+A read of few rows requests the buckets in which the last read of its tables began at the same time
+as the directory. It uses the answer only if the directory names the same buckets. That saves one
+round trip and never changes the result.
 """
 
 from __future__ import annotations
 
 from itertools import chain, groupby
-from typing import Callable, Dict, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import (
+    Callable,
+    Collection,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    NamedTuple,
+    Optional,
+    Sequence,
+    Set,
+    Tuple,
+)
 
 from cassandra_ros.connection.cassandra import AT_ONCE
 from cassandra_ros.connection.paging import sent_ahead
+from cassandra_ros.read import Read
 from cassandra_ros.tables.directory import (
     ALL_ROWS,
     SLOT_BUCKETS,
@@ -22,6 +38,7 @@ from cassandra_ros.tables.directory import (
     Directory,
     slot_of,
 )
+from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ, Order, RowTable
 
 FEW_BUCKETS = 8
 """Number of rows in the first window of buckets, for each node."""
@@ -31,6 +48,11 @@ MANY_SLOTS = 1024
 """Maximum number of directory slots cached for one table."""
 WIDER = 4
 """Ratio between the sizes of two consecutive windows."""
+FEW_ROWS = 5000
+"""Maximum number of wanted rows for which the first pages are smaller than whole ones."""
+MOST_FIRST = 8
+"""Maximum number of buckets requested before the directory has answered. If a read begins in more
+buckets, the directory is read first."""
 
 Group = List[BucketRow]
 """Rows of the directory of all writers for one bucket and node."""
@@ -40,6 +62,82 @@ _Slot = Tuple[int, Tuple[str, ...]]
 """A slot, and the nodes that have buckets in it."""
 _Answers = Iterator[Callable[[], List[BucketRow]]]
 """Functions that wait for the buckets of one node each."""
+
+
+def takes_few(read: Read) -> bool:
+    """Return whether probably less than a page of rows will be taken."""
+    return read.wanted is not None and read.wanted <= FEW_ROWS
+
+
+def first_and_last(read: Read, table: RowTable) -> Tuple[int, int]:
+    """Return the first and the last bucket of a table that may hold rows of a read."""
+    low, high = read.time_range
+    if read.after is not None and read.reverse:
+        high = min(high, read.after.t)
+    elif read.after is not None:
+        low = max(low, read.after.t)
+    return table.bucket_of(low), table.bucket_of(high)
+
+
+def may_hold(read: Read, bucket: Sequence[BucketRow]) -> bool:
+    """Return whether a bucket may hold rows of a read: the directory may list too many."""
+    writers = read.whose.writers
+    if writers is not None and not any(row.writer in writers for row in bucket):
+        return False
+    low, high = read.time_range
+    return any(
+        not row.closed or (row.rows and row.t_min <= high and row.t_max >= low) for row in bucket
+    )
+
+
+class BucketPart(NamedTuple):
+    """A bucket of a read, with the sizes of its pages."""
+
+    start: int
+    """Time at which it begins, in the direction of reading, ns."""
+    table: RowTable
+    node: str
+    bucket: int
+    rows: Sequence[BucketRow]
+    """Rows of its writers in the directory; empty = no bucket, but the place up to which the
+    directory
+    was read."""
+    page_rows: int = 0
+    page_bytes: int = 0
+    """Approximate maximum size of its messages in memory, bytes."""
+    first_rows: int = 0
+    """Number of rows of its first page, from which pages grow; 0 = page_rows."""
+
+    @property
+    def listed(self) -> int:
+        """Number of rows by the directory, which is exact for a closed bucket."""
+        return sum(row.rows for row in self.rows)
+
+    def listed_in(self, span_ns: int) -> float:
+        """Return the number of rows in a time range of this length, if they are evenly spread."""
+        ends = [(row.t_min, row.t_max) for row in self.rows if row.rows]
+        length = max(last for _, last in ends) - min(first for first, _ in ends) if ends else 0
+        return self.listed * min(1.0, span_ns / max(1, length))
+
+
+def ends_of(piece: BucketPart, read: Read) -> tuple[Order, Order]:
+    """Return the first and the last row key in a bucket that the read includes."""
+    first, last = read.time_range
+    low, high = (first, MIN_SEQ), (last, MAX_SEQ)
+    if read.after is None:
+        return low, high
+    t, node, seq, table, _ = read.after
+    if read.reverse and t <= last:
+        high = (t - (piece.node > node), MAX_SEQ)
+        if piece.node == node:
+            high = (t, seq - (piece.table.name >= table))
+    elif not read.reverse and t >= first:
+        low = (t + (piece.node < node), MIN_SEQ)
+        if piece.node == node and piece.table.name > table:
+            low = (t, seq)
+        elif piece.node == node:
+            low = (t, seq + 1) if seq < MAX_SEQ else (t + 1, MIN_SEQ)
+    return low, high
 
 
 class BucketWalk:
@@ -191,3 +289,38 @@ def begin_slot(
         return found
 
     return directory.seen.get(table, {}).get(slot, ()), nodes
+
+
+def foresee(
+    directory: Directory, tables: Sequence[RowTable], read: Read
+) -> Tuple[List[BucketPart], int]:
+    """Return the buckets in which a read probably begins, and the number of nodes of its tables."""
+    found: List[BucketPart] = []
+    streams = 0
+    for table in tables:
+        known, groups = directory.first.get((table.name, read.reverse), ((), ()))
+        nodes = [node for node in known if read.whose.nodes is None or node in read.whose.nodes]
+        streams += len(nodes)
+        low, high = first_and_last(read, table)
+        found += [
+            BucketPart(0, table, group[0].node, group[0].bucket, group)
+            for group in groups
+            if group[0].node in nodes and low <= group[0].bucket <= high and may_hold(read, group)
+        ]
+    return (found if len(found) <= MOST_FIRST else []), streams
+
+
+def note_first(
+    directory: Directory,
+    walks: Iterable[Tuple[RowTable, Collection[str]]],
+    begun: Iterable[BucketPart],
+    read: Read,
+) -> None:
+    """Cache the buckets in which a read began, and the nodes that were found in each table."""
+    groups: Dict[str, List[Sequence[BucketRow]]] = {}
+    for piece in begun:
+        if piece.rows:
+            groups.setdefault(piece.table.name, []).append(piece.rows)
+    for table, met in walks:
+        if table.name in groups:
+            directory.first[table.name, read.reverse] = tuple(met), groups[table.name]

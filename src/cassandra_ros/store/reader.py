@@ -32,10 +32,17 @@ from cassandra_ros.connection.paging import GROWTH, PagedRead, RawRow
 from cassandra_ros.connection.raw_page import RawPage
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.read import Chooser, Query, Read
-from cassandra_ros.store.bucket_walk import BucketWalk
-from cassandra_ros.store.first_buckets import foresee, note_first
+from cassandra_ros.store.bucket_walk import (
+    BucketPart,
+    BucketWalk,
+    ends_of,
+    first_and_last,
+    foresee,
+    may_hold,
+    note_first,
+    takes_few,
+)
 from cassandra_ros.store.page_rows import rows_of_page
-from cassandra_ros.store.piece import BucketPart, ends_of, first_and_last, may_hold, takes_few
 from cassandra_ros.tables.directory import BucketRow, Directory
 from cassandra_ros.tables.row_table import (
     KEYS,

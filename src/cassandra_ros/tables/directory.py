@@ -209,7 +209,7 @@ class Directory:
         self.first: Dict[Tuple[str, bool], Tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
         """Table and whether newest rows come first → nodes and buckets in which the last read of
         few rows
-        began; see ``first_buckets``."""
+        began; see ``foresee`` in store/."""
 
     def patient(self, retry_sec: Seconds) -> Directory:
         """Return a copy for one writer, which retries each request for ``retry_sec``."""
