@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.topics.chunks_ahead import AHEAD_BYTES, AHEAD_ROWS, chunks_ahead
+from cassandra_ros.topics.stored_row import AHEAD_BYTES, AHEAD_ROWS, chunks_ahead
 
 MB = 10**6
 

@@ -17,8 +17,7 @@ from cassandra_ros.blocks.codec import Unpacked
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.keys import writer_of
 from cassandra_ros.messages.wire.message_stacks import ByteArray, Int64Array, as_planes
-from cassandra_ros.topics.chunks_ahead import chunks_ahead
-from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_row import StoredRow, chunks_ahead
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)

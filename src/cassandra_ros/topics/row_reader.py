@@ -30,8 +30,7 @@ from cassandra_ros.store.reader import read_blocks, read_rows
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.row_table import TableRow
 from cassandra_ros.topics.block_messages import messages_of
-from cassandra_ros.topics.chunks_ahead import chunks_ahead
-from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_row import StoredRow, chunks_ahead
 from cassandra_ros.topics.topic_table import TopicTable
 
 

@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from contextlib import suppress
-from typing import Any, Iterator, Optional, Tuple, Union
+from typing import Any, Iterable, Iterator, Optional, Tuple, Union
 
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -26,6 +27,10 @@ MessageIdentity = Tuple[int, str, int, str]
 """Key time (ns), node, seq and name of a message."""
 Key = Union[Stamp, RowName]
 """Key by which one stored message is found again: its time, or its name."""
+AHEAD_BYTES = 8 * 1024 * 1024
+"""Approximate maximum number of bytes of large messages that are requested or wait here."""
+AHEAD_ROWS = 64
+"""Maximum number of rows that wait here: rows of other sizes may be between the large ones."""
 
 
 class StoredRow:
@@ -203,3 +208,31 @@ def read_wire(table: TopicTable, row: TableRow, sent: Optional[SentRequest] = No
             f"{row.size}: its columns were changed by another program"
         )
     return wire
+
+
+def chunks_ahead(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:
+    """Yield rows as they come, with the chunks of the next large ones requested ahead.
+
+    Only for readers that need the messages. The first large message is requested when its bytes are
+    accessed. While every yielded message is accessed, more and more are requested ahead.
+    """
+    waiting: deque[tuple[StoredRow, int]] = deque()
+    """Rows, and the number of bytes of each that have been requested."""
+    held = budget = 0
+    for row in rows:
+        if not (waiting or row.chunked):
+            yield row
+            continue
+        asked = row.size if row.chunked and budget else 0
+        if asked:
+            row.ask()
+        waiting.append((row, asked))
+        held += asked
+        while waiting and (held >= budget or len(waiting) > AHEAD_ROWS):
+            first, asked = waiting.popleft()
+            held -= asked
+            yield first
+            if first.chunked:
+                budget = min(AHEAD_BYTES, 2 * budget + first.size) if first.was_read else 0
+    while waiting:
+        yield waiting.popleft()[0]
