@@ -14,7 +14,7 @@ from query.rows import row_of
 from std_msgs.msg import Int64
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.query.plan.near_conditions import _united
+from cassandra_ros.query.plan.bounds import _united
 from cassandra_ros.read import Read, Whose
 from cassandra_ros.topics.query_result import Condition
 

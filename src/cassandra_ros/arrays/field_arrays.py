@@ -15,8 +15,7 @@ from cassandra_ros.arrays.column_values import empty_values, join_values, stack_
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
-from cassandra_ros.query.plan.key_bounds import bounds_of
-from cassandra_ros.query.plan.near_conditions import with_stays
+from cassandra_ros.query.plan.bounds import bounds_of, with_stays
 from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.source import Source

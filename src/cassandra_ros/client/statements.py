@@ -21,7 +21,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import WHOLE, Series, SeriesRequest, Window, read_series
-from cassandra_ros.query.plan.key_bounds import meant_as_seconds
+from cassandra_ros.query.plan.bounds import meant_as_seconds
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.change_statements import (
     Change,

@@ -27,7 +27,7 @@ from cassandra_ros.connection.paging import PagedRead
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.messages.wire.zones import HIGH, LOW
 from cassandra_ros.overview.plot_columns import Column, as_floats
-from cassandra_ros.query.plan.key_bounds import Bounds
+from cassandra_ros.query.plan.bounds import Bounds
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.projection import Projection

@@ -27,8 +27,7 @@ from cassandra_ros.overview.plot_columns import (
     as_float,
     drawn_columns,
 )
-from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of
-from cassandra_ros.query.plan.near_conditions import spans_of, with_stays
+from cassandra_ros.query.plan.bounds import Bounds, bounds_of, spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.rows.projection import ResultRow

@@ -23,7 +23,7 @@ from cassandra_ros.places.regions import Region
 from cassandra_ros.places.robots import MAX_FRAMES, Robot
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import overlapping_pairs
-from cassandra_ros.query.plan.near_conditions import NsRange
+from cassandra_ros.query.plan.bounds import NsRange
 from cassandra_ros.tables.place_index import IndexedPoses, PlaceIndex, Square
 
 _FIRST = LONGEST_NS + JOIN_NS

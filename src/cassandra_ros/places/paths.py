@@ -20,7 +20,7 @@ from cassandra_ros.places.pose_samples import Times, Track
 from cassandra_ros.places.poses import LONGEST_GAP_SEC
 from cassandra_ros.places.regions import Lines, Region
 from cassandra_ros.places.rigid import Floats
-from cassandra_ros.query.plan.near_conditions import NsRange
+from cassandra_ros.query.plan.bounds import NsRange
 
 LONGEST_GAP_NS = round(LONGEST_GAP_SEC * SECOND_NS)
 LONGEST_WAY_M = 40_000.0

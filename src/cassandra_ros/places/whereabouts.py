@@ -20,7 +20,7 @@ from cassandra_ros.places.regions import DiskRegion, Region
 from cassandra_ros.places.robots import Robot, RobotFinder
 from cassandra_ros.places.stored_topics import Extent, StoredTopics
 from cassandra_ros.places.track_windows import WINDOW_NS, Window, Windows
-from cassandra_ros.query.plan.near_conditions import NsRange
+from cassandra_ros.query.plan.bounds import NsRange
 from cassandra_ros.query.protocols import Disk
 from cassandra_ros.read import Writers
 from cassandra_ros.tables.place_index import PlaceIndex

@@ -13,8 +13,14 @@ from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
 from cassandra_ros.printable import MOST_ROWS, html_table
-from cassandra_ros.query.plan.key_bounds import Bounds, bounds_of, meant_as_seconds
-from cassandra_ros.query.plan.near_conditions import NsRange, spans_of, with_stays
+from cassandra_ros.query.plan.bounds import (
+    Bounds,
+    NsRange,
+    bounds_of,
+    meant_as_seconds,
+    spans_of,
+    with_stays,
+)
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Row, Table
