@@ -14,8 +14,7 @@ import yaml
 from cassandra_ros.arguments import check_fields, check_labels, check_text, check_ttl
 from cassandra_ros.errors import CassandraRosError, InvalidOption, InvalidQuery
 from cassandra_ros.formats.table import format_class
-from cassandra_ros.query.tree.binding import terms_of_condition
-from cassandra_ros.query.tree.parse import parse_condition
+from cassandra_ros.query.tree.parse import parse_condition, terms_of_condition
 from cassandra_ros.query.tree.syntax import Literal, Near, TimeNs, inside, leaves
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}
