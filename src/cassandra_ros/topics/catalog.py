@@ -45,7 +45,7 @@ from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import TopicInfo, count_rows, describe
-from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.topic_table import TopicTable, stored_format
 from cassandra_ros.topics.topic_wish import Wish
 
 _log = logging.getLogger(__name__)
@@ -239,7 +239,7 @@ class Catalog:
             blank = tables[0].with_(
                 **dict.fromkeys(("msg_type", "md5sum", "definition", "date"), ""),
                 bucket_ns=0,
-                format=self.keyspace.new_tables.format_for(name),
+                format=stored_format(tables),
                 indexes={},
                 index_names={},
             )

@@ -17,7 +17,7 @@ from cassandra_ros.errors import (
     TypeMismatch,
     WriteFailed,
 )
-from cassandra_ros.formats.table import DEFAULT_FORMAT, FALLBACK_FORMAT, format_class
+from cassandra_ros.formats.table import DEFAULT_FORMAT, format_class
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.definition import Definition, definition_of
 from cassandra_ros.messages.index_field import IndexField
@@ -25,7 +25,7 @@ from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.tables.directory import MIN_SPAN_NS, UNKNOWN_SPAN_NS, limit_for_ttl
 from cassandra_ros.tables.schema import Planner, Schema, TablePlan
-from cassandra_ros.topics.topic_table import TopicTable, TopicTables, definition_in
+from cassandra_ros.topics.topic_table import TopicTable, TopicTables, stored_format
 from cassandra_ros.topics.topic_wish import Wish
 
 _log = logging.getLogger(__name__)
@@ -49,10 +49,7 @@ class NewTables:
             format_class(asked)
             return asked
         tables = [m for m in self._schema.tables().values() if m.topic == topic]
-        # One publisher without a usable definition must not decide for all other publishers.
-        chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
-        newest = max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format), default=None)
-        return DEFAULT_FORMAT if newest is None else newest.format
+        return stored_format(tables, md5sum) if tables else DEFAULT_FORMAT
 
     def make(
         self, metadata: TopicMetadata, definition: Optional[Definition], *, large: bool = False

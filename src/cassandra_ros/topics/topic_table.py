@@ -14,7 +14,7 @@ from typing import Any, Callable, Iterable, List, Optional, Sequence
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import CorruptMessage, DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import format_class
+from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.classes import message_class, raw_class
 from cassandra_ros.messages.connection_header import Connection
@@ -285,3 +285,14 @@ def definition_in(metadata: TopicMetadata) -> Optional[Definition]:
     except DefinitionError as exc:
         _log.debug("topic %s has no usable definition: %s", metadata.topic, exc)
         return None
+
+
+def stored_format(tables: Sequence[TopicMetadata], md5sum: str = "") -> str:
+    """Return the format of the table that was made last, for this md5 if there is one.
+
+    Args:
+        tables: Metadata of the tables of one topic, at least one.
+    """
+    # One publisher without a usable definition must not decide for all other publishers.
+    chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
+    return max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format)).format
