@@ -37,9 +37,10 @@ def test_a_step_names_a_file_and_what_is_in_it(path, name):
 
 
 @pytest.mark.parametrize(
-    ("walk", "files", "changes"), [("A live message", 15, 6), ("A bag", 18, 7)]
+    ("walk", "files", "changes"),
+    [("A live message", 15, 6), ("A statement", 25, 8), ("A bag", 18, 7)],
 )
-def test_a_walk_of_writing_is_short(walk, files, changes):
+def test_a_walk_is_short(walk, files, changes):
     """Files named in the numbered steps, and changes of room from one to the next."""
     steps = "\n".join(re.findall(r"^\d\..*\n(?:   .*\n)*", section(walk), re.M))
     named = re.findall(r"`([\w/]+\.py)` `", steps)
