@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo viewer screenshots test campaign ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees clean distclean
+.PHONY: help setup demo viewer screenshots test campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -26,6 +26,9 @@ help:
 	@echo "make screenshots    take the README's pictures of the viewer anew"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
+	@echo "make faults         the fault table: kill and cut, and account for each message (hours;"
+	@echo "                    ARGS='--short' minutes, --only NAME, --messages N, --list)"
+	@echo "make faults-page    fill the tables of doc/faults.md from the last make faults"
 	@echo "make ci             lint, test and the short campaign in one run; what fails is run once more, alone"
 	@echo "make lint           ruff, mypy, catkin_lint, make doc"
 	@echo "make doc            the pages of doc/, as build/doc/index.html; a warning is an error"
@@ -57,6 +60,12 @@ test: setup
 campaign: LENGTH ?= long
 campaign: setup
 	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=$(LENGTH) $(PYTHON) -m pytest -n 3 $(ARGS)
+
+faults: setup
+	@$(IN_WORKSPACE) $(PYTHON) -m faults $(ARGS)
+
+faults-page: setup
+	@$(IN_WORKSPACE) PYTHONPATH=src:$$PYTHONPATH $(PYTHON) -m faults.page $(ARGS)
 
 # What make lint, make test and make campaign LENGTH=short do, in one run with one set-up and one Cassandra.
 ci: lint
@@ -95,7 +104,7 @@ bench-trees: setup
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output
-	find src scripts test benchmark examples -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src scripts test benchmark faults examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The jars and the data under the ROS home stay: local_cassandra clear deletes the data.
 distclean: clean

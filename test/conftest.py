@@ -65,7 +65,7 @@ ONE_BY_ONE = {
         "test_examples.py",
     },
     "programs": {"nodes", "rostest", "cli", "test_import_process.py"},
-    "servers": {"local_server"},
+    "servers": {"local_server", "fault_table"},
     "pages": {"browser"},
     "sources": {"test_imports.py"},
 }

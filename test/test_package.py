@@ -208,7 +208,9 @@ def test_no_python_is_given_a_release_that_refuses_it(version):
             assert version in SpecifierSet(needed or ""), f"{pin} needs Python {needed}"
 
 
-@pytest.mark.parametrize("folder", ["src", "scripts", "examples", "benchmark", "test", "doc"])
+@pytest.mark.parametrize(
+    "folder", ["src", "scripts", "examples", "benchmark", "faults", "test", "doc"]
+)
 def test_every_file_is_syntax_of_python_3_8(folder):
     files = [path for path in (ROOT / folder).rglob("*") if path.suffix == ".py"]
     files += (ROOT / folder).iterdir() if folder == "scripts" else []

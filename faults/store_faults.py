@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Faults of the Cassandra that a recorder writes to, and of the network before it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import time
+
+from faults.proxy import Proxy
+from faults.trial import TOPIC, Place, Skipped, Trial
+from faults.world import Server
+
+DISK_MB = 400
+"""Size of the disk that becomes full, MB."""
+
+
+def store_killed(trial: Trial) -> None:
+    """Cassandra is killed with SIGKILL and started again."""
+    _, publisher = trial.record()
+    publisher.await_share(0.3)
+    trial.server.kill()
+    publisher.await_share(0.2)
+    trial.server.start()
+    trial.await_normal()
+
+
+def store_frozen(trial: Trial) -> None:
+    """Cassandra is frozen with SIGSTOP for 60 s (short form: 15 s)."""
+    _, publisher = trial.record()
+    publisher.await_share(0.3)
+    with trial.server.frozen():
+        time.sleep(trial.seconds(15, 60))
+    trial.await_normal()
+
+
+def store_away_longer_than_the_buffer(trial: Trial) -> None:
+    """Cassandra cannot be reached until the buffer of the recorder has overflowed."""
+    proxy, place = _proxied(trial)
+    _, publisher = trial.record("--buffsize", "1", place=place)
+    publisher.await_share(0.2)
+    proxy.cut()
+    publisher.await_share(1.5)
+    proxy.mend()
+    trial.await_normal()
+
+
+def store_slow(trial: Trial) -> None:
+    """Each answer of Cassandra takes 2 s, and a connection carries 1 MB/s."""
+    proxy, place = _proxied(trial)
+    _, publisher = trial.record(place=place)
+    publisher.await_share(0.2)
+    proxy.delay_sec, proxy.bytes_per_sec = 1.0, 1e6
+    publisher.await_share(0.6)
+    proxy.delay_sec, proxy.bytes_per_sec = 0.0, 0.0
+    trial.await_normal()
+
+
+def publisher_faster_than_the_store(trial: Trial) -> None:
+    """A connection to Cassandra carries 50 kB/s, less than what is published."""
+    proxy, place = _proxied(trial)
+    _, publisher = trial.record("--buffsize", "1", place=place)
+    publisher.await_share(0.1)
+    proxy.bytes_per_sec = 50e3
+    publisher.await_share(1.5)
+    proxy.bytes_per_sec = 0.0
+    trial.await_normal()
+
+
+def connections_silent(trial: Trial) -> None:
+    """All connections to Cassandra carry nothing any more without an end; new ones work."""
+    proxy, place = _proxied(trial)
+    _, publisher = trial.record(place=place)
+    publisher.await_share(0.3)
+    proxy.silence()
+    trial.await_normal()
+
+
+def network_silent(trial: Trial) -> None:
+    """The network to Cassandra carries nothing for 30 s (short form: 10 s)."""
+    proxy, place = _proxied(trial)
+    _, publisher = trial.record(place=place)
+    publisher.await_share(0.3)
+    proxy.silence(new=True)
+    time.sleep(trial.seconds(10, 30))
+    proxy.end_silence()
+    trial.await_normal()
+
+
+def store_comes_late(trial: Trial) -> None:
+    """The recorder is started with --wait before Cassandra can be reached."""
+    proxy, place = _proxied(trial)
+    proxy.cut()
+    trial.recorder(TOPIC, "--wait", "600", place=place)
+    trial.publisher().await_share(0.6)
+    proxy.mend()
+    trial.await_normal()
+
+
+def disk_full(trial: Trial) -> None:
+    """The disk of Cassandra is full, and there is room again later."""
+    if os.geteuid():
+        raise Skipped("only root can mount a disk of a small size")
+    folder = trial.folder / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "none", str(folder)]
+    done = subprocess.run(mount, capture_output=True, text=True)
+    if done.returncode:
+        raise Skipped(f"a small disk cannot be mounted here: {done.stderr.strip()}")
+    trial.open.callback(subprocess.run, ["umount", "--lazy", str(folder)], check=False)
+    trial.server = Server(folder / "server")
+    trial.open.callback(trial.server.stop)
+    trial.server.start()
+    _, publisher = trial.record("--min-space", "0")
+    publisher.await_share(0.3)
+    ballast = folder / "ballast"
+    with open(ballast, "wb") as file, contextlib.suppress(OSError):
+        while True:
+            file.write(bytes(1 << 20))
+    publisher.await_share(0.4)
+    ballast.unlink()
+    trial.server.start()
+    trial.await_normal()
+
+
+def _proxied(trial: Trial) -> tuple[Proxy, Place]:
+    place = trial.place
+    proxy = trial.open.enter_context(Proxy((place.host, place.port), ("127.0.0.1", 0)))
+    return proxy, Place(proxy.host, proxy.port)
+
+
+FAULTS = (
+    store_killed,
+    store_frozen,
+    store_away_longer_than_the_buffer,
+    connections_silent,
+)

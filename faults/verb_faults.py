@@ -1,0 +1,94 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Verbs that are killed with SIGKILL at random moments, and are then run again to their end."""
+
+from __future__ import annotations
+
+import time
+
+from faults.trial import START_NS, TOPIC, Trial
+
+KILLS = 3, 20
+"""Number of kills in the short and in the long form."""
+PACE_HZ = 10_000.0
+"""Messages a second that a verb works on, about; kills are spread over its duration."""
+
+
+def import_killed(trial: Trial) -> None:
+    """An import is killed at random moments, each time a new process, and completed."""
+    _import_killed(trial, "ros")
+
+
+def import_killed_packed(trial: Trial) -> None:
+    """The same in format packed."""
+    _import_killed(trial, "packed")
+
+
+def _import_killed(trial: Trial, form: str) -> None:
+    bag = trial.bag()
+    _killed_and_completed(trial, "import", bag, "--format", form)
+    trial.done("verify", bag)
+
+
+def conversion_killed(trial: Trial) -> None:
+    """A conversion from ros to packed is killed at random moments, and completed."""
+    trial.done("import", trial.bag(1), "--format", "ros")
+    _killed_and_completed(trial, "convert", f"{TOPIC}_0", "--format", "packed")
+
+
+def conversion_back_killed(trial: Trial) -> None:
+    """The same from packed to ros."""
+    trial.done("import", trial.bag(1), "--format", "packed")
+    _killed_and_completed(trial, "convert", f"{TOPIC}_0", "--format", "ros")
+
+
+def deletion_killed(trial: Trial) -> None:
+    """Deleting the messages of a time range is killed at random moments, and completed."""
+    trial.done("import", trial.bag(), "--format", "ros")
+    start, end = trial.time_of(0.25), trial.time_of(0.75)
+    trial.removed.append((start, end))
+    _killed_and_completed(trial, "delete", "--start", start, "--end", end, "--yes")
+
+
+def deletion_killed_packed(trial: Trial) -> None:
+    """The same in format packed, where blocks at the ends of the time range are cut."""
+    trial.done("import", trial.bag(), "--format", "packed")
+    start, end = trial.time_of(0.25), trial.time_of(0.75)
+    trial.removed.append((start, end))
+    _killed_and_completed(trial, "delete", "--start", start, "--end", end, "--yes")
+
+
+def retention_killed(trial: Trial) -> None:
+    """Deleting messages by age is killed at random moments, and completed."""
+    trial.done("import", trial.bag(), "--format", "packed")
+    now = trial.time_of(1.0)
+    age_sec = trial.messages // 2000
+    trial.removed.append((START_NS, now - age_sec * 10**9))
+    _killed_and_completed(trial, "retention", "--max-age", age_sec, "--now", now, "--yes")
+
+
+def index_killed(trial: Trial) -> None:
+    """Making an index is killed at random moments, and completed."""
+    trial.done("import", trial.bag(1), "--format", "ros")
+    _killed_and_completed(trial, "index", f"{TOPIC}_0", "data")
+
+
+def _killed_and_completed(trial: Trial, *words: object) -> None:
+    """Kill a verb at random moments, early ones first; each process goes on with what is left."""
+    begun = time.monotonic()
+    trial.done("list")
+    start_sec = time.monotonic() - begun
+    count = KILLS[not trial.short]
+    step_sec = (0.2 * start_sec + trial.messages / PACE_HZ) / count
+    killed = 0
+    for number in range(count):
+        program = trial.verb(*words)
+        time.sleep(0.8 * start_sec + step_sec * (number + trial.random.random()))
+        if program.runs:
+            program.kill()
+            killed += 1
+    trial.done(*words)
+    trial.note(f"killed {killed} times while it worked")
+
+
+FAULTS = ()

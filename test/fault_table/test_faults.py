@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The fault table in its short form: whatever fails, each message is stored or accounted for."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+from conftest import ROOT
+
+from cassandra_ros.blocks.codec import pack_block
+from faults import page
+from faults.account import Contents, account_of, text_of_wire, wires_of_block
+from faults.numbered import LOG_LINE, Published, count_published, read_log, text_of
+from faults.results import RESULTS, Results
+from faults.table import FAULTS, SHORT, try_fault
+from faults.world import World
+
+CLUSTER = [name for name, fault in FAULTS.items() if fault.group == "cluster"]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory, ros_env):
+    with World(tmp_path_factory.mktemp("faults"), ros_env) as made:
+        yield made
+
+
+def kept_short(names):
+    """The three nodes of a cluster are left to the campaign."""
+    return [pytest.param(n, marks=[pytest.mark.long] * (n in CLUSTER)) for n in names]
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("name", kept_short(FAULTS))
+def test_every_message_is_accounted_for(world, name):
+    result = try_fault(world, name, *SHORT, short=True)
+    if result.skipped:
+        pytest.skip(result.skipped)
+    assert result.clean, page.summary(result)
+
+
+def test_the_page_shows_the_last_run():
+    text = page.PAGE.read_text(encoding="utf-8")
+    assert page.fill(text, Results.load(RESULTS)) == text, "make faults-page fills it"
+
+
+def test_the_account_shares_no_code_with_the_package():
+    for name in ("account", "numbered", "publisher", "bag"):
+        tree = ast.parse((ROOT / f"faults/{name}.py").read_text(encoding="utf-8"))
+        found = {
+            name
+            for node in ast.walk(tree)
+            if isinstance(node, (ast.Import, ast.ImportFrom))
+            for name in [getattr(node, "module", None), *(each.name for each in node.names)]
+        }
+        own = {name for name in found if name and name.startswith("faults")}
+        assert own <= {"faults.numbered"}
+        assert not any(name.startswith("cassandra_ros") for name in found if name)
+
+
+def test_the_account_reads_a_block_as_the_package_writes_it():
+    numbers = range(5, 1029)
+    wires = [len(text_of(n)).to_bytes(4, "little") + text_of(n).encode() for n in numbers]
+    block = pack_block(list(numbers), list(numbers), wires)
+    found = [text_of_wire(wire) for wire in wires_of_block(block, len(numbers))]
+    assert found == [text_of(number) for number in numbers]
+
+
+def test_a_log_without_its_last_line(tmp_path):
+    path = tmp_path / "log"
+    lines = [Published(number, 10**18 + number, 1) for number in range(3)]
+    path.write_text("".join(LOG_LINE.format(**line._asdict()) for line in lines)[:-5])
+    assert list(read_log(path)) == lines[:2]
+    assert count_published(path) == 2
+
+
+SECOND = 10**9
+PUBLISHED = [Published(number, number * SECOND // 10, 1) for number in range(100)]
+
+
+def sums_of(stored, published=PUBLISHED, **case):
+    case = {"kills": [], "removed": [], **case}
+    own = account_of(published, Contents(dict(stored), 0), case)
+    return {**own.sums, "missing": len(own.missing)}
+
+
+def told(sums, *names):
+    return [sums.get(name, 0) for name in names]
+
+
+def test_the_account_finds_what_is_missing_doubled_or_unknown():
+    stored = dict.fromkeys(range(100), 1)
+    assert told(sums_of(stored), "stored", "missing", "doubled", "changed") == [100, 0, 0, 0]
+    del stored[40]
+    stored[41] = 2
+    stored[200] = 1
+    assert told(sums_of(stored), "stored", "missing", "doubled", "changed") == [99, 1, 1, 1]
+
+
+def test_only_what_was_just_published_may_be_in_flight():
+    """Killed at 5 s: the next recorder stores from 7 s on. Number 10 is too old, 80 too new."""
+    stored = dict.fromkeys([*range(45), *range(70, 100)], 1)
+    names = ("in_flight", "unheard", "missing")
+    kill = {"kills": [5 * SECOND]}
+    assert told(sums_of(stored, **kill), *names) == [5, 20, 0]
+    del stored[10], stored[80]
+    assert told(sums_of(stored, **kill), *names) == [5, 20, 2]
+
+
+def test_what_was_published_without_a_subscriber_is_unheard():
+    published = [line._replace(connections=int(line.number > 9)) for line in PUBLISHED]
+    stored = dict.fromkeys(range(20, 100), 1)
+    assert told(sums_of(stored, published), "unheard", "missing") == [10, 10]
+
+
+def test_what_was_to_be_removed_and_is_there_is_told():
+    stored = {number: 1 for number in range(100) if not 20 <= number <= 28}
+    case = {"removed": [(2 * SECOND, 3 * SECOND - 1)]}
+    assert told(sums_of(stored, **case), "removed", "not_removed", "missing") == [9, 1, 0]
