@@ -221,6 +221,16 @@ def test_keyspace_names(cassandra, name):
             rosCas.getAllTopics()
 
 
+def test_buckets_of_the_keyspace_before_are_closed(rosCas, new_keyspace):
+    rosCas.addTopic("/a").addData(String(), key=T0)
+    before = rosCas.catalog.keyspace
+    (table,) = before.tables.of_topic("/a")
+    for closed in (False, True):
+        rows = before.directory.find(table.name, "", table.bucket_of(T0))
+        assert [row.closed for row in rows] == [closed]
+        rosCas.connectToKeyspace(new_keyspace)
+
+
 def test_bad_names(rosCas):
     for name in ("", "a\0b", "\udc80"):
         with pytest.raises(InvalidName):

@@ -526,6 +526,8 @@ def test_what_may_be_meant_in_two_ways_is_asked_for(rosCas):
     with pytest.raises(InvalidQuery, match=r"/vision and /wheels tell poses in frame 'odom'"):
         asked(rosCas, "NEAR(0, 2, 0.5, 'odom')")
     assert asked(rosCas, "NEAR(0, 2, 0.5, 'odom', '/vision')") == [T0 + 2 * SEC]
+    chosen = rosCas.near(0, 2, 0.5, "odom", ["/n"], robot="/vision")
+    assert [row.t for row in chosen] == [T0 + 2 * SEC]
     with pytest.raises(InvalidQuery, match="no pose in frame 'site' is stored"):
         asked(rosCas, "NEAR(99, 0, 1, 'site')")  # a goal is not yet a position
     rosCas.upkeep.indexPlaces()

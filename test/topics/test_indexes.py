@@ -13,7 +13,7 @@ import pytest
 from campaign import sparing
 from geometry_msgs.msg import TransformStamped, Vector3
 from sensor_msgs.msg import Image, JointState, PointCloud
-from std_msgs.msg import Float32, Float64, String, UInt8MultiArray
+from std_msgs.msg import Float32, Float64, Header, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
 from topics.by_index import by_index, check, directory_rows, filled
 from topics.clients import children
@@ -24,6 +24,7 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
 from cassandra_ros.store import writer as writer_module
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.succession import Listing
@@ -304,6 +305,18 @@ def test_every_format(rosCas, form):
     wanted = ("a", "b", "x" * 1100, "c")
     assert check(rosCas, made["/tf"], fields["/tf"], frames, *wanted) == [6, 4, 2, 0]
     assert [m.data for _, m in made["/text"].items()] == [m.data for m in texts(10)]
+
+
+def test_a_message_that_one_of_three_indexes_cannot_hold_is_found(rosCas):
+    fields = ["seq", "frame_id", "stamp"]
+    topic = rosCas.addTopic("/h", "binary", msg_type="std_msgs/Header", index=fields)
+    names = ["map", "x" * (MAX_TEXT_BYTES + 1)]
+    for number, name in enumerate(names):
+        topic.addData(Header(seq=number, frame_id=name), key=T0 + number)
+    rosCas.catalog.adder.close()
+    for number, name in enumerate(names):
+        asked = rosCas.executeCQL("select seq from /h where frame_id = ?", [name])
+        assert asked == [(number,)]
 
 
 def test_large_messages_are_read_from_their_chunks(rosCas):

@@ -12,10 +12,11 @@ from contextlib import ExitStack
 
 import pytest
 from proxy import Proxy
-from std_msgs.msg import Int64, String
+from std_msgs.msg import Header, Int64, String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import MessageNotFound
+from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp
@@ -114,6 +115,16 @@ def test_a_field_of_a_definition_that_came_since_can_be_asked_for(rosCas, far):
         writer.write(handle, SECOND, 0, (7).to_bytes(8, "little"))
     found = far.executeCQL("select data, KEY from /t where data = 7")
     assert found == [(7, Stamp.from_ns(SECOND))]
+
+
+def test_messages_of_a_definition_that_came_since_have_the_same_columns(rosCas, far):
+    rosCas.addTopic("/t", format="ros").addData(String(data="first"), key=FIRST)
+    asked = far.executeCQL("select * from /t")
+    assert asked == [("first",)]
+    with rosCas.messageWriter() as writer:
+        handle = writer.connect(api_connection("/t", definition_of(Header), "/x"))
+        writer.write(handle, SECOND, 0, serialize(Header(frame_id="map")))
+    assert far.executeCQL("select * from /t") == [("first",), (None,)]
 
 
 def test_a_topic_that_was_removed_and_made_anew_is_read_at_once(rosCas, far):

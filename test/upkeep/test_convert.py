@@ -98,6 +98,20 @@ def test_a_topic_goes_through_all_formats(rosCas):
     check_conversion(rosCas, every[0], every[0])
 
 
+def test_messages_that_one_client_added_for_two_robots_keep_their_robots(rosCas):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String")
+    for number in range(20):
+        topic.addData(String(data=str(number)), key=T0 + number, nodeID="ab"[number % 2])
+    check_conversion(rosCas, "ros", "binary")
+
+
+def test_progress_counts_what_is_written_and_what_is_compared(rosCas):
+    fill(rosCas, "binary", 150, writers=((7, ""),))
+    told = []
+    rosCas.convertTopic("/t", "packed", lambda done, total: told.append((done, total)))
+    assert told == [(100, 300), (200, 300), (300, 300), (300, 300)]
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("target", FORMATS)
 @pytest.mark.parametrize("source", FORMATS)

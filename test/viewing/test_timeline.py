@@ -13,6 +13,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.overview.timeline import bucket_detail as detail
 from cassandra_ros.overview.timeline import directory_reader as reader
+from cassandra_ros.read import EVERYBODY
 from cassandra_ros.tables.directory import SLOT_BUCKETS, BucketTotals
 from cassandra_ros.tables.registry import Loss, LossKind, Run
 
@@ -249,6 +250,20 @@ class Counting:
                 yield found
 
         monkeypatch.setattr(directory, "columns", columns)
+
+
+def test_the_directory_is_read_again_after_some_seconds(store, monkeypatch):
+    """Rows that are read again take the place of those in the cache, which is nearly full."""
+    counted, now = Counting(store.catalog.keyspace.directory, monkeypatch), [0.0]
+    monkeypatch.setattr(reader, "KEPT_BUCKETS", 8)  # of /even there are six
+    cached = reader.DirectoryReader(store.catalog.keyspace.directory, lambda: now[0])
+    tables = store.getTopic("/even").tables
+    for times in range(1, 5):
+        for _ in range(2):
+            found = cached.pieces(tables, (T0, LATE[-1]), EVERYBODY)
+            assert sum(piece.time_ranges.messages.sum() for piece in found) == 550
+        assert counted.rows == 6 * times
+        now[0] += reader.KEEP_SEC + 1
 
 
 def test_a_year_of_many_buckets_costs_what_a_day_costs(fresh, monkeypatch):
