@@ -5,17 +5,21 @@
 from __future__ import annotations
 
 import threading
+from functools import partial
 
+import numpy as np
 import pytest
 from cassandra.protocol import PrepareMessage
 from nodes.children import await_true
 from proxy import Proxy
 from std_msgs.msg import String
+from threads import together
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.topics.message_writer import MessageWriter
 
 HEADER = {
     "type": "std_msgs/String",
@@ -114,12 +118,68 @@ def write(store, writer_id, times):
             writer.write(handle, t, number, serialize(String(str(t))))
 
 
-def test_a_recorder_says_that_its_table_was_replaced(rosCas, connect, recorded, caplog):
-    recorded.begin("ros")
+@pytest.mark.parametrize("form", ["packed", "ros"])
+def test_a_recorder_says_once_that_its_table_was_replaced(rosCas, connect, recorded, caplog, form):
+    recorded.begin(form)
     with connect(keyspace=rosCas.keyspace) as other:
         await_true(lambda: other.existTopic("/a") and recorded.stored() > 100)
         other.removeTopic("/a")
         await_true(lambda: "removed or replaced by another client" in caplog.text)
         await_true(lambda: other.existTopic("/a"))
+    before = recorded.stored()
+    await_true(lambda: recorded.stored() > before + 500)
     recorded.end()
+    assert caplog.text.count("removed or replaced by another client") == 1
     assert "has not answered" not in caplog.text
+
+
+@pytest.mark.parametrize("form", ["packed", "ros"])
+def test_messages_written_together_stay_together_after_a_removal(
+    rosCas, connect, caplog, monkeypatch, form
+):
+    """The writer writes one by one only those messages that the removed table did not take."""
+    single = []
+    write_one = MessageWriter.write
+    monkeypatch.setattr(
+        MessageWriter, "write", lambda self, *args: (single.append(1), write_one(self, *args))[1]
+    )
+    numbers = np.arange(100)
+    wires = [serialize(String(str(n))) for n in numbers]
+    with rosCas.messageWriter(format=form) as writer:
+        handle = writer.connect(live_connection("/a", HEADER))
+        writer.write_run(handle, numbers, numbers, wires)
+        writer.flush()
+        with connect(keyspace=rosCas.keyspace) as other:
+            other.removeTopic("/a")
+        writer.write_run(handle, numbers + 100, numbers + 100, wires)
+        writer.flush()
+        single.clear()
+        for first in range(200, 1000, 100):
+            writer.write_run(handle, numbers + first, numbers + first, wires)
+    assert single == []
+    assert [row.t for row in rosCas.getTopic("/a").rows()] == list(range(100, 1000))
+    assert caplog.text.count("removed or replaced by another client") == 1
+
+
+def test_one_thread_makes_the_table_after_a_removal(rosCas, connect, monkeypatch):
+    """The others wait for it; it is ready for large messages if the removed one was."""
+    made = []
+    make = MessageWriter.connect
+    with rosCas.messageWriter(format="ros") as writer:
+        handle = writer.connect(live_connection("/a", HEADER))
+        second = writer.connect(live_connection("/a", {**HEADER, "callerid": "/second"}))
+        writer.write(handle, 0, 0, serialize(String("x" * 600_000)))
+        writer.flush()
+        with connect(keyspace=rosCas.keyspace) as other:
+            other.removeTopic("/a")
+        writer.write(handle, 1, 1, serialize(String("y")))
+        writer.flush()
+        assert writer.current(handle).table.has_chunks
+        monkeypatch.setattr(
+            MessageWriter,
+            "connect",
+            lambda self, *args, **options: (made.append(1), make(self, *args, **options))[1],
+        )
+        together(*[partial(writer.current, second)] * 4)
+        assert len(made) == 1
+        assert writer.current(second).table is writer.current(handle).table

@@ -138,7 +138,10 @@ class MessageWriter:
         self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
+        self._told: set[str] = set()
+        """Names of the removed tables for which a warning was logged."""
         self._mutex = threading.Lock()
+        self._renewing = threading.Lock()
         self._closed = False
         self._high = writer_id << COUNTER_BITS
         if run is not None:
@@ -249,7 +252,9 @@ class MessageWriter:
     def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
         if handle.warning:
             _log.warning("%s", handle.warning)
-        self._rows.gone.discard(handle.table.name)  # its conversion was given up
+        # Also after a conversion that was given up: the table takes rows again.
+        self._rows.gone.discard(handle.table.name)
+        self._told.discard(handle.table.name)
         handle = self.ready(handle)
         with self._mutex:
             while len(self._handles) >= MAX_HANDLES:
@@ -270,40 +275,65 @@ class MessageWriter:
         return handle
 
     def current(self, handle: Handle) -> Handle:
-        """Return the handle.
+        """Return the handle for the next messages of a handle's connection.
 
-        If its table was dropped, one of the table in which the topic goes on.
+        This is the handle itself while its table exists. If another client has removed or replaced
+        the table, it is a handle of the table in which the topic goes on, made if it is missing.
+
+        Raises:
+            TopicNotFound: The table was removed, and the caller makes the handles (``given``).
+            SchemaConflict, StoreUnavailable: The next table cannot be made.
         """
         while handle.table.name in self._rows.gone:
             if self._given:
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
-            key = (handle.connection, handle.asked, handle.node)
-            with self._mutex:
-                found = self._handles.get(key)
-            if found is None or found.table.name in self._rows.gone:
-                self._keyspace.schema.tables(fresh=True)
-                like, (connection, asked, node) = handle.table.metadata, key
-                kept = self._keyspace.schema.format_after(handle.table.name, like.format)
-                like = like.with_(format=kept, cut=True)
-                found = self.connect(
-                    connection,
-                    like.bucket_ns,
-                    span_ns=like.span_ns,
-                    format=asked,
-                    node=node,
-                    like=like,
-                )
-                if found.table.packed and not found.table.metadata.cut:  # made by another client
-                    change = self._keyspace.schema.change_topic
-                    change(connection.topic, lambda metadata: metadata.with_(cut=True))
+            later = self._known(handle)
+            if later is None:
+                # One thread makes the table; those with rows of the removed table wait for it.
+                with self._renewing:
+                    later = self._known(handle) or self._connect_anew(handle)
+            if handle.table.name not in self._told:
+                self._tell_moved(handle, later)
+            handle = later
+        return handle
+
+    def _known(self, handle: Handle) -> Optional[Handle]:
+        """Return the latest handle of a handle's connection; None if its table was removed, too."""
+        with self._mutex:
+            latest = self._handles.get((handle.connection, handle.asked, handle.node))
+        return None if latest is None or latest.table.name in self._rows.gone else latest
+
+    def _connect_anew(self, handle: Handle) -> Handle:
+        """Return a handle of the table in which the topic of a removed table goes on."""
+        schema = self._keyspace.schema
+        schema.tables(fresh=True)
+        like = handle.table.metadata
+        like = like.with_(format=schema.format_after(handle.table.name, like.format), cut=True)
+        later = self.connect(
+            handle.connection,
+            like.bucket_ns,
+            span_ns=like.span_ns,
+            large=handle.table.has_chunks,
+            format=handle.asked,
+            node=handle.node,
+            like=like,
+        )
+        if later.table.packed and not later.table.metadata.cut:  # made by another client
+            schema.change_topic(handle.topic, lambda metadata: metadata.with_(cut=True))
+        return later
+
+    def _tell_moved(self, handle: Handle, later: Handle) -> None:
+        """Log once for a removed table where the messages go now."""
+        with self._mutex:
+            first = handle.table.name not in self._told
+            self._told.add(handle.table.name)
+        if first:
             _log.warning(
                 "the table of topic %s was removed or replaced by another client: new messages go "
                 "into %s",
                 handle.topic,
-                "its successor" if found.table.name != handle.table.name else "it anew",
+                "its successor" if later.table.name != handle.table.name else "it anew",
             )
-            handle = found
-        return handle
 
     def write(
         self, handle: Handle, t_ns: int, counter: int, wire: bytes, name: str = ""
@@ -357,9 +387,10 @@ class MessageWriter:
         # With on_loss, errors are reported for single messages, so these are written one by one.
         if len(wires) and known and counters.max() <= MAX_COUNTER and self._on_loss is None:
             seqs = self._high | counters
+            handle = self._current(handle)
             if handle.blocks is not None:
                 taken = handle.blocks.take_run(times, seqs, wires)
-            elif handle.table.name not in self._rows.gone:
+            else:
                 taken = self._put_rows(handle, times, seqs, wires)
         rest = zip(times[taken:].tolist(), counters[taken:].tolist(), wires[taken:])
         for t_ns, counter, wire in rest:
