@@ -154,27 +154,19 @@ class RunSeries:
         Args:
             restored: Number of messages in memory that will be stored in it first.
         """
-        options = self._options
-        recording = Recording(
-            self._store,
-            clock=self._clock,
-            settings=self._settings,
-            filters=self.filters,
-            node=options.node_id,
-            buffer_bytes=options.buffsize,
-            block_sec=options.block_age,
-            places=options.places,
-            name=name or options.run_name(self._number),
-            labels={**options.labels, **labels},
-            restored=restored,
-        )
-        self._number += 1
+        name = name or self._options.run_name(self._number)
+        recording = self._make(name, {**self._options.labels, **labels}, restored=restored)
         self._begun(recording)
         return recording
 
     def _new(self) -> Recording:
+        name = self._options.run_name(self._number, self._name)
+        return self._make(name, self._labels, limit=self._options.limit)
+
+    def _make(
+        self, name: str, labels: Mapping[str, str], *, limit: int = 0, restored: int = 0
+    ) -> Recording:
         options = self._options
-        name = options.run_name(self._number, self._name)
         recording = Recording(
             self._store,
             clock=self._clock,
@@ -184,9 +176,10 @@ class RunSeries:
             buffer_bytes=options.buffsize,
             block_sec=options.block_age,
             places=options.places,
-            limit=options.limit,
+            limit=limit,
             name=name,
-            labels=self._labels,
+            labels=labels,
+            restored=restored,
         )
         self._number += 1
         return recording

@@ -173,7 +173,7 @@ class _Check:
         try:
             tables = self._catalog.get(name).tables
         except DefinitionError as exc:
-            self._note(DamageKind.DEFINITION, name, "", "", None, 0, str(exc))
+            self._note_unread(DamageKind.DEFINITION, name, "", str(exc))
             return
         for table in tables:
             self.tables.append(table)
@@ -234,8 +234,7 @@ class _Check:
                 key = t, decode_long(values[1])
                 if rows_at(table, table.place(node, bucket), key):  # otherwise deleted meanwhile
                     ends = t, max(t, last)
-                    topic = table.metadata.topic
-                    self._note(DamageKind.MESSAGE, topic, table.name, node, ends, lost, str(exc))
+                    self._note(DamageKind.MESSAGE, table, node, ends, lost, str(exc))
             self._tell(total)
 
     def _message(self, table: TopicTable, row: TableRow) -> None:
@@ -275,8 +274,7 @@ class _Check:
         wrong = [name for name, *each in zip(names, said, wanted) if each[0] != each[1]]
         self._note(
             DamageKind.BOUNDS,
-            table.metadata.topic,
-            table.name,
+            table,
             node,
             (row.t, max(row.t, row.last)),
             row.messages,
@@ -332,8 +330,7 @@ class _Check:
                 directory.add_node(table.name, slot, node)
             self._note(
                 DamageKind.UNLISTED,
-                table.metadata.topic,
-                table.name,
+                table,
                 node,
                 (min(buckets) * length, (max(buckets) + 1) * length - 1),
                 0,
@@ -357,8 +354,7 @@ class _Check:
             self._space.directory.mark(place, table.metadata.ttl, (), totals, closed=True)
         self._note(
             DamageKind.UNLISTED,
-            table.metadata.topic,
-            table.name,
+            table,
             place[1],
             (totals.t_min, totals.t_max),
             totals.rows,
@@ -373,8 +369,7 @@ class _Check:
         length = table.metadata.bucket_ns
         self._note(
             DamageKind.COUNT,
-            table.metadata.topic,
-            table.name,
+            table,
             row.node,
             (row.bucket * length, (row.bucket + 1) * length - 1),
             abs(row.rows - totals.rows),
@@ -401,8 +396,7 @@ class _Check:
             except CorruptMessage as exc:
                 place = table.place(node, key.position.name)
                 if rows_at(table, place, table.stored_order(t, key.position.seq)):
-                    topic, ends = table.metadata.topic, (t, t)
-                    self._note(DamageKind.MESSAGE, topic, table.name, node, ends, 1, str(exc))
+                    self._note(DamageKind.MESSAGE, table, node, (t, t), 1, str(exc))
             self._tell(len(keys))
         for node, count in sorted((+missing).items()):
             if self._repair:
@@ -410,8 +404,7 @@ class _Check:
             text = f"{count} messages of node {node!r} are in no directory; --repair lists it"
             self._note(
                 DamageKind.UNLISTED,
-                table.metadata.topic,
-                table.name,
+                table,
                 node,
                 None,
                 count,
@@ -426,8 +419,7 @@ class _Check:
             try:
                 self._space.connections.get(table.name, conn)
             except CorruptMessage as exc:
-                topic = table.metadata.topic
-                self._note(DamageKind.CONNECTION, topic, table.name, "", None, count, str(exc))
+                self._note(DamageKind.CONNECTION, table, "", None, count, str(exc))
 
     def _orphans(self, table: TopicTable) -> None:
         space = self._space
@@ -441,8 +433,7 @@ class _Check:
         times = [orphan.t for orphan in found]
         self._note(
             DamageKind.ORPHAN,
-            table.metadata.topic,
-            table.name,
+            table,
             "",
             None if table.named else (min(times), max(times)),
             len(found),
@@ -460,8 +451,7 @@ class _Check:
                     f"the definition with md5sum {md5sum} was changed by hand; import or record "
                     "again what uses it"
                 )
-                topic = ", ".join(sorted(topics))
-                self._note(DamageKind.DEFINITION, topic, "", "", None, 0, text)
+                self._note_unread(DamageKind.DEFINITION, ", ".join(sorted(topics)), "", text)
 
     def leftovers(self) -> None:
         """Report entries of tables that do not exist."""
@@ -479,21 +469,28 @@ class _Check:
                 f"the directory knows a table {table} that was dropped: the "
                 "client that removed its topic died; --repair forgets it"
             )
-            self._note(DamageKind.LEFTOVER, "", table, "", None, 0, text, mended=self._repair)
+            self._note_unread(DamageKind.LEFTOVER, "", table, text, mended=self._repair)
 
     def _note(
         self,
         kind: DamageKind,
-        topic: str,
-        table: str,
+        table: TopicTable,
         node: str,
         ends: Optional[Tuple[int, int]],
         messages: int,
         text: str,
         mended: bool = False,
     ) -> None:
-        first, last = ends or (None, None)
-        self.report.add(Damage(kind, topic, table, node, first, last, messages, text, mended))
+        """Add a damage of a table to the report."""
+        topic, (first, last) = table.metadata.topic, ends or (None, None)
+        damage = Damage(kind, topic, table.name, node, first, last, messages, text, mended)
+        self.report.add(damage)
+
+    def _note_unread(
+        self, kind: DamageKind, topic: str, table: str, text: str, mended: bool = False
+    ) -> None:
+        """Add a damage that does not concern messages of one table."""
+        self.report.add(Damage(kind, topic, table, "", None, None, 0, text, mended))
 
 
 def _within(t: int, time_range: TimeRange) -> bool:
