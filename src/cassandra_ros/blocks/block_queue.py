@@ -49,12 +49,16 @@ class Headers:
             self._asked = [part.ask(HEADER, self._count)]
         # Sent together with the headers, which saves a round trip.
         early = part.wanted and part.filters is None
-        self.early = part.ask(WHOLE, part.early) if early else None
-        """The read of the first whole blocks; None = no blocks are read before their headers."""
+        self._early = part.ask(WHOLE, part.early) if early else None
         self.more = bool(self._asked)
         self.last: Optional[Order] = None
         """Key of the last block whose header was read."""
         self._behind: Optional[RawRow] = None
+
+    def take_early(self) -> Optional[PagedRead]:
+        """Return, once, the read of the first whole blocks; None = there is no such read."""
+        early, self._early = self._early, None
+        return early
 
     def _filtered(self, filters: Sequence[Terms]) -> List[PagedRead]:
         try:
@@ -151,7 +155,7 @@ class BlockQueue:
         if self._part.wanted:
             self._wanted *= GROWTH
             self._bytes = min(self._part.page_bytes, GROWTH * self._bytes)
-        early, self._headers.early = self._headers.early, None
+        early = self._headers.take_early()
         return _Batch(self._part, taken, wanted, early) if taken else None
 
     def read(self) -> None:

@@ -146,8 +146,8 @@ class SensorPoses:
                 "the frame out, or leave it to tf"
             )
         self._sources[sensor] = f"{topic}, {how}"
-        placed = PoseTopic(self._catalog.get, topic, self._node, self._writers, offset)
-        placed.frame = (choice.frame or "").strip("/") or told.frame or FRAMES[1]
+        frame = (choice.frame or "").strip("/") or told.frame or FRAMES[1]
+        placed = PoseTopic(self._catalog.get, topic, self._node, self._writers, offset, frame)
         return Poses(placed, choice.longest_gap_sec)
 
     def _stands(self, sensor: str) -> bool:

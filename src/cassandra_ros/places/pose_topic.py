@@ -69,6 +69,7 @@ class PoseTopic:
         writers: Writer ids of the runs; None = all runs.
         offset: Pose on the robot (one transform) whose poses are computed, as a sensor's; None =
             the robot's own.
+        frame: Frame of the poses, where it is known; None = the frame of the first pose.
 
     Raises:
         TopicNotFound: The topic is not stored.
@@ -82,6 +83,7 @@ class PoseTopic:
         node: Optional[str] = None,
         writers: Writers = None,
         offset: Optional[Rigid] = None,
+        frame: Optional[str] = None,
     ) -> None:
         check_nodes(node)
         self._topic, self._node, self._writers = find(topic), node, writers
@@ -96,8 +98,10 @@ class PoseTopic:
         self._fields = list(pose_fields(told[0].definition))
         names = {ref.name for ref in all_fields(told[0].definition)} if told[0].definition else ()
         self._stamped = _STAMP in names
-        self.frame = self._first_frame() if _FRAME in names else ""
-        """Frame of the first pose, without a slash in front; '' if the type has no frame."""
+        if frame is None:
+            frame = self._first_frame() if _FRAME in names else ""
+        self.frame = frame
+        """Frame of the poses, without a slash in front; '' if the type has no frame."""
 
     def _first_frame(self) -> str:
         first = key_after(self._topic, -1, self._node, self._writers)

@@ -260,16 +260,30 @@ class OpenBucket:
     def take(self) -> tuple[Batch, BatchStatement]:
         """Return the filled batch with the statement that stores it, and begin a new batch."""
         rows = self._encoded()
-        batch, self.batch = self.batch, Batch()
+        batch = self.drop()
         statement = BatchStatement(BatchType.UNLOGGED)
         statement.is_idempotent = True
         # Does at once what BatchStatement.add does row by row (10 to 6 µs a row).
         statement._statements_and_parameters = rows
         statement.routing_key = self._routing_key
         statement.keyspace = self._plain.keyspace
+        self.begin_request()
+        return batch, statement
+
+    def drop(self) -> Batch:
+        """Return the filled batch, and begin a new one."""
+        batch, self.batch = self.batch, Batch()
+        return batch
+
+    def begin_request(self) -> None:
+        """Count a batch or a large message in chunks that is being sent."""
         with self.mutex:
             self.in_air += 1
-        return batch, statement
+
+    def end_chunks(self) -> None:
+        """Note that all chunks of a large message are acknowledged; its row can be added now."""
+        with self.mutex:
+            self.in_air -= 1
 
     def _encoded(self) -> EncodedRows:
         """Encode the rows of the batch that are not encoded yet, most of them together."""
@@ -302,6 +316,19 @@ class OpenBucket:
             totals.odd += batch.odd_rows
             totals.largest = max(totals.largest, batch.largest)
             self.changed = True
+
+    def take_totals(self) -> BucketTotals:
+        """Return the counts of stored rows, and note that the directory gets them."""
+        self.changed = False
+        return self.totals
+
+    def mark(self) -> None:
+        """Note that the bucket was just marked in the directory."""
+        self.marked = time.monotonic()
+
+    def require_recount(self) -> None:
+        """Note that other clients may have deleted rows, so that the totals are not final."""
+        self.must_recount = True
 
     def failed(self) -> None:
         """Note that a batch was given up; some of its rows may have been stored."""

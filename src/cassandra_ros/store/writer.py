@@ -251,7 +251,7 @@ class RowWriter:
         # Other clients took this writer for dead: they may have deleted rows and closed the bucket.
         if late:
             self._check_taking(bucket.table)
-        bucket.must_recount = bucket.must_recount or late
+            bucket.require_recount()
         self._put(bucket, None)
 
     def _send(self, bucket: OpenBucket) -> None:
@@ -276,8 +276,7 @@ class RowWriter:
         crc = new.crc if isinstance(new, Block) else crc32(new.wire)
         chunks, told = Chunks(-(-len(new.wire) // CHUNK_BYTES), crc), 0
         outcome, wire = self._chunk_outcome(bucket, new, again, chunks), memoryview(new.wire)
-        with bucket.mutex:
-            bucket.in_air += 1
+        bucket.begin_request()
         try:
             for number in range(chunks.number):
                 data = wire[number * CHUNK_BYTES : (number + 1) * CHUNK_BYTES]
@@ -319,8 +318,7 @@ class RowWriter:
 
         A request of its own would cost the server a sixth of what an image costs.
         """
-        with bucket.mutex:
-            bucket.in_air -= 1
+        bucket.end_chunks()
         if isinstance(new, Block):
             bucket.add_block(new, chunks)
         else:
@@ -442,7 +440,7 @@ class RowWriter:
             try:
                 self._reopen(bucket, late=True)
             except TopicNotFound as exc:
-                batch, bucket.batch = bucket.batch, Batch()
+                batch = bucket.drop()
                 self._failed(bucket.table, batch.rewriters(), batch.times, exc)
                 return
         self._send(bucket)
@@ -461,8 +459,7 @@ class RowWriter:
                         self._mark(bucket)
 
     def _mark(self, bucket: OpenBucket) -> None:
-        bucket.changed = False
-        self._put(bucket, bucket.totals)
+        self._put(bucket, bucket.take_totals())
 
     def _put(self, bucket: OpenBucket, totals: BucketTotals | None, closed: bool = False) -> None:
         table, node, number = bucket.table, bucket.node, bucket.bucket
@@ -470,7 +467,7 @@ class RowWriter:
             self._directory.note(table, node, number)
         place = (table.name, node, number, self._writer_id)
         self._directory.mark(place, table.metadata.ttl, bucket.filled, totals, closed=closed)
-        bucket.marked = time.monotonic()
+        bucket.mark()
 
     # ---------------------------------------------------------------- end
 
