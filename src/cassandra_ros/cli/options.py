@@ -323,6 +323,13 @@ def add_origin_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_message_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that select messages by time, robot, run and condition."""
+    add_time_options(parser)
+    add_origin_options(parser)
+    add_where_option(parser)
+
+
 def add_where_option(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
     """Add --where; read_where reads it."""
     parser.add_argument(

@@ -8,7 +8,6 @@ import hashlib
 import os
 import re
 import shutil
-import subprocess
 import tempfile
 import time
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Callable
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.installation import home_folder
-from cassandra_ros.local_server.processes import locked
+from cassandra_ros.local_server.processes import locked, run_program
 
 _MARKER = "complete"
 _ATTEMPTS = 4
@@ -124,7 +123,7 @@ def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
     command = [maven, "-B", "-q", "-f", str(server_file("pom.xml")), "dependency:copy-dependencies"]
     command += ["-DincludeScope=runtime", f"-DoutputDirectory={target}"]
     for attempt in range(1, _ATTEMPTS + 1):
-        status, output = _run(command, _ATTEMPT_TIMEOUT_SEC)
+        status, output = run_program(command, _ATTEMPT_TIMEOUT_SEC)
         if status == 0:
             return
         if attempt < _ATTEMPTS:
@@ -139,26 +138,6 @@ def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
         + "\n".join(output.strip().splitlines()[-12:])
         + "\nCheck the network (a proxy belongs in ~/.m2/settings.xml) and try again."
     )
-
-
-def _run(command: list[str], timeout_sec: float) -> tuple[int, str]:
-    """Run a program; return its exit status (1 if it does not start or end) and its output."""
-    try:
-        done = subprocess.run(
-            command,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            timeout=timeout_sec,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return 1, f"[ERROR] no end after {timeout_sec} s"
-    except OSError as exc:
-        return 1, f"[ERROR] {exc}"
-    return done.returncode, done.stdout
 
 
 def _pom_digest() -> str:
@@ -186,7 +165,7 @@ def find_java() -> str:
 
 def java_version(path: str) -> int:
     """Return the major version of a `java`; 0 = it cannot be run."""
-    found = re.search(r'version "(?:1\.)?(\d+)', _run([path, "-version"], 30)[1])
+    found = re.search(r'version "(?:1\.)?(\d+)', run_program([path, "-version"], 30)[1])
     return int(found.group(1)) if found else 0
 
 

@@ -4,11 +4,10 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
 from typing import Mapping, Sequence
 
 from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server.processes import run_program
 
 _OPENS = (
     "java.base/java.lang.module java.base/jdk.internal.loader java.base/jdk.internal.ref "
@@ -46,21 +45,6 @@ def run_to_end(
     Raises:
         ServerError: The program fails, or takes longer than the timeout.
     """
-    try:
-        done = subprocess.run(
-            command,
-            env={**os.environ, **environment, "LC_ALL": "C.UTF-8"},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            timeout=timeout_sec,
-            check=False,
-        )
-    except subprocess.TimeoutExpired as exc:
-        raise ServerError(
-            f"{failure}: {command[0]} did not end within {timeout_sec:.0f} s"
-        ) from exc
-    if done.returncode:
-        raise ServerError(f"{failure}: {done.stdout.strip()[-500:]}")
+    status, output = run_program(command, timeout_sec, {**environment, "LC_ALL": "C.UTF-8"})
+    if status:
+        raise ServerError(f"{failure}: {output.strip()[-500:]}")

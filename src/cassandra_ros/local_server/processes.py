@@ -16,7 +16,7 @@ import subprocess
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Callable, Iterator
+from typing import Callable, Iterator, Mapping, Sequence
 
 import psutil
 
@@ -45,6 +45,37 @@ def is_server(pid: int, config: Path) -> bool:
 def find_server(config: Path) -> int:
     """Return the pid of the server with this configuration file; 0 = it is not running."""
     return next((pid for pid in psutil.pids() if is_server(pid, config)), 0)
+
+
+def run_program(
+    command: Sequence[str], timeout_sec: float, environment: Mapping[str, str] | None = None
+) -> tuple[int, str]:
+    """Run a program to its end.
+
+    Args:
+        timeout_sec: Time after which it is killed, s.
+        environment: Environment variables in addition to those of this process.
+
+    Returns:
+        Its exit status (1 if it does not start, or not end in time) and its output.
+    """
+    try:
+        done = subprocess.run(
+            command,
+            env={**os.environ, **(environment or {})},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            timeout=timeout_sec,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return 1, f"[ERROR] {command[0]} did not end within {timeout_sec:.0f} s"
+    except OSError as exc:
+        return 1, f"[ERROR] {exc}"
+    return done.returncode, done.stdout
 
 
 def describe_process(pid: int) -> str:

@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import logging
+from itertools import filterfalse
 from typing import FrozenSet, Iterator, Optional
 
 from cassandra_ros.blocks.block_counts import count_part as count_blocks
 from cassandra_ros.blocks.block_counts import measure
 from cassandra_ros.blocks.block_stream import stream
 from cassandra_ros.blocks.bucket_read import BucketRead
+from cassandra_ros.connection.paging import RawRow
 from cassandra_ros.errors import AccessDenied, ConnectionFailed, StoreUnavailable
 from cassandra_ros.keys import split_seq, writer_of
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, Directory
@@ -33,17 +35,9 @@ def scan_keys(
         for message in stream(BucketRead(table, node, bucket, ends, bare=True)):
             yield message.t, message.seq, message.size, message.nchunks > 0, message.odd
         return
-    asked = table.select_range(
-        COUNTED,
-        table.place(node, bucket),
-        ((low, MIN_SEQ), (high, MAX_SEQ)),
-        page_rows=COUNT_PAGE_ROWS,
-        what="counting",
-    )
-    for row in asked.rows():
-        if not table.is_rest(row):
-            t, seq, size = map(decode_long, row[:3])
-            yield t, seq, size, row[3] is not None, row[4] is not None
+    for row in _rows(table, node, bucket, low, high, COUNTED):
+        t, seq, size = map(decode_long, row[:3])
+        yield t, seq, size, row[3] is not None, row[4] is not None
 
 
 def scan_written(
@@ -53,17 +47,23 @@ def scan_written(
 
     ``written`` is the server's write time, microseconds since 1970. Not for tables of blocks.
     """
+    for row in _rows(table, node, bucket, low, high, f'{COUNTED}, WRITETIME("_size")'):
+        t, seq, written = map(decode_long, (row[0], row[1], row[5]))
+        yield t, seq, row[3] is not None, written
+
+
+def _rows(
+    table: RowTable, node: str, bucket: int, low: int, high: int, columns: str
+) -> Iterator[RawRow]:
+    """Yield columns, encoded, of the rows of a bucket with t in [low, high]."""
     asked = table.select_range(
-        f'{COUNTED}, WRITETIME("_size")',
+        columns,
         table.place(node, bucket),
         ((low, MIN_SEQ), (high, MAX_SEQ)),
         page_rows=COUNT_PAGE_ROWS,
         what="counting",
     )
-    for row in asked.rows():
-        if not table.is_rest(row):
-            t, seq, written = map(decode_long, (row[0], row[1], row[5]))
-            yield t, seq, row[3] is not None, written
+    return filterfalse(table.is_rest, asked.rows())
 
 
 def count_part(

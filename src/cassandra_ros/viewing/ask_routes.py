@@ -39,6 +39,7 @@ from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.lossless_json import Cells
 from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_ROWS = 200
@@ -278,10 +279,6 @@ def _how(series: Series) -> str:
 
 
 _STATEMENT = Parameter("q", "text", "The statement: a SELECT.", required=True)
-_WHOSE = (
-    Parameter("nodes", "texts", "nodeIDs of the robots; missing: all robots."),
-    Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs."),
-)
 
 ROUTES: tuple[Route, ...] = (
     Route(
@@ -309,7 +306,8 @@ ROUTES: tuple[Route, ...] = (
                 "Maximum number of elements of an array, text or bytes: "
                 "longer ones become {first, of}.",
             ),
-            *_WHOSE,
+            NODES,
+            RUNS,
         ),
     ),
     Route(
@@ -317,7 +315,7 @@ ROUTES: tuple[Route, ...] = (
         _explain,
         "How a statement is answered: it is run to its end, and the answer counts what the server "
         "checked and what was read; text is for people.",
-        (_STATEMENT, *_WHOSE),
+        (_STATEMENT, NODES, RUNS),
     ),
     Route(
         "/api/complete",
@@ -339,8 +337,7 @@ ROUTES: tuple[Route, ...] = (
         "LIMIT are always complete.",
         (
             _STATEMENT,
-            Parameter("start", "time", "First time; missing: that of the first message."),
-            Parameter("end", "time", "Last time, included; missing: that of the last message."),
+            *WHOLE_RANGE,
             Parameter(
                 "pixels",
                 "count",
@@ -355,7 +352,8 @@ ROUTES: tuple[Route, ...] = (
                 False,
                 BUDGET_SEC,
             ),
-            *_WHOSE,
+            NODES,
+            RUNS,
         ),
     ),
 )

@@ -16,7 +16,7 @@ from cassandra_ros.topics.stored_totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import TOPICS
+from cassandra_ros.viewing.selection_parameters import RUNS, TOPICS
 
 MAX_LISTED = 10_000
 """Maximum number of runs or marks in one answer."""
@@ -188,7 +188,7 @@ ROUTES: tuple[Route, ...] = (
         _runs,
         "Recordings and imports, the latest first: state, labels, stored and lost messages.",
         (
-            Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs."),
+            RUNS,
             Parameter(
                 "limit", "count", f"Maximum number of runs, to {MAX_LISTED}.", default=_USUAL_RUNS
             ),

@@ -18,6 +18,7 @@ from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 USUAL_MESSAGES = 1000
@@ -131,10 +132,9 @@ ROUTES: tuple[Route, ...] = (
                 "shown as it is stored.",
                 required=True,
             ),
-            Parameter("start", "time", "First time, included; missing: that of the first message."),
-            Parameter("end", "time", "Last time, included; missing: that of the last message."),
-            Parameter("nodes", "texts", "nodeIDs of the robots; missing: all robots."),
-            Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs."),
+            *WHOLE_RANGE,
+            NODES,
+            RUNS,
             Parameter("name", "text", "Name of the map, if maps are stored under names."),
             Parameter(
                 "resolution", "number", "Length of a cell, metres.", default=DEFAULT_RESOLUTION

@@ -14,7 +14,7 @@ from cassandra_ros.places.tracks import find_tracks
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import whose_of
+from cassandra_ros.viewing.selection_parameters import NODES, WHOLE_RANGE, whose_of
 
 MOST_STAYS = 1000
 """Maximum number of stays in one answer."""
@@ -30,7 +30,6 @@ _FRAME = Parameter(
 _ROBOT = Parameter(
     "robot", "text", "Frame of the robot, or a topic of its poses; missing: found by the viewer."
 )
-_NODES = Parameter("nodes", "texts", "nodeIDs of the robots; missing: all robots.")
 _RUNS = Parameter("runs", "texts", "Runs whose poses are used, if they recorded any.")
 
 
@@ -105,10 +104,6 @@ def _corners(text: str) -> Sequence[Tuple[float, float]]:
         raise InvalidOption(f"polygon {text[:80]!r}: give x,y;x,y;x,y in metres") from exc
 
 
-_TIMES = (
-    Parameter("start", "time", "First time, included; missing: that of the first message."),
-    Parameter("end", "time", "Last time, included; missing: that of the last message."),
-)
 ROUTES: tuple[Route, ...] = (
     Route(
         "/api/near",
@@ -124,8 +119,8 @@ ROUTES: tuple[Route, ...] = (
             ),
             _FRAME,
             _ROBOT,
-            *_TIMES,
-            _NODES,
+            *WHOLE_RANGE,
+            NODES,
             _RUNS,
             Parameter(
                 "limit",
@@ -142,8 +137,8 @@ ROUTES: tuple[Route, ...] = (
         "The tracks of robots: for each robot times, and x and y in metres, thinned; joined has, "
         "for each point, whether the way from the point before is known.",
         (
-            *_TIMES,
-            _NODES,
+            *WHOLE_RANGE,
+            NODES,
             _RUNS,
             _FRAME,
             _ROBOT,

@@ -18,7 +18,7 @@ from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import shown_ns
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, TOPICS, whose_of
+from cassandra_ros.viewing.selection_parameters import NODES, RUNS, TOPICS, WHOLE_RANGE, whose_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _PIXELS = 1000
@@ -109,8 +109,7 @@ ROUTES: Tuple[Route, ...] = (
         "by ten years or more without a message. If `exact` is false, messages and bytes are "
         "estimates. The answer comes from the directory; its cost does not grow with the messages.",
         (
-            Parameter("start", START.kind, f"{START.summary} Missing: that of the first message."),
-            Parameter("end", END.kind, f"{END.summary} Missing: that of the last message."),
+            *WHOLE_RANGE,
             Parameter(
                 "pixels",
                 "count",

@@ -22,10 +22,8 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.json_answer import add_json_option, plain
 from cassandra_ros.cli.options import (
-    add_origin_options,
+    add_message_options,
     add_store_options,
-    add_time_options,
-    add_where_option,
     open_store,
     read_times,
     read_where,
@@ -42,9 +40,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, selection, form and the store."""
     add_topics(parser)
-    add_time_options(parser)
-    add_origin_options(parser)
-    add_where_option(parser)
+    add_message_options(parser)
     add = parser.add_argument
     text = "maximum number of messages to print (default: all)"
     add("-n", "--limit", metavar="COUNT", type=whole_number, help=text)

@@ -23,10 +23,8 @@ from typing import TYPE_CHECKING
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
-    add_origin_options,
+    add_message_options,
     add_store_options,
-    add_time_options,
-    add_where_option,
     open_store,
     read_times,
     read_where,
@@ -43,9 +41,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, which of their messages, whether it is asked, and the store."""
     add_topics(parser, "the topics, or the topics of the messages (default: all topics)")
-    add_time_options(parser)
-    add_origin_options(parser)
-    add_where_option(parser)
+    add_message_options(parser)
     add_dry_run_option(parser)
     add_yes_option(parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")

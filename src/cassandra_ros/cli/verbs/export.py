@@ -24,10 +24,8 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
-    add_origin_options,
+    add_message_options,
     add_store_options,
-    add_time_options,
-    add_where_option,
     open_store,
     read_times,
     read_where,
@@ -52,9 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "the bag to write, as an option, which may stand anywhere (default: OUT.bag)"
     add("-o", "--output", metavar="OUT.bag", help=text)
     add_topics_option(parser, "OUT.bag, or with -o anywhere")
-    add_time_options(parser)
-    add_origin_options(parser)
-    add_where_option(parser)
+    add_message_options(parser)
     add(
         "--no-latched",
         dest="latched",

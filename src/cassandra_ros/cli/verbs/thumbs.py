@@ -21,10 +21,8 @@ from typing import TYPE_CHECKING, Iterator
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
-    add_origin_options,
+    add_message_options,
     add_store_options,
-    add_time_options,
-    add_where_option,
     open_store,
     read_times,
     read_where,
@@ -77,9 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--width", metavar="PIXELS", type=whole_number, default=240, help=text)
     text = "time between two pictures: seconds, or with m or h (default: fill all rows evenly)"
     add("--every", metavar="SECONDS", type=duration, help=text)
-    add_time_options(parser)
-    add_origin_options(parser)
-    add_where_option(parser)
+    add_message_options(parser)
     add_json_option(parser)
     add_store_options(parser)
 
