@@ -12,7 +12,7 @@ from __future__ import annotations
 import os
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 ASKED = os.environ.get("CASSANDRA_ROS_CAMPAIGN", "")
 EVERYTHING = ASKED == "ci"
@@ -41,6 +41,17 @@ def sparing(values, kept):
 def examples(number, least=1):
     """Return how many examples a search asks for that has so many in the short campaign."""
     return max(least, round(number * SHARES[LENGTH]))
+
+
+def random_statements(number, repeatable=True):
+    """Return the settings of a search with this number of random statements."""
+    return settings(
+        max_examples=examples(number),
+        derandomize=repeatable,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
 
 
 def campaign(number, **options):

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 import itertools
-import threading
 import zlib
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from threads import together
 
 from cassandra_ros.blocks.block_builder import Builders, make_block
 from cassandra_ros.blocks.codec import unpack_block
@@ -150,11 +151,7 @@ def test_messages_of_several_threads_are_all_there(steps, threads):
     cutter = Cutter()
     every = made([(step, 3) for step in steps])
     parts = [every[n::threads] for n in range(threads)]
-    work = [threading.Thread(target=cutter.take, args=(part,)) for part in parts]
-    for thread in work:
-        thread.start()
-    for thread in work:
-        thread.join()
+    together(*(partial(cutter.take, part) for part in parts))
     cutter.builders.seal()
     found = [seq for _, block in cutter.blocks for seq in block.seqs]
     assert sorted(found) == [seq for _, seq, _ in every]

@@ -6,36 +6,26 @@ from __future__ import annotations
 
 import os
 import struct
-import threading
 import time
+from functools import partial
 
 import pytest
 from nodes.children import await_true
 from proxy import BATCH
 from std_msgs.msg import Header, String, UInt8MultiArray
-from store.test_failures import directory_of, told
+from store.text_messages import (
+    T0,
+    connect,
+    directory_of,
+    told,
+    wire_of,
+    write,
+    write_in_two_parts,
+)
+from threads import together
 
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection_header import api_connection
-from cassandra_ros.messages.definition import definition_of
-
-SEC = 10**9
-T0 = 1_500_000_000 * SEC
-
-
-def connect(writer, topic="/a", cls=String, caller="/x", **options):
-    return writer.connect(api_connection(topic, definition_of(cls), caller), **options)
-
-
-def wire_of(number):
-    return serialize(String(data=f"text {number}"))
-
-
-def write(writer, numbers, handle=None):
-    handle = handle or connect(writer)
-    for number in numbers:
-        writer.write(handle, T0 + number, number, wire_of(number))
 
 
 def packed(store, **options):
@@ -131,14 +121,7 @@ def test_two_writers_at_once(rosCas):
             for number in range(first, 4000, 2):
                 writer.write(handle, T0 + number * 100_000, number, wire_of(number))
 
-        threads = [
-            threading.Thread(target=work, args=(writer, handle, n))
-            for n, (writer, handle) in enumerate(zip((one, two), handles))
-        ]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(partial(work, one, handles[0], 0), partial(work, two, handles[1], 1))
     assert wires(rosCas) == [wire_of(n) for n in range(4000)]
     assert told(rosCas) == (4000, 4000, 4000)
 
@@ -153,11 +136,7 @@ def test_many_threads_share_a_writer(rosCas):
                 if number % 500 == 0:
                     writer.flush()
 
-        threads = [threading.Thread(target=work, args=(first,)) for first in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(*(partial(work, first) for first in range(4)))
     assert wires(rosCas) == [wire_of(n) for n in range(4000)]
     assert told(rosCas) == (4000, 4000, 4000)
 
@@ -204,10 +183,7 @@ def test_losses_are_raised_without_a_callback(far, proxy):
 def test_what_was_given_up_but_is_stored_is_counted(far, proxy, rosCas):
     proxy.catch(block_of(5), stored=True)
     writer = packed(far, writer_id=9, give_up_after_sec=0, on_loss=lambda *loss: None)
-    write(writer, range(5))
-    writer.flush()
-    write(writer, range(5, 10))
-    writer.close()
+    write_in_two_parts(writer)
     assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (5, 5)
     assert told(rosCas) == (10, 10, 10)
     assert directory_of(rosCas)[9].closed
@@ -217,10 +193,7 @@ def test_what_was_given_up_but_is_stored_is_counted(far, proxy, rosCas):
 def test_what_fails_once_is_sent_again(far, proxy, rosCas, stored):
     failed = proxy.catch(block_of(5), stored=stored, most=2)
     writer = packed(far)
-    write(writer, range(5))
-    writer.flush()
-    write(writer, range(5, 10))
-    writer.close()
+    write_in_two_parts(writer)
     assert len(failed.frames) == 2
     assert wires(rosCas) == [wire_of(n) for n in range(10)]
     assert told(rosCas) == (10, 10, 10)

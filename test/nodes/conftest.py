@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 import pytest
 from nodes.children import start_recorder
 
@@ -11,16 +13,13 @@ from nodes.children import start_recorder
 @pytest.fixture
 def recorder(roscore, cassandra, keyspace, rosCas):
     """Start recorders of the test's keyspace; they are gone afterwards."""
-    started = []
+    with ExitStack() as children:
 
-    def start(*arguments, ready="recording ", **options):
-        child = start_recorder(roscore, cassandra, keyspace, *arguments, **options)
-        started.append(child)
-        if ready:
-            child.await_line(ready)
-        return child
+        def start(*arguments, ready="recording ", **options):
+            child = start_recorder(roscore, cassandra, keyspace, *arguments, **options)
+            children.enter_context(child)
+            if ready:
+                child.await_line(ready)
+            return child
 
-    yield start
-    for child in started:
-        with child:
-            pass
+        yield start

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import struct
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
 from types import SimpleNamespace
 
@@ -27,20 +28,17 @@ T0 = 1_405_015_391 * SEC
 @pytest.fixture
 def start(roscore, cassandra):
     """Start players of a keyspace; they are gone afterwards."""
-    started = []
+    with ExitStack() as children:
 
-    def start(keyspace, *arguments, ready="services under ", **options):
-        where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
-        child = start_node(roscore, "player", *where, *arguments, **options)
-        started.append(child)
-        if ready:
-            child.await_line(ready)
-        return child
+        def start(keyspace, *arguments, ready="services under ", **options):
+            where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
+            child = start_node(roscore, "player", *where, *arguments, **options)
+            children.enter_context(child)
+            if ready:
+                child.await_line(ready)
+            return child
 
-    yield start
-    for child in started:
-        with child:
-            pass
+        yield start
 
 
 @pytest.fixture

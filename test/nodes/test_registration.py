@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -55,6 +55,17 @@ def master(ros_env):
     yield SimpleNamespace(uri=uri, env=env, start=start, stop=stop)
     while running:
         stop()
+
+
+@contextlib.contextmanager
+def frozen(master):
+    """Stop the master's process, which then does not answer, until the context ends."""
+    pid = xmlrpc.client.ServerProxy(master.uri).getPid("/test")[2]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
 
 
 class SlowMaster(ThreadingMixIn, SimpleXMLRPCServer):
@@ -165,11 +176,9 @@ def test_a_master_that_stood_still_is_no_loss(master, cassandra, keyspace, rosCa
         child.await_line("recording 1 topic")
         one = RawPublisher(master.uri, "/a", header_of(String))
         one.await_subscribers().publish(text(1))
-        pid = xmlrpc.client.ServerProxy(master.uri).getPid("/test")[2]
-        subprocess.run(["kill", "-STOP", str(pid)], check=True)
-        child.await_line("the ROS master does not answer")
-        one.publish(text(2))
-        subprocess.run(["kill", "-CONT", str(pid)], check=True)
+        with frozen(master):
+            child.await_line("the ROS master does not answer")
+            one.publish(text(2))
         child.await_line("the ROS master answers again")
         one.publish(text(3))
         one.close()
@@ -187,13 +196,9 @@ def test_a_recording_ends_without_its_master(master, cassandra, keyspace, rosCas
         child.await_line("recording 1 topic")
         one = RawPublisher(master.uri, "/a", header_of(String))
         one.await_subscribers().publish(text(1))
-        pid = xmlrpc.client.ServerProxy(master.uri).getPid("/test")[2]
-        subprocess.run(["kill", "-STOP", str(pid)], check=True)
-        try:
+        with frozen(master):
             one.publish(text(2))
             assert child.end(timeout_sec=180) == 0, child.output
-        finally:
-            subprocess.run(["kill", "-CONT", str(pid)], check=True)
         one.close()
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(1), text(2)]
 

@@ -419,6 +419,7 @@ def inside(value, steps, chosen):
 
 
 def plain(value):
+    """Return what a query gives for the value of a message object's attribute."""
     if isinstance(value, (genpy.Time, genpy.Duration)):
         return value.to_nsec()
     if isinstance(value, (list, tuple)):

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import namedtuple
 from io import BytesIO
 
-import genpy
+from query.brute_force import plain
 
 from cassandra_ros.messages.definition import definition_of
 
@@ -30,15 +30,6 @@ def row_of(msg=None, t=1, node="", wire=None, table=None):
     if table is None:
         table = table_of(definition_of(type(msg)))
     return Row(t, node, wire, table, False, (), t, table.topic)
-
-
-def plain(value):
-    """What a query gives for the value of a message object's attribute."""
-    if isinstance(value, (genpy.Time, genpy.Duration)):
-        return value.to_nsec()
-    if isinstance(value, (list, tuple)):
-        return [plain(element) for element in value]
-    return value
 
 
 def attribute(msg, path):

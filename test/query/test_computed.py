@@ -13,9 +13,9 @@ from fractions import Fraction
 from types import SimpleNamespace
 
 import pytest
-from campaign import campaign, examples
+from campaign import campaign, random_statements
 from geometry_msgs.msg import TransformStamped, Twist
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from query.brute_force import Message, Writer, canonical
 from query.kinds import KINDS, EdgeMaker
@@ -311,13 +311,7 @@ def test_random_statements_without_a_database(name, caplog):
     tables = list({row.table.name: row.table for row in rows}.values())
     seen = Counter()
 
-    @settings(
-        max_examples=examples(150),
-        derandomize=True,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @random_statements(150)
     @given(Asker(kind.types, messages, kind.indexes).statements(), st.integers(0, 2**32))
     def check(statement, seed):
         writer = Writer(seed)

@@ -12,9 +12,9 @@ import math
 from collections import Counter
 
 import pytest
-from campaign import LENGTH, examples
+from campaign import LENGTH, examples, random_statements
 from conftest import ROOT
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from query.brute_force import KEY, Leaf, Message, Path, Statement, Types, Value, Writer, canonical
 from query.kinds import KINDS, T0, Stored, serialized
@@ -75,13 +75,7 @@ def test_every_plan_finds_what_python_finds(stored, record_property):
     asker = Asker(stored.kind.types, stored.messages, stored.kind.indexes)
     seen = Counter()
 
-    @settings(
-        max_examples=STATEMENTS,
-        derandomize=LENGTH != "long",
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @random_statements(170, repeatable=LENGTH != "long")
     @given(asker.statements(), st.integers(0, 2**32))
     def check(statement, seed):
         expected = statement.answer(stored.messages)

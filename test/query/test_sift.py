@@ -15,8 +15,8 @@ from types import SimpleNamespace
 
 import numpy
 import pytest
-from campaign import LENGTH, examples, sparing
-from hypothesis import HealthCheck, given, settings
+from campaign import LENGTH, random_statements, sparing
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import WireMaker
 from query.brute_force import Message, Types, Writer
@@ -134,13 +134,7 @@ def test_nothing_that_matches_is_left_out(name, caplog):
     tables = list({table.name: table for table, *_ in blocks}.values())
     seen = {"sifted": 0, "skipped": 0, "matching": 0}
 
-    @settings(
-        max_examples=examples(120),
-        derandomize=True,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-    )
+    @random_statements(120)
     @given(Asker(kind.types, messages, kind.indexes).statements(), st.integers(0, 2**32))
     def check(statement, seed):
         writer = Writer(seed)

@@ -16,24 +16,23 @@ from campaign import sparing
 from nodes.children import await_true
 from proxy import BATCH, EXECUTE, READ_TIMED_OUT, TIMED_OUT, asks_on
 from std_msgs.msg import Header, String, UInt8MultiArray
+from store.text_messages import (
+    SEC,
+    T0,
+    connect,
+    directory_of,
+    told,
+    write,
+    write_in_two_parts,
+)
 
 from cassandra_ros.connection import flight
 from cassandra_ros.messages.classes import serialize
-from cassandra_ros.messages.connection_header import api_connection
-from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store import backfill, fetch, reader
 from cassandra_ros.store import row_counts as counting
 from cassandra_ros.store import writer as writing
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import bind
-
-SEC = 10**9
-T0 = 1_500_000_000 * SEC
-
-
-def connect(writer, topic, cls, **options):
-    return writer.connect(api_connection(topic, definition_of(cls), "/x"), **options)
-
 
 # ------------------------------------------------------------------ chunks and their row
 
@@ -82,26 +81,6 @@ def test_a_row_waits_for_each_of_its_chunks(far, proxy, rosCas, missing, failed)
 # ------------------------------------------------------------------ batches
 
 
-def write(writer, numbers, **options):
-    handle = connect(writer, "/a", String, **options)
-    for number in numbers:
-        writer.write(handle, T0 + number, number, serialize(String(data=f"text {number}")))
-    return handle
-
-
-def directory_of(rosCas, node=""):
-    """What each writer says of the one bucket of /a: writer → its row."""
-    (table,) = rosCas.getTopic("/a").tables
-    rows = rosCas.catalog.keyspace.directory.find(table.name, node, table.bucket_of(T0))
-    return {row.writer: row for row in rows}
-
-
-def told(rosCas):
-    """How many messages /a has: by the rows themselves, and by the directory."""
-    topic = rosCas.getTopic("/a")
-    return len(list(topic.rows())), topic.countTopicData(), rosCas.info(["/a"])[0].count
-
-
 def text(number):
     return lambda f: f.opcode == BATCH and f"text {number}".encode() in f.body
 
@@ -111,10 +90,7 @@ def test_what_was_given_up_but_is_stored_is_counted(far, proxy, rosCas):
     # What is written at once is one request, however long it takes.
     options = {"linger_sec": 3600, "give_up_after_sec": 0}
     writer = far.messageWriter(writer_id=9, on_loss=lambda *loss: None, **options)
-    write(writer, range(5))
-    writer.flush()
-    write(writer, range(5, 10))
-    writer.close()
+    write_in_two_parts(writer)
     assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (5, 5)
     assert told(rosCas) == (10, 10, 10)
     assert directory_of(rosCas)[9].closed
@@ -125,10 +101,7 @@ def test_what_was_given_up_and_is_not_stored_is_not_counted(far, proxy, rosCas):
     run, losses = Run("", 9, "recording", "monday"), []
     options = {"linger_sec": 3600, "give_up_after_sec": 0, "run": run}
     writer = far.messageWriter(writer_id=9, on_loss=lambda *loss: losses.append(loss), **options)
-    write(writer, range(5))
-    writer.flush()
-    write(writer, range(5, 10))
-    writer.close()
+    write_in_two_parts(writer)
     assert (writer.stats()["/a"].stored, writer.stats()["/a"].lost) == (5, 5)
     assert told(rosCas) == (5, 5, 5)
     (ended,) = rosCas.catalog.keyspace.registry.runs()

@@ -12,6 +12,7 @@ from nodes.children import await_true
 from proxy import BATCH, Proxy
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String, UInt8MultiArray
+from threads import together
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import CorruptMessage, WriteFailed
@@ -239,11 +240,7 @@ def test_many_threads_share_a_writer(rosCas):
                     return
                 writer.write(handle, T0 + number, number, wireOf(number))
 
-        threads = [threading.Thread(target=work) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
+        together(*[work] * 4)
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [wireOf(n) for n in range(4000)]
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import genpy
 import pytest
 from std_msgs.msg import Header
+from topics.key_kinds import KEYS, every_key
 
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.exporter import export_bag
@@ -18,15 +19,6 @@ SEC = 10**9
 T0 = 1_500_000_000 * SEC
 NODES = ("", "r1")
 COUNT = 24
-
-KEYS = {
-    "time": {},
-    "stamp": {"key_format": "msg_part", "key_part": "stamp"},
-    "value": {"key_format": "msg_part", "key_part": "frame_id"},
-    "hash": {"key_format": "hash"},
-    "manual": {"key_format": "manual"},
-}
-every_key = pytest.mark.parametrize("kind", KEYS)
 
 EVEN = "frame_id IN ('0', '2', '4')"
 

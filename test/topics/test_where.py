@@ -12,6 +12,7 @@ import pytest
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
+from topics.key_kinds import KEYS, every_key
 
 from cassandra_ros.errors import (
     InvalidKey,
@@ -29,15 +30,6 @@ from cassandra_ros.topics import removal
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
-
-KEYS = {
-    "time": {},
-    "stamp": {"key_format": "msg_part", "key_part": "stamp"},
-    "value": {"key_format": "msg_part", "key_part": "frame_id"},
-    "hash": {"key_format": "hash"},
-    "manual": {"key_format": "manual"},
-}
-every_key = pytest.mark.parametrize("kind", KEYS)
 
 CONDITION = "seq >= 20 AND (frame_id = 'a' OR frame_id LIKE 'c%') AND NOT seq = 33"
 
