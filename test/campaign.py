@@ -19,7 +19,7 @@ EVERYTHING = ASKED == "ci"
 """Whether the tests of make test run, too."""
 LENGTH = "short" if EVERYTHING else ASKED
 SHARES = {"": 0.25, "short": 1, "long": 10}
-"""Of the examples that a search names, by the length."""
+"""Share of a search's number of examples that is used, by the length."""
 FAULTS = {"": 1, "short": 0, "long": 10}
 """How often a test of a fault runs: make test has run it when the short campaign comes."""
 
@@ -39,7 +39,7 @@ def sparing(values, kept):
 
 
 def examples(number, least=1):
-    """Return how many examples a search asks for that has so many in the short campaign."""
+    """Return the number of examples of a search; ``number`` is that in the short campaign."""
     return max(least, round(number * SHARES[LENGTH]))
 
 
@@ -55,7 +55,7 @@ def random_statements(number, repeatable=True):
 
 
 def campaign(number, **options):
-    """Make a property test one of the campaign, with so many examples in its short form."""
+    """Make a property test one of the campaign; ``number``: its examples in the short form."""
 
     def decorate(test):
         limited = settings(max_examples=examples(number), deadline=None, **options)

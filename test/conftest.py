@@ -50,7 +50,7 @@ SHARED = (
 
 MEMORY = Path("/dev/shm")  # noqa: S108 - a name in it is made by mkdtemp
 MEMORY_FREE = 4 << 30
-"""So much must be free there, bytes, for that server to keep its files in memory."""
+"""Minimum free space of MEMORY for that server to keep its files there, bytes."""
 
 NO_MASTER = "http://127.0.0.1:1/"
 """Connections are refused there at once. A test that needs a master uses the fixture roscore."""
@@ -377,7 +377,7 @@ def bags():
 
 @pytest.fixture
 def make_certificate(tmp_path):
-    """Makes a PEM file of a new key and its certificate, valid for so many days from now on."""
+    """Return a function that makes a PEM file with a new key and its certificate."""
 
     def make(name, days=2):
         key, request, made = (tmp_path / f"{name}.{kind}" for kind in ("key", "csr", "pem"))

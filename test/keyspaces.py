@@ -78,7 +78,7 @@ class Keyspaces:
             return False
         for table, comment in tables:
             if not table.startswith("cr_") and comment:
-                # Nobody finds it any more. To drop it the server would flush tables of its own.
+                # The table is not found any more; to drop it the server would flush its own tables.
                 self._cql.execute(f"ALTER TABLE {name}.\"{table}\" WITH comment = ''")
         if self._schema(name) != self._made[name]:
             return False

@@ -65,7 +65,7 @@ class Caught:
         wanted: Says whether a request is one of them.
         stored: They reach the server, and the client is told of a failure behind its answer.
         failed: The client is told of a failure; else they only come late.
-        most: So many are caught at most.
+        most: Maximum number of requests that are caught.
     """
 
     def __init__(self, wanted, *, stored=False, failed=True, most=2**31):
@@ -87,7 +87,7 @@ class Caught:
         self._go_on.set()
 
     def wait(self, count=1):
-        """Return when so many have come."""
+        """Return when a number of requests has come."""
         with self._came:
             assert self._came.wait_for(lambda: len(self.frames) >= count, WAIT_SEC)
 
@@ -140,7 +140,7 @@ class Proxy:
             pair.frozen = True
 
     def cut(self):
-        """Be a server that is gone: connections end, and nobody listens."""
+        """Act like a server that has ended: close the connections and do not listen."""
         self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
         self._listener = None

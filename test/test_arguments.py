@@ -123,7 +123,7 @@ def test_nodeID_wherever_it_is_taken(filled):
 
 
 def test_the_longest_names_can_be_stored(rosCas):
-    """Of a message in chunks, for its pieces have the longest partition keys."""
+    """A message in chunks has the longest partition keys."""
     node, name = "ä" * (MAX_NAME_BYTES // 2), "k" * MAX_MESSAGE_NAME_BYTES
     topic = rosCas.addTopic("/" + "t" * (MAX_NAME_BYTES - 1), key_format="manual", nodeID=node)
     key = topic.addData(UInt8MultiArray(data=bytes(700_000)), key=name)

@@ -31,7 +31,7 @@ REQUIREMENTS = (
 )
 PYTHONS = ("3.8", "3.9", "3.10", "3.11", "3.12")
 MARKER = re.compile(r'(python_version (<|>=) "3\.\d+"( and platform_machine in "[\w ]+")?)?')
-"""Of a pin: for which Pythons it is, and for which machines where it may be missing."""
+"""Marker of a pin: its Python versions, and its machines if it may be missing on others."""
 
 
 def files_of_the_checkout():
@@ -200,7 +200,7 @@ def test_each_python_has_one_pin_of_each_package(version):
 
 @pytest.mark.parametrize("version", PYTHONS)
 def test_no_python_is_given_a_release_that_refuses_it(version):
-    """Of the releases that are installed here we know it; test_other_pythons installs others."""
+    """Compare the releases that are installed here; test_other_pythons installs others."""
     here = pins_for(f"{sys.version_info[0]}.{sys.version_info[1]}")
     for name, (pin,) in pins_for(version).items():
         if pin.specifier == here[name][0].specifier:

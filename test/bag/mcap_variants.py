@@ -47,8 +47,8 @@ FEATURES = (
     OFFSETS,
     PADDING,
 )
-"""Records are in a chunk, what follows the chunk, what the summary has, and bytes of later versions
-of the format after the last field of each record."""
+"""Features: records in a chunk, what follows a chunk, parts of the summary, and bytes of later
+versions of the format after the last field of each record."""
 _NEEDS = {
     ATTACHMENT_INDEX: Attachment,
     METADATA_INDEX: Metadata,

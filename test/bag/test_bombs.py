@@ -315,7 +315,7 @@ def test_records_of_an_mcap_of_absurd_lengths_are_refused_in_little_memory(tmp_p
 
 
 def test_the_option_reaches_the_reader(rosCas, tmp_path, monkeypatch):
-    """Of import and verify, in Python; test/cli tests the option of the command."""
+    """The option of import and verify in Python; test/cli tests that of the commands."""
     path = make_bag(tmp_path / "a.bag", [("bz2", MIB, packed("bz2", MIB), 1)])
     monkeypatch.setattr(allowance, "MAX_CHUNK_BYTES", MIB - 1)
     with pytest.raises(BagTooLarge):

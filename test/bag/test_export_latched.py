@@ -143,7 +143,7 @@ def test_a_window_is_imported_as_it_stands(stored, fresh, tmp_path):
         assert (report.equal, report.equal_messages, report.left_out) == (True, 9, 0)
         export_bag(other, again)
         assert read_with_rosbag(again)[1] == read_with_rosbag(out)[1]
-        # Of a window of the window: latched all the same, the first mark stays.
+        # A second export of a shorter time range keeps the messages latched, with their first mark.
         export_bag(other, again, start=at(6), end=at(6), force=True)
         assert lines(again) == [
             ("/tf_static", 6, "arm", "/tf1", at(0)),

@@ -74,7 +74,7 @@ def counts_agree(rosCas, cql):
 
 
 def beginning(path, target, part):
-    """Write the first part of a bag, one of so many."""
+    """Write the first messages of a bag, its number of messages divided by ``part``."""
     with rosbag.Bag(str(path)) as bag, rosbag.Bag(str(target), "w") as out:
         count = bag.get_message_count() // part
         messages = bag.read_messages(raw=True, return_connection_header=True)

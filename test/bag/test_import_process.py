@@ -42,7 +42,7 @@ print(report.messages, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def spawn_import(cassandra, keyspace, path, killed_after=10**9, form=""):
-    """Import in a process that is killed when it has taken so many messages."""
+    """Import in a process that is killed after a number of messages."""
     where = (
         cassandra.host,
         str(cassandra.port),
@@ -60,7 +60,7 @@ def spawn_import(cassandra, keyspace, path, killed_after=10**9, form=""):
 
 
 def write_bag(path, count, size, topics=4):
-    """Write a bag of so many messages of a size, 1000 a second on each topic."""
+    """Write a bag with a number of messages of one size, 1000 a second on each topic."""
     with BagWriter(path) as writer:
         numbers = [writer.connection(string_connection(f"/topic{i}")) for i in range(topics)]
         wires = [string_wire(bytes([65 + i]) * (size - 4)) for i in range(26)]

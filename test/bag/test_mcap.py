@@ -184,7 +184,7 @@ def test_of_a_cut_chunk_the_messages_before_the_cut_are_kept(tmp_path, compressi
 
 
 def test_damage_is_found_or_changes_nothing(tmp_path):
-    """Of each message its bytes come back, or BagError says where the damage is."""
+    """The bytes of each message come back, or BagError says where the damage is."""
     whole = foreign(tmp_path / "a.mcap").read_bytes()
     path = tmp_path / "b.mcap"
     with open_file(tmp_path / "a.mcap") as reader:
@@ -252,7 +252,7 @@ NAMES = st.sampled_from(["callerid", "latching", "x", "type", "topic", "message_
 def test_any_header_comes_back_to_the_bit(fields, definition):
     """Whatever a publisher writes into its header, in whatever order, twice too."""
     base = {"type": "std_msgs/String", "md5sum": "*", "message_definition": definition}
-    # Of equal names the last one counts, and a bag has a type and an md5sum.
+    # The last of several equal names counts, and a bag has a type and an md5sum.
     header = b"".join(live_connection("/a", {name: value}).header for name, value in fields)
     header += live_connection("/a", base).header
     connection = Connection("/a", header, 7)

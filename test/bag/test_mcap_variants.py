@@ -78,7 +78,7 @@ def test_a_variant_is_read_as_by_the_library(tmp_path, name):
             McapReader(path)
         return
     told = by_the_library(data, NonSeekingReader)
-    # Of a file with an index of chunks that one wants schemas and channels in the summary, too.
+    # If a file has an index of chunks, that reader needs schemas and channels in the summary, too.
     if CHUNK_INDEX not in variant.features or {SCHEMAS, CHANNELS} <= variant.features:
         assert sorted(by_the_library(data, SeekingReader)) == sorted(told)
     assert len(told) == sum(isinstance(record, Message) for record in CASES[variant.case])

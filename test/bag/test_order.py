@@ -36,7 +36,7 @@ TIMES = [
 
 
 def _place(message):
-    # Of a bag whose times run backwards over several chunks rosbag reads no order of time.
+    # rosbag does not sort a bag whose times run backwards over several chunks.
     number, position = map(int, message.data[4:].split())
     return message.t_ns, number, position
 

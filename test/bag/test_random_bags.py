@@ -114,7 +114,7 @@ def compare(path, back, in_order):
     assert [(each.t_ns, each.data, each.header) for each in exported] == [
         (t_ns, wire, headers[turn]) for turn, t_ns, wire in expected
     ], path
-    # Of a bag whose times run back over several chunks it reads no order of time.
+    # rosbag does not sort a bag whose times run backwards over several chunks.
     assert sorted(exported, key=repr) == sorted(read, key=repr), path
 
 

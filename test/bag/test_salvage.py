@@ -43,7 +43,7 @@ def chunks_of(path):
 
 
 def cut(path, size):
-    """Return a copy that ends after so many bytes."""
+    """Return a copy that is cut after a number of bytes."""
     other = path.with_name("cut.bag")
     other.write_bytes(path.read_bytes()[:size])
     return other
@@ -89,7 +89,7 @@ def test_a_chunk_that_lacks_its_last_byte_is_cut(path, chunks):
     with BagReader(short, salvage=True) as reader:
         assert (reader.salvaged.lost_bytes, reader.salvaged.cut) != (0, None)
         told = [m.t_ns // SEC for m in reader.messages()]
-    # Of a compressed chunk the last bytes may be a checksum.
+    # The last bytes of a compressed chunk may be a checksum.
     whole, every = sum(TIMES[: chunks - 1], []), sum(TIMES[:chunks], [])
     assert len(whole) <= len(told)
     assert told == every[: len(told)]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Blocks give back what was packed into them, whatever it was, and refuse what is none."""
+"""Blocks give back what was packed into them, and bytes that are no block are refused."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_what_is_no_block_is_refused(spoil):
 
 
 def test_a_frame_that_claims_to_be_huge_takes_no_memory():
-    # Its own header says 2**62 bytes: nobody makes room for them.
+    # Its own header says 2**62 bytes: no memory is reserved for them.
     params = zstandard.ZstdCompressionParameters.from_level(1)
     frame = zstandard.ZstdCompressor(compression_params=params).compress(b"x")
     huge = b"\x28\xb5\x2f\xfd\xe0" + (2**62).to_bytes(8, "little") + frame[6:]

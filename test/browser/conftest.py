@@ -89,6 +89,6 @@ def page(window, viewer):
 
 @pytest.fixture(scope="session")
 def studio():
-    """Who asks for it needs the Studio's packages."""
+    """Skip the test, or fail in CI, if the Studio's packages are not installed."""
     if not studio_installed(studio_folder()):
         unable(f"no Studio in {studio_folder()}", "make setup could not fetch it")

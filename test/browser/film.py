@@ -17,11 +17,11 @@ START = 1368032400 * 10**9
 TOPIC = "/film/image/compressed"
 RATE_HZ = 2
 PICTURES = 20
-"""So many are different."""
+"""Number of different pictures."""
 
 
 def write(path, seconds):
-    """Write the bag of a film that is so long."""
+    """Write the bag of a film of this length, s."""
     noise = np.random.default_rng(1)
     pictures = [_jpeg(noise.integers(0, 255, (320, 320, 3), np.uint8)) for _ in range(PICTURES)]
     with rosbag.Bag(str(path), "w") as bag:

@@ -33,9 +33,9 @@ BEAMS = 180
 LASER_X = 0.2
 SIZE = (320, 240)
 COLOURS = {"early": (220, 30, 30), "late": (230, 200, 20)}
-"""Of the upper left quarter."""
+"""Colour of the upper left quarter of a picture, by the time in the round."""
 OTHERS = ((30, 160, 40), (30, 60, 220), (240, 240, 240))
-"""Of the upper right, lower left and lower right one."""
+"""Colours of the upper right, lower left and lower right quarters."""
 
 
 def pose(seconds):

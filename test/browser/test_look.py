@@ -83,7 +83,7 @@ def test_memory_is_bounded_however_long_is_played(page, stored, connect, tmp_pat
         moment = film.START + part * FILM_SEC * 10**8
         studio.await_time(lambda now, moment=moment: now >= moment, timeout_sec=60 + FILM_SEC / 10)
         heap, resident = max(heap, window.heap_bytes()), max(resident, window.resident_bytes())
-    # Whoever plays faster than pictures can be drawn leaves some out, but none is left unread.
+    # If pictures come faster than they can be drawn, some are not drawn, but all are read.
     assert int(studio.data("messages")) > 0.8 * FILM_SEC * film.RATE_HZ
     record_property("told", f"{FILM_SEC} s at 10 x: heap {heap >> 20}, all {resident >> 20} MB")
     assert heap < HEAP_BYTES

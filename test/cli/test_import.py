@@ -159,7 +159,7 @@ def test_a_cut_anywhere_gives_what_stands_before_it(tmp_path, compression):
         before = len(found)
         steps.add(before)
     assert before == 60
-    # Of a chunk that is not compressed also what stands before the cut.
+    # Messages before the cut in a chunk that is not compressed are imported, too.
     assert len(steps) > (40 if compression == "none" else 5)
     # Not only a cut: what is overwritten in the middle ends it, too.
     middle = len(data) // 2

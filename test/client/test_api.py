@@ -372,7 +372,7 @@ def test_the_format_that_was_asked_for(rosCas):
 
 
 class TestAnotherClient:
-    """What somebody else changes is seen, at the latest two seconds later."""
+    """What another client changes is seen at most two seconds later."""
 
     @pytest.fixture
     def other(self, cassandra, keyspace, rosCas, monkeypatch):

@@ -179,7 +179,7 @@ def test_rows_unpack_like_those_of_rosbag(store):
 
 
 def test_each_call_takes_the_times_that_others_return(store, topic):
-    """Of the second message, whatever it came from."""
+    """Each way to get the time of the second message gives a time that getData accepts."""
     frame = topic.toDataFrame()
     row = list(store.readMessages("/cmd_vel"))[1]
     (info,) = store.info("/cmd_vel")

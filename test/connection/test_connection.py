@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The connection to the cluster: addresses that are none, and its end."""
+"""The connection to the cluster: invalid addresses, and its end."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_a_host_that_cannot_be_found_is_named(host):
 
 
 def test_a_server_that_tells_of_its_full_disk():
-    """Somebody may make room: it is tried again, and named."""
+    """The operator may make room: the statement is tried again, and the error names the disk."""
     told = ServerError(code=0, message="IOException: No space left on device", info=None)
     for exc in (told, NoHostAvailable("no host", {"127.0.0.1:9042": told})):
         assert is_passing(exc)

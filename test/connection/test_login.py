@@ -226,7 +226,7 @@ def test_a_right_that_is_missing_is_named(right, place, resource):
 
 
 def test_hosts_in_the_place_of_errors_are_not_asked_for_any():
-    """So the driver's first session tells that no host has taken it."""
+    """The driver's first session has a list of hosts there if no host accepted it."""
     error = NoHostAvailable("Unable to connect to any servers", ["127.0.0.1"])
     assert is_passing(error) and not is_busy(error)
     assert "Unable to connect" in str(translate(error, "connecting"))

@@ -42,7 +42,7 @@ def heard(draw):
 @given(heard())
 def test_the_stored_ones_before_it_and_the_live_ones_are_each_once(case):
     stored, live, first, begin, end = case
-    assume(len(stored) + len(live) > 2)  # or nobody can know the period
+    assume(len(stored) + len(live) > 2)  # with fewer the period is unknown
     found = first_live(stored, live)
     if end <= begin:  # nothing of the live ones is stored
         assert found is None

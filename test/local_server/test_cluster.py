@@ -170,7 +170,7 @@ def test_what_was_acknowledged_survives_kill_9(folder):
 
 
 def write_until_killed(cluster, session, after):
-    """Keep 16 batches of 100 rows on their way, kill the server when so many are acknowledged.
+    """Keep 16 batches of 100 rows on their way; kill the server after a number of acknowledgements.
 
     Returns the numbers of the acknowledged batches, and how many were not when it was killed.
     """

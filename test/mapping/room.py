@@ -101,9 +101,9 @@ class Drive:
     """What a robot recorded on a round of 6.3 s, as (topic, message, key).
 
     Args:
-        slash: What stands in front of the names of frames.
-        ahead_ns: So much the stamps of the headers are ahead of the times of reception.
-        late_sec: So long nothing is said on /tf at first.
+        slash: Text before the names of frames.
+        ahead_ns: Difference of the stamps of headers from the times of reception, ns.
+        late_sec: Time until the first message on /tf, s.
     """
 
     def __init__(self, slash="", ahead_ns=0, late_sec=0.0):

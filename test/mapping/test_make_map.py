@@ -168,7 +168,7 @@ def test_the_topic_that_covers_most_of_the_messages_tells_the_poses(several):
     ]
     shares = [offer.share for offer in made.offers]
     assert shares == pytest.approx([63 / 64, 19 / 64, 0, 0], abs=0.02)
-    # Of a window in which another one is as good the first by name.
+    # In a time range in which two topics are equally good, the first by name is taken.
     first = makeMap(several, "/scan", Stamp.from_ns(T0), Stamp.from_ns(T0 + SEC))
     assert (first.used, first.sources) == (10, ["/a_third, no sensor offset"])
     # What is asked for is taken, and what else there is is told.

@@ -26,7 +26,7 @@ SEEDS = st.integers(0, 2**32)
 
 
 def manyWires(definition, seed, count=40):
-    """Messages of which many have the same size, and some are none or have too many bytes."""
+    """Messages of which many have the same size; some are malformed or have too many bytes."""
     rng = random.Random(seed)
     kept = [WireMaker(definition, rng.randrange(2**32), odd=True).make() for _ in range(3)]
     wires = []
@@ -203,7 +203,7 @@ def test_a_large_message_of_many_lengths_is_left_to_who_skips_them():
     planes = np.frombuffer(wire, np.uint8)[:, None]
     stacks, rest = stacker(definition).stacks(planes, np.arange(1))
     assert (stacks, rest.tolist()) == ([], [0])
-    # Of many that share their layout one is looked at for all.
+    # One of many messages with the same layout is examined for all.
     stacks, rest = stacker(definition).stacks(np.repeat(planes, 100, axis=1), np.arange(100))
     assert len(stacks) == 1 and not len(rest)
     for count in (1, 100):

@@ -44,7 +44,7 @@ def check(definition, wires):
 
 
 def built(plan, row):
-    """The message of a row, None where it is none."""
+    """Return the message of a row; None if its bytes are no message."""
     columns = cut(row)
     try:
         return None if columns is None else plan.build(columns)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A node of somebody's own that plays: it has a publisher of a played topic, and no signals."""
+"""A user's own node that plays: it has a publisher of a played topic, and no signal handlers."""
 
 from __future__ import annotations
 

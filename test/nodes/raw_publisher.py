@@ -88,7 +88,7 @@ class RawPublisher:
         self._sockets.append(sock)
 
     def await_subscribers(self, count=1, timeout_sec=120):
-        """Wait until so many connections stand."""
+        """Wait until a number of connections is open."""
         deadline = time.monotonic() + timeout_sec
         while len(self._sockets) < count:
             assert time.monotonic() < deadline, f"nobody subscribes to {self.topic}"

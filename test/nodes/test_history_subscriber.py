@@ -138,7 +138,7 @@ def test_a_hundred_thousand_messages_each_once_and_in_order(stage, run):
 
 @pytest.mark.long
 def test_a_buffer_that_is_too_small_for_the_time_that_the_past_takes(stage):
-    # So slow that many live messages wait while the past is read, also where publishing is slow.
+    # Slow enough that many live messages wait while the past is read, also if publishing is slow.
     listener = goes_over(stage, 20_000, 3000, buff_size=200_000, slow=0.001)
     assert "will be read from the store" in listener.output
 

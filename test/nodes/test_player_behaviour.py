@@ -148,7 +148,7 @@ def test_time_is_published_and_consumers_are_waited_for(roscore, rosCas, where, 
     from rosgraph_msgs.msg import Clock
 
     clock.addData(Clock(), key=T0 + STEP)
-    # So far only the player gives the time: it must not wait for it.
+    # Until now only the player publishes the time: it must not wait for it.
     parameters = xmlrpc.client.ServerProxy(roscore.uri)
     parameters.setParam("/test", "/use_sim_time", True)
     options = (

@@ -45,7 +45,7 @@ def test_gaps_between_windows_are_jumped_over(rosCas, play):
     # At its own pace: four hours would outlast every test.
     found, said = play(("/map", "/battery", "/tick"), *around)
     assert found == {
-        # Of the gap what was latched last.
+        # The message that was latched last in the gap.
         "/map": ["m1", "m4"],
         "/battery": ["low", "low"],
         "/tick": ["1:-1", "1:0", "1:1", "1:2", "4:-1", "4:0", "4:1", "4:2"],

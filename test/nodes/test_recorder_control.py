@@ -124,7 +124,7 @@ def test_a_snapshot_before_and_after(roscore, recorder, rosCas, client):
         assert not client.call("/recorder/snapshot", after=-1.0)["success"]
     assert child.end() == 0, child.output
     assert data_of(rosCas, "/a", "more") == [str(n) for n in range(51)]
-    # Nobody has to ask for one.
+    # No snapshot has to be requested.
     with publisher(roscore, "/a") as a:
         child = recorder("/a", "-s", "1MB")
         a.await_subscribers().publish(text(1))

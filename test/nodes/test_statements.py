@@ -189,7 +189,7 @@ def test_cursors_outlive_the_node(roscore, cassandra, store, client, end):
                 found[service] += answer["rows" if "rows" in answer else "data"]
                 cursors[service] = answer["next_cursor"]
         if turn == 0:
-            # What was given is gone, and something comes in, before the cursor and behind it.
+            # Returned messages are deleted, and new ones come before and after the cursor.
             topic.removeData(T0, T0)
             topic.addData(TFMessage([TransformStamped(child_frame_id="late")]), key=T0)
     shown = [json.loads(row["values"][0]) for row in found["executeCQL"]]

@@ -196,10 +196,10 @@ def test_what_was_read_of_closed_buckets_is_kept(stored, monkeypatch):
     monkeypatch.setattr(PieceReader, "read", noted)
     again = read(stored, "ros", ["f"], window=Window(pixels=50), cache=cache)
     assert shown(first) == shown(again)
-    # Of this bucket messages were deleted: its counts do not hold.
+    # Messages of this bucket were deleted: its counts are not final.
     assert {piece.bucket for piece in pieces} == {T0 // SEC + 2}
     pieces.clear()
-    # Who looks a little aside has the same pixels.
+    # A time range that is slightly moved has the same pixels.
     aside = Window(T0 + 3 * SEC, time_of(COUNT - 1) + SEC, 50)
     assert shown(read(stored, "ros", ["f"], window=aside, cache=cache))
     assert {piece.bucket for piece in pieces} <= {T0 // SEC + 2}

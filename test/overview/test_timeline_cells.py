@@ -59,7 +59,7 @@ def test_single_messages_lie_in_their_cells(scale, known):
     assert not cells.even.any()
     alone = Cells(scale)
     alone.add(time_ranges(*((time, time, 1) for time in known)))
-    # Of a cell that reaches beyond the end, stretches behind the end are none of the window.
+    # If the last cell reaches beyond the end, time ranges after the end are not counted.
     inside = [time for time in known if time <= scale.end]
     assert alone.counts.tolist() == cells_by_hand(scale, inside)
 
@@ -87,7 +87,7 @@ def test_what_covers_several_cells_is_spread_over_them_and_told_to_be(scale, row
             assert not any(
                 last - first > 3 * scale.step and count > 2 for first, last, count in near
             )
-    for first, last, count in rows:  # of one that lies in the window nothing is lost
+    for first, last, count in rows:  # one within the time range is counted whole
         if scale.start <= first and last <= scale.end and len(rows) == 1:
             assert counts.sum() == pytest.approx(count)
 

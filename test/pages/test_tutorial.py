@@ -71,7 +71,7 @@ def shown(text):
 
 
 def test_what_the_readme_shows_is_in_the_tutorial():
-    """So it is run, too, but for make demo and make test."""
+    """The tests run the tutorial, so they run these commands, except make demo and make test."""
     steps = README.split("## First steps")[1]
     known = set(shown(TUTORIAL))
     assert [line for line in shown(steps) if line not in known] == []

@@ -32,7 +32,7 @@ SEC = 10**9
         ("1368021980123456789", When(1_368_021_980_123_456_789, False)),
         ("2013-05-08T14:06:20Z", When(1_368_021_980 * SEC, False)),
         ("2013-05-08", When(1_367_971_200 * SEC, False)),
-        # Of a simulation: a genpy.Time is a time, however small.
+        # Simulated time: a genpy.Time is a time, also if it is small.
         (genpy.Time(5, 1), When(5 * SEC + 1, False)),
         (genpy.Duration(5, 1), When(5 * SEC + 1, True)),
     ],

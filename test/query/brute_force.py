@@ -30,7 +30,7 @@ KEY, NODE, RUN = "KEY", "NODE", "RUN"
 LONGEST_NS = 10**29
 """Limit of the length of a computed duration, ns."""
 RUN_NAMES = {1: "dawn", 2: "noon's"}
-"""By writer; another writer's run has no name, or there is none."""
+"""Name of the run by writer; runs of other writers have no name, or do not exist."""
 PARTS = {"time": "uint32", "duration": "int32"}
 FIELD_KINDS = {"bool": "bool", "string": "text", "time": "time", "duration": "duration"}
 
@@ -264,7 +264,7 @@ class Row:
         self.message, self.chosen = message, chosen
 
     def value(self, operand):
-        """Return the value of an operand, times as ns; MISSING where there is none."""
+        """Return the value of an operand, times as ns; MISSING if the message has no such value."""
         if isinstance(operand, Value):
             return operand.wanted
         if isinstance(operand, Op):

@@ -482,7 +482,7 @@ class Asker:
         if self._isArray(operand):
             arrays = [array for array in found if isinstance(array, (list, bytes))]
             found = [element for array in arrays for element in array[:50]]
-        # Of the very long ones only what they begin with: a statement has its limits, too.
+        # Only the beginning of very long texts: the length of a statement is limited, too.
         found = [v[:100] if isinstance(v, str) and len(v) > 100_000 else v for v in found]
         distinct = list({str(canonical(value)): value for value in found}.values())
         return self._numbers.sample(distinct, min(MAX_STORED, len(distinct)))

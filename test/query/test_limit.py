@@ -68,7 +68,7 @@ def ask(store, statement, **options):
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("format", FORMATS)
 def test_limits_at_every_element(store, format, reverse):
-    """Each LIMIT returns so many rows and reads no further message; the next page continues."""
+    """Each LIMIT returns its number of rows and reads no further message; the next page goes on."""
     every = ordered(ROWS, reverse)
     order = " order by KEY desc" if reverse else ""
     places = [n for n, _ in ordered([(n, "") for n in range(len(COUNTS))], reverse)]

@@ -65,7 +65,7 @@ def rowsOf(wires, table):
 
 
 def similar(types, numbers, count):
-    """Messages of few sizes: some are none, and some have too many bytes."""
+    """Messages of few sizes: some are malformed, and some have too many bytes."""
     definition = parse_definition(types.name, types.text)
     few = [EdgeMaker(definition, numbers.random(), odd=n == 2).make() for n in range(3)]
     few.append(WireMaker(definition, numbers.random()).make())
@@ -162,7 +162,7 @@ def test_nothing_that_matches_is_left_out(name, caplog):
                 seen["skipped"] += 1
 
     check()
-    # Of few statements none may let zones leave out a block.
+    # With few statements it may happen that zones leave out no block.
     assert min(seen["sifted"], seen["matching"], seen["skipped"] if LENGTH else 1) > 0, seen
 
 

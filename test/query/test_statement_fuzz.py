@@ -228,7 +228,7 @@ def test_fuzz_of_statements(store):
     fuzz(store, answered)
     least = 10 if LENGTH else 3
     for outcome in ("some", "refused"):  # not all of it was nonsense, and not all was right
-        # Of one word alone a search may find few: what it tries next is like what it tried last.
+        # A search may find few with one outcome, because each example resembles the one before.
         assert answered["select", outcome] + answered["delete", outcome] >= least, answered
 
 

@@ -4,7 +4,7 @@
 
 By hand, once for each schema version, against a Cassandra without a keyspace rows_v1:
 PYTHONPATH=src python3 test/store/make_rows_v1.py 127.0.0.1 9042
-Of a format that comes later its name follows; then only its rows are written, beside the others.
+For a format that is added later, append its name: then only its rows are added.
 """
 
 from __future__ import annotations

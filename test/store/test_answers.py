@@ -14,7 +14,7 @@ from cassandra_ros.connection.raw_page import WIDE, RawPage
 
 
 class Connection(BufferedConnection):
-    """One that is connected to nobody."""
+    """A connection without a server."""
 
     def __init__(self):
         self.told = []

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Counts stay true whoever writes, stands still, deletes or counts at the same time."""
+"""Counts stay true while other clients write, are suspended, delete or count."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_writer_that_stood_still_opens_its_bucket_again(rosCas, still, monkeyp
     taken_for_dead(rosCas, monkeypatch)
     monkeypatch.setattr(writer, "REOPEN_SEC", -1.0)
     write(target, range(10, 13))
-    # Before the row is sent: nobody may count without it.
+    # Before the row is sent, the bucket is open, so that no client takes the old count.
     assert not listed(rosCas)[9].closed
     target.flush()
     assert counts(rosCas) == (8, 8, 8)

@@ -43,7 +43,7 @@ def store(rosCas, name, count, cls=String, **options):
 
 
 def add(rosCas, table, cql_type="text", field="data"):
-    """Make an index that nobody fills; return its column."""
+    """Make an index without filling it; return its column."""
     rosCas.catalog.keyspace.indexes.add(table.metadata.topic, field, lambda metadata: cql_type)
     return rosCas.catalog.keyspace.tables.by_name(table.name).metadata.indexes[field]
 
@@ -387,7 +387,7 @@ def test_an_interrupted_index_is_made_anew(rosCas, cql, monkeypatch, caplog):
 
 @pytest.mark.parametrize("again", ["its own", "another", "of another type", "removed"])
 def test_an_index_that_no_comment_lists_is_waited_for(rosCas, cql, busy, again):
-    """Somebody died when he had made it, before he let files be merged again."""
+    """Its client died after it had made the index, before it let files be merged again."""
     table = store(rosCas, "/t", 5)
     topic, before = rosCas.getTopic("/t"), compaction(cql, rosCas, table)
     topic.createIndex("data")
@@ -566,7 +566,7 @@ def test_numbers_are_never_used_again(rosCas, cql):
         assert index_names(cql, rosCas, table) == {f"_ix{number}"}
         topic.removeIndex("data")
     assert index_names(cql, rosCas, table) == set()
-    # The columns stay: somebody may be writing into them.
+    # The columns stay: another client may be writing into them.
     assert {"_ix0", "_ix1", "_ix2"} < set(rosCas.catalog.keyspace.schema.columns(table.name))
 
 

@@ -45,7 +45,7 @@ SIZES = [
 
 
 def messageOf(size):
-    """Make a message of so many serialised bytes; no two of its chunks are alike."""
+    """Make a message of this serialised size, bytes; no two of its chunks are equal."""
     message = UInt8MultiArray(data=os.urandom(size - FRAME_BYTES))
     message.layout.data_offset = 7
     return message

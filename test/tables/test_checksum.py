@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The CRC of what is stored is zlib's, whoever reckons it."""
+"""The CRC of stored bytes is zlib's, whichever library computes it."""
 
 from __future__ import annotations
 

@@ -591,7 +591,7 @@ class TestOtherClients:
 
     @pytest.mark.parametrize("formats", [("ros", "ros"), ("ros", "json")])
     def test_two_key_formats_at_once(self, rosCas, other, formats):
-        """Whoever comes second is told."""
+        """The second client gets an error."""
         barrier = threading.Barrier(2)
         outcomes = []
 

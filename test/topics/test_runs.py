@@ -129,7 +129,7 @@ def test_losses_follow_their_topic(rosCas):
 
 T0 = 1_500_000_000 * SECOND_NS
 NAMES = ("morning", "evening", "")
-"""Of three writers at once; the last has no name, a fourth no run."""
+"""Names of the runs of three writers that write at once; '' = no name. A fourth has no run."""
 
 
 class Recorded:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A stored topic stays in its format, whoever writes it next, unless another one is named."""
+"""A stored topic stays in its format for all writers that do not request another one."""
 
 from __future__ import annotations
 

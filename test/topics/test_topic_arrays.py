@@ -218,7 +218,7 @@ def test_keys_that_are_no_times(rosCas):
 
 
 def test_large_messages(rosCas):
-    """Of a message in chunks scalars come from its row, arrays from the chunks."""
+    """Scalars of a message in chunks come from its row, arrays from the chunks."""
     definition = parse_definition("pkg/Image", "time at\nuint8[] data\nint32 x", None)
     message = message_class(definition)()
     message.at.secs, message.x, message.data = 7, -5, bytes(range(256)) * 4096

@@ -157,7 +157,7 @@ def test_the_nearest_that_satisfies_it(rosCas):
     assert near(30, "either", "seq = 20 OR seq = 42") == 20  # equally near: what was before
     assert near(30, "either", "seq = 15 OR seq = 42") == 42
     assert near(30, "either", "frame_id = 'x'") is None
-    # Of three with one stamp the first in the order of all reads, as without nearest.
+    # The first of three with one stamp in the order of all reads, as without nearest.
     assert topic.getData(header(0).stamp, nearest="either").seq == seqs[0]
 
 

@@ -94,7 +94,7 @@ def test_by_age_and_again(topics):
         assert left(topics, topic) == wanted
         assert found[topic] == (COUNT, COUNT - len(wanted), 0, len(wanted))
     assert left(topics, "/battery") == seconds(38, 43, 1) + seconds(70, 99, 1)
-    # Of what was latched before the window, and before what is left, the last: it is in force.
+    # The last message that was latched before the kept time range stays: it is still in force.
     assert [msg.data for _, msg in topics.getTopic("/static").items()] == [2]
     assert [each.dropped for each in topics.upkeep.retain(**options)] == [0, 0, 0, 0]
     (note,) = [e for e in topics.upkeep.retain("/rows", max_age=0, now=NOW + 1) if e.dropped]
@@ -105,7 +105,8 @@ def test_by_age_and_again(topics):
 def test_thinned_to_a_rate(topics):
     rules = {"thin": 0.5, "thin_after": 20, "now": NOW, "keep": {"/battery": ("data < ?", [11])}}
     topics.upkeep.retain(["/rows", "/blocks", "/static"], **rules, before=1, after=1)
-    old = sorted({*seconds(0, 79.5, 2), *seconds(39, 41.5)})  # of what is not kept around, a first
+    # Outside the kept time ranges the first message of each interval stays.
+    old = sorted({*seconds(0, 79.5, 2), *seconds(39, 41.5)})
     for topic in ("/rows", "/blocks"):
         assert left(topics, topic) == old + seconds(80, 99.5)
     assert len(left(topics, "/static")) == 3  # each holds until the next one comes

@@ -218,7 +218,7 @@ def test_who_may_only_read_counts_what_a_killed_recording_left(rosCas, monkeypat
         refused.append(place)
         raise AccessDenied("no right to MODIFY")
 
-    monkeypatch.setattr(counting, "STALE_SEC", -1.0)  # whoever writes is long gone
+    monkeypatch.setattr(counting, "STALE_SEC", -1.0)  # as if the writer had ended long ago
     monkeypatch.setattr(Directory, "put_recount", refuse)
     with running_viewer(rosCas) as viewer:
         (topic,) = viewer.get("/api/topics")["topics"]

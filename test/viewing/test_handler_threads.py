@@ -302,6 +302,6 @@ def test_a_parameter_reaches_its_handler_as_it_was_written():
             "at": 1_500_000_000,
         }
         assert json.loads(viewer.ask("/api/echo?topics=%2Fa%2C%2Fb").data)["topics"] == ["/a", "/b"]
-        # Somebody ticked all but a few of them.
+        # The user has selected all but a few of them.
         many = [f"/robot_{n}/camera/image" for n in range(500)]
         assert viewer.get("/api/echo", topics=",".join(many))["topics"] == many

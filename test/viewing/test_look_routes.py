@@ -218,7 +218,7 @@ def test_connections_tell_the_window_and_how_much_lies_in_it(viewer):
     assert [problem["topic"] for problem in found["problems"]] == ["/seen"]
     given = viewer.get("/api/connections", start=at(1), end=at(2))
     assert (given["start"], given["end"]) == (str(at(1)), str(at(2)))
-    # Nobody said which: the last day.
+    # Without a time range it is the last day.
     with rosbag.Bag(str(HUSKY)) as husky:
         newest = viewer.get("/api/connections", nodes="husky")
         assert abs(int(newest["end"]) / SECOND_NS - husky.get_end_time()) < 1e-6

@@ -29,7 +29,7 @@ VIEWER = [sys.executable, ROOT / "scripts" / "viewer"]
 
 @pytest.fixture
 def env(ros_env, cassandra, tmp_path):
-    """Of a shell, whose temporary folder shows what is left behind."""
+    """Return the environment of a shell whose temporary folder shows what is left in it."""
     found = dict(ros_env, PYTHONPATH=f"{ROOT / 'src'}:{ros_env.get('PYTHONPATH', '')}")
     found.update(
         CASSANDRA_ROS_HOST=cassandra.host,

@@ -102,7 +102,7 @@ def test_a_page_of_another_site_opens_no_answer(open_viewer, closed_viewer, path
         for evil in (f"{LICHTBLICK}.evil.example/", f"https://evil.example/?{LICHTBLICK}/", ""):
             found = closed_viewer.ask(path, {"token": SECRET}, Referer=evil, **opened)
             assert found.status == 403, evil
-    # Of the address bar, a bookmark, and our own pages.
+    # Requests from the address bar, a bookmark, and our own pages.
     for site in ("none", "same-origin"):
         assert open_viewer.ask(path, **OPENED, **{"Sec-Fetch-Site": site}).status == answered
 

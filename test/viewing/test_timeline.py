@@ -105,7 +105,7 @@ def test_all_time_is_shown_when_no_window_is_asked_for(viewer, store):
 
 @pytest.mark.parametrize("looked_into", [False, True])
 def test_cells_hold_what_lies_in_them(viewer, looked_into):
-    # Of 50 s, of 0.4 s, a part of a bucket, and what holds nothing.
+    # Cells of 50 s, of 0.4 s, of a part of a bucket, and of a time range without messages.
     for start, end, pixels in (
         (T0, T0 + 499 * SECOND_NS, 10),
         (T0, T0 + 499 * SECOND_NS, 1250),
@@ -196,7 +196,7 @@ def test_more_keys_than_the_bound_are_spread_evenly(viewer, monkeypatch):
     monkeypatch.setattr(detail, "MAX_KEYS", 1200)  # for one of them
     found = lanes(viewer.get("/api/timeline", topics=["/even", "/paused"], **window))
     assert found["/even", "husky"]["even"] == []
-    # Of blocks there are few: so much is known of the others that the pause is seen.
+    # There are few blocks: enough is known of those that are not read to show the pause.
     assert found["/paused", "husky"]["even"]
     assert found["/paused", "husky"]["messages"] == len(PAUSED)
     monkeypatch.setattr(detail, "MAX_KEYS", 0)
@@ -298,7 +298,7 @@ def test_a_year_of_many_buckets_costs_what_a_day_costs(fresh, monkeypatch):
             lane = lanes(answer)["/even", "husky"]
             assert (lane["messages"], lane["exact"]) == (200 * 833_333, True)
             assert counts(answer, "/even") == [833_333] * 200
-            # Of more partitions than may be read some stand for the others.
+            # If there are more partitions than may be read, some are read as a sample.
             monkeypatch.setattr(reader, "MAX_PARTITIONS", 1)
             lane = lanes(viewer.get("/api/timeline", pixels=500))["/even", "husky"]
             assert lane["messages"] == pytest.approx(10**9, rel=0.5)
