@@ -147,16 +147,16 @@ class Envelope:
         firsts, lasts = np.maximum(firsts[kept], ends[0]), np.minimum(lasts[kept], ends[1])
         begins = self.grid.places(firsts)
         counts = self.grid.places(lasts) - begins + 1
-        every = np.repeat(np.arange(len(kept)), counts)
-        offsets = np.arange(len(every)) - np.repeat(np.cumsum(counts) - counts, counts)
-        starts = (begins[every] + offsets + self.grid.first) << self.grid.shift
-        firsts, lasts = firsts[every], lasts[every]
+        groups = np.repeat(np.arange(len(kept)), counts)
+        offsets = np.arange(len(groups)) - np.repeat(np.cumsum(counts) - counts, counts)
+        starts = (begins[groups] + offsets + self.grid.first) << self.grid.shift
+        firsts, lasts = firsts[groups], lasts[groups]
         self.add_spans(
             np.maximum(firsts, starts),
             np.minimum(lasts, starts + self.grid.width - 1),
-            low[:, kept][:, every],
-            high[:, kept][:, every],
-            np.zeros(len(every), np.int64),
+            low[:, kept][:, groups],
+            high[:, kept][:, groups],
+            np.zeros(len(groups), np.int64),
         )
 
     def merge(self, other: Envelope) -> None:

@@ -119,14 +119,16 @@ def verify_bag(
         catalog = ros_cas.catalog
         stored = _stored_topics(catalog, chosen.values())
         writers = catalog.keyspace.runs.writers(run)
-        found = _find_import(catalog, reader, stored, nodeID, reading, writers)
+        own_import = _find_import(catalog, reader, stored, nodeID, reading, writers)
         whose = "" if nodeID is None else f" of node {nodeID}"
         whose += "" if run is None else f" of run {run}"
         scope = f"all stored messages{whose} on its topics"
-        if found is not None:
-            scope = "the import of this bag" + (f" for node {found.node}" if found.node else "")
+        if own_import is not None:
+            scope = "the import of this bag" + (
+                f" for node {own_import.node}" if own_import.node else ""
+            )
         report = VerifyReport(reader.path, scope)
-        if found is None:
+        if own_import is None:
             numbers -= _leave_out(reader, numbers, report)
             chosen = {n: chosen[n] for n in numbers}
         for topic in sorted(set(chosen.values()) - stored):
@@ -134,11 +136,11 @@ def verify_bag(
             count = sum(reader.counts[n] for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
             numbers -= gone
-        comparison = _by_place(catalog, reader, stored, found, nodeID, report, writers)
+        comparison = _by_place(catalog, reader, stored, own_import, nodeID, report, writers)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
         late = 0
-        if found is not None:
-            late = count_other_publish_times(catalog.keyspace.side_tables, reader, found)
+        if own_import is not None:
+            late = count_other_publish_times(catalog.keyspace.side_tables, reader, own_import)
         if late:
             report.add(f"publish_time or sequence of {late} messages are stored otherwise", late)
     return report
@@ -241,30 +243,30 @@ def _find_import(
     if not runs:
         return None
     content = read_content(reader, reading)
-    found = {run.node: run for run in runs if content.is_of(run)}
-    if len(found) > 1:
-        names = ", ".join(map(repr, sorted(found)))
+    imports_of_bag = {run.node: run for run in runs if content.is_of(run)}
+    if len(imports_of_bag) > 1:
+        names = ", ".join(map(repr, sorted(imports_of_bag)))
         raise InvalidKey(
             f"{reader.path} was imported for the nodes {names}; choose one with --node-id"
         )
-    return next(iter(found.values()), None)
+    return next(iter(imports_of_bag.values()), None)
 
 
 def _by_place(
     catalog: Catalog,
     reader: MessageFile,
     topics: AbstractSet[str],
-    found: Run | None,
+    own_import: Run | None,
     node: str | None,
     report: VerifyReport,
     writers: Writers = None,
 ) -> Comparison:
     """Return a comparison with the rows of an import, or with all rows of the topics."""
-    ranks = _Ranks(reader.connections.values(), positions=found is not None)
-    if found is None:
+    ranks = _Ranks(reader.connections.values(), positions=own_import is not None)
+    if own_import is None:
         rows = catalog.read(topics, Read(whose=Whose.of(node, writers)), received=True)
         return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
-    own = Whose.of(found.node, frozenset([found.writer]))
+    own = Whose.of(own_import.node, frozenset([own_import.writer]))
     read = Read(TimeRange(reader.start_ns, reader.end_ns), own)
     rows = catalog.read(topics, read, received=True)
     # The rows of an import hold their positions in the bag, so a missing row shifts no other.

@@ -221,14 +221,14 @@ class Bag:
     def _open(self, format: str | None) -> frozenset[int]:
         """Return the writer ids of the bag's runs. If the mode is 'w' or 'a', begin a new run."""
         name, runs = self.filename, self._store.catalog.keyspace.registry.runs()
-        found = frozenset(run.writer for run in runs_meant(runs, name))
+        writers = frozenset(run.writer for run in runs_meant(runs, name))
         if self.mode == "r":
-            return found or self._absent(name, runs)
+            return writers or self._absent(name, runs)
         if self.mode == "w":
-            found = self._make_room(name, runs)
-        elif not found and os.path.isfile(name) and os.path.getsize(name):
+            writers = self._make_room(name, runs)
+        elif not writers and os.path.isfile(name) and os.path.getsize(name):
             self._absent(name, runs)
-        self._before = found
+        self._before = writers
         writer = new_writer_id()
         base, source = os.path.basename(name), source_of(name)
         run = Run(self._node or "", writer, "api", base, source, format or "")
@@ -236,7 +236,7 @@ class Bag:
             writer_id=writer, nodeID=run.node, format=format, run=run
         )
         atexit.register(self.close)  # a script that does not close the bag loses no messages
-        return found | {writer}
+        return writers | {writer}
 
     def _absent(self, name: str, runs: Sequence[Run]) -> frozenset[int]:
         """Return the writer ids for a name that no run has: the name may be a writer id itself.
@@ -449,26 +449,26 @@ class Bag:
         counts: dict[str, int] = {}
         for info in self._infos():
             counts[info.topic] = counts.get(info.topic, 0) + info.count
-        every = {topic.name: topic for topic in self._topics(None) if topic.name in counts}
+        known_topics = {topic.name: topic for topic in self._topics(None) if topic.name in counts}
         asked = {topic.name for topic in self._topics(topic_filters)}
-        named = {table.name: name for name, topic in every.items() for table in topic.tables}
+        named = {table.name: name for name, topic in known_topics.items() for table in topic.tables}
         stored: dict[str, list[Connection]] = {}
-        for table, _, connection in self._connections(list(every.values())):
+        for table, _, connection in self._connections(list(known_topics.values())):
             stored.setdefault(named[table], []).append(connection)
         used: list[Connection] = []
         topics: dict[str, TopicTuple] = {}
-        for name, topic in sorted(every.items()):
-            found = stored.get(name, [])
-            if name in asked or len({(each.type, each.md5sum) for each in found}) != 1:
+        for name, topic in sorted(known_topics.items()):
+            connections = stored.get(name, [])
+            if name in asked or len({(each.type, each.md5sum) for each in connections}) != 1:
                 sample = join_samples(
                     read_samples(topic, MOST_STAMPS, self._node, self._run).values()
                 )
-                found = sample.connections
+                connections = sample.connections
                 if name in asked:
                     topics[name] = TopicTuple(
-                        found[0].type, counts[name], len(found), sample.frequency
+                        connections[0].type, counts[name], len(connections), sample.frequency
                     )
-            used += found
+            used += connections
         types: dict[str, str] = {}
         for connection in sorted(used, key=lambda each: each.number):
             types.setdefault(connection.type, connection.md5sum)

@@ -99,15 +99,15 @@ class MessageFinder:
     def _read(self, position: Position) -> None:
         t, node, seq = position[:3]
         problem: Optional[CorruptMessage] = None
-        found: List[Block] = []
+        blocks: List[Block] = []
         for row in read_blocks(self._table, ask_one(self._table, position, any_seq=False).rows()):
             try:
-                found.append(Block(self._table, node, row))
+                blocks.append(Block(self._table, node, row))
             except CorruptMessage as exc:
                 problem = exc
         # The block with the message first: a time may have more blocks than are kept.
-        found.sort(key=lambda block: not len(block.between((t, seq), (t, seq))))
-        self._kept = ([(node, block) for block in found] + self._kept)[:KEPT_BLOCKS]
-        held = bool(found) and len(found[0].between((t, seq), (t, seq))) > 0
+        blocks.sort(key=lambda block: not len(block.between((t, seq), (t, seq))))
+        self._kept = ([(node, block) for block in blocks] + self._kept)[:KEPT_BLOCKS]
+        held = bool(blocks) and len(blocks[0].between((t, seq), (t, seq))) > 0
         if problem is not None and not held:
             raise problem

@@ -87,15 +87,15 @@ def status(options: argparse.Namespace) -> int:
     deadline = time.monotonic() + options.wait
     while True:
         cluster = open_cluster(options)  # again: the first start may just have written settings
-        found = cluster.status() if cluster.exists else []
-        answers = bool(found) and all(node.answers for node in found)
+        nodes = cluster.status() if cluster.exists else []
+        answers = bool(nodes) and all(node.answers for node in nodes)
         if answers or time.monotonic() >= deadline:
             break
         time.sleep(_STATUS_POLL_SEC)
-    if not found:
+    if not nodes:
         say(f"no Cassandra was ever started in {cluster.directory}")
         return EXIT_NOT_RUNNING
-    for node in found:
+    for node in nodes:
         say(_describe(node))
     free = shutil.disk_usage(cluster.directory).free
     heap = f"heap {cluster.settings.java_heap_mb}M a node"

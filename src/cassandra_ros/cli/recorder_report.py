@@ -75,18 +75,18 @@ def status_text(status: RecordingStatus, rates: Rates) -> str:
 def failures(reports: Sequence[TopicReport]) -> list[str]:
     """Return a sentence for each reason why something was not recorded."""
     lost = sum(report.lost for report in reports)
-    found = [f"{counted(lost, 'message')} {'was' if lost == 1 else 'were'} lost"] if lost else []
+    reasons = [f"{counted(lost, 'message')} {'was' if lost == 1 else 'were'} lost"] if lost else []
     for report in reports:
         if report.unheard_sec:
-            found.append(
+            reasons.append(
                 f"for {report.unheard_sec:.0f} s new publishers of {shown(report.topic)} were not "
                 "heard, for the ROS master was started anew"
             )
         if not report.published:
-            found.append(f"no message came on {shown(report.topic)}: it had no publisher")
+            reasons.append(f"no message came on {shown(report.topic)}: it had no publisher")
     if not reports:
-        found.append("nothing was recorded: no topic that was asked for had a publisher")
-    return found
+        reasons.append("nothing was recorded: no topic that was asked for had a publisher")
+    return reasons
 
 
 def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:

@@ -213,18 +213,18 @@ def _narrowed(kind: ArrayType, values: Sequence[object]) -> ArrayType:
 def _arrow_type(arrow: ModuleType, kind: ArrayType) -> pyarrow.DataType:
     depth = kind.depth
     if kind.kind == "uint8" and depth:
-        found, depth = arrow.binary(), depth - 1
+        column_type, depth = arrow.binary(), depth - 1
     elif kind.kind == "time":
-        found = arrow.timestamp("ns", tz="UTC")
+        column_type = arrow.timestamp("ns", tz="UTC")
     elif kind.kind == "duration":
-        found = arrow.duration("ns")
+        column_type = arrow.duration("ns")
     elif kind.kind == "sum":
-        found = arrow.decimal128(38, 0)
+        column_type = arrow.decimal128(38, 0)
     else:
-        found = getattr(arrow, _NAMES.get(kind.kind, kind.kind))()
+        column_type = getattr(arrow, _NAMES.get(kind.kind, kind.kind))()
     for _ in range(depth):
-        found = arrow.list_(found)
-    return found
+        column_type = arrow.list_(column_type)
+    return column_type
 
 
 def _array(

@@ -214,15 +214,15 @@ class Statements:
         self, statement: DropIndex, name: IndexName
     ) -> Optional[tuple[CassandraTopic, str]]:
         known = names_of_indexes(self._keyspace.schema.tables(fresh=True))
-        found = known.get(name.text, [])
-        if len(found) == 1:
-            return self._catalog.get(found[0][0]), found[0][1]
-        if not found and statement.if_exists:
+        columns = known.get(name.text, [])
+        if len(columns) == 1:
+            return self._catalog.get(columns[0][0]), columns[0][1]
+        if not columns and statement.if_exists:
             return None
-        places = " and ".join(f"{topic} ({field})" for topic, field in found)
+        places = " and ".join(f"{topic} ({field})" for topic, field in columns)
         reason = (
             f"several indexes are called {name.text}, on {places}"
-            if found
+            if columns
             else f"no index is called {name.text}{nearest(name.text, list(known))}"
         )
         reason += "; DROP INDEX ON topic (field) removes an index whatever its name"

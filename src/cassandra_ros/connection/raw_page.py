@@ -111,10 +111,10 @@ class RawPage(Sequence[RawRow]):
         body, at, ends = self.body, self._at, []
         lengths: Dict[int, int] = {}
         try:
-            found = self._alike(mark)
-            if found is not None:
-                self._last = int(found[-2])
-                return found[:-1], found[1:]
+            offsets = self._alike(mark)
+            if offsets is not None:
+                self._last = int(offsets[-2])
+                return offsets[:-1], offsets[1:]
             for _ in range(self._count):
                 (value,) = _size(body, at + sized_at)
                 end = at + lengths.get(value, 0)
@@ -128,9 +128,9 @@ class RawPage(Sequence[RawRow]):
             return None
         if at != len(body) or not ends:
             return None
-        found = np.array([self._at, *ends], np.int64)
-        self._last = int(found[-2])
-        return found[:-1], found[1:]
+        offsets = np.array([self._at, *ends], np.int64)
+        self._last = int(offsets[-2])
+        return offsets[:-1], offsets[1:]
 
     def _alike(self, mark: bytes) -> Optional[Offsets]:
         """Return where rows of one length begin, and the end of the last.

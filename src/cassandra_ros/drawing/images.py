@@ -260,7 +260,7 @@ def _opened(row: StoredRow, data: bytes) -> Image:
     """Open a compressed image without decoding its pixels."""
     image = optional_module("PIL.Image", "a picture")
     try:
-        found: Image = image.open(io.BytesIO(data), formats=_DECODERS)
+        picture: Image = image.open(io.BytesIO(data), formats=_DECODERS)
     except image.UnidentifiedImageError as exc:
         raise UnknownEncoding(
             f"the image of topic {row.topic} at {row.t} is compressed in a way that cannot be "
@@ -268,9 +268,11 @@ def _opened(row: StoredRow, data: bytes) -> Image:
         ) from exc
     except (OSError, SyntaxError, ValueError, struct.error, image.DecompressionBombError) as exc:
         raise _undecodable(row, str(exc)) from exc
-    if found.width * found.height > _MAX_PIXELS:
-        raise _undecodable(row, f"it has {found.width} x {found.height} pixels, which are too many")
-    return found
+    if picture.width * picture.height > _MAX_PIXELS:
+        raise _undecodable(
+            row, f"it has {picture.width} x {picture.height} pixels, which are too many"
+        )
+    return picture
 
 
 def _undecodable(row: StoredRow, why: str) -> CorruptMessage:

@@ -74,20 +74,20 @@ class Measurements:
         nodes = None if self.node is None else [self.node]
         timeline, whose = Timeline(self.catalog), Whose(nodes, self.writers)
         own = View(self.start, self.end, 1, [self.topic], whose)
-        found = timeline.picture(own).scale
-        if found is None:
+        window = timeline.picture(own).scale
+        if window is None:
             return shares
         # Poses shortly before the first and after the last message are needed too.
-        start, end = max(0, found.start - gap_ns), min(MAX_NS, found.end + gap_ns)
-        every = View(start, end, _CELLS, [self.topic, *names], whose, detail=True)
-        picture = timeline.picture(every)
+        start, end = max(0, window.start - gap_ns), min(MAX_NS, window.end + gap_ns)
+        view = View(start, end, _CELLS, [self.topic, *names], whose, detail=True)
+        picture = timeline.picture(view)
         scale = picture.scale
         if scale is None:
             return shares
         counts = {name: np.zeros(scale.cells) for name in [self.topic, *names]}
         for lane in picture.lanes:
             counts[lane.topic] += lane.cells(scale).counts
-        asked = _inside(counts[self.topic], scale, found)
+        asked = _inside(counts[self.topic], scale, window)
         if asked.any():
             for name in names:
                 covered = _covered(counts[name] > 0, gap_ns / scale.step)

@@ -309,21 +309,21 @@ def keys_by_shadow(
         return [_wanted(table, values) for values in rows]
 
     asked = table.send(bind(table.select_shadow(shadow, bucket=False), (value,), FEW_ROWS))
-    found = keys(asked.page())
+    row_keys = keys(asked.page())
     if not asked.more:
-        found = [key for key in found if nodes is None or key.position.node in nodes]
-        yield from sorted(found, key=lambda key: key.position)
+        row_keys = [key for key in row_keys if nodes is None or key.position.node in nodes]
+        yield from sorted(row_keys, key=lambda key: key.position)
         return
     by_time: dict[int, set[str]] = {}
     for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes):
         by_time.setdefault(row.bucket, set()).add(row.node)
     statement = table.select_shadow(shadow, bucket=True)
     for bucket in sorted(by_time):
-        found = []
+        row_keys = []
         for node in by_time[bucket]:
             values = (*table.place(node, bucket), value)
-            found += table.collect(bind(statement, values, KEY_PAGE_ROWS), keys)
-        yield from sorted(found, key=lambda key: key.position)
+            row_keys += table.collect(bind(statement, values, KEY_PAGE_ROWS), keys)
+        yield from sorted(row_keys, key=lambda key: key.position)
 
 
 def _wanted(table: RowTable, values: RawRow) -> RowKey:

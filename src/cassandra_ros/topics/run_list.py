@@ -44,19 +44,19 @@ def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
     lost: Dict[int, Counts[str]] = {}
     for loss in space.registry.losses() if left else ():
         lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count
-    found: List[Run] = []
+    listed: List[Run] = []
     for run in runs:
         sign = signs.get((run.writer, run.node), SignOfLife(math.inf, False))
         if _has_ended(run):
-            found.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
+            listed.append(replace(run, state="interrupted" if sign.interrupted else "ended"))
             continue
         mine = held.get(run.writer, _StoredCounts())
         alive = not sign.interrupted and min(sign.age_sec, mine.age_sec) <= STALE_SEC
         state = "recording" if alive else "interrupted"
         stored = {topic: count for topic, count in sorted(mine.stored.items()) if count}
         missing = dict(lost.get(run.writer, Counter()))
-        found.append(replace(run, ended=None, state=state, stored=stored, lost=missing))
-    return found
+        listed.append(replace(run, ended=None, state=state, stored=stored, lost=missing))
+    return listed
 
 
 def _has_ended(run: Run) -> bool:
@@ -68,19 +68,19 @@ def _held(
     directory: Directory, tables: Sequence[TopicTable], writers: FrozenSet[int]
 ) -> Dict[int, _StoredCounts]:
     """Count the stored messages of some writers, by the directory where possible."""
-    found: Dict[int, _StoredCounts] = {}
+    counts: Dict[int, _StoredCounts] = {}
     whose = Whose(None, writers)
     for table in tables:
         topic = table.metadata.topic
         if table.named:
             for key in list_names(table, None):
                 if whose.wrote(key.position.seq):
-                    held = found.setdefault(writer_of(key.position.seq), _StoredCounts())
+                    held = counts.setdefault(writer_of(key.position.seq), _StoredCounts())
                     held.stored[topic] += 1
             continue
         rows = buckets_of(directory, table, whose)
         for row in settle(directory, table, rows):
-            held = found.setdefault(row.writer, _StoredCounts())
+            held = counts.setdefault(row.writer, _StoredCounts())
             held.stored[topic] += row.rows
             held.age_sec = min(held.age_sec, row.age_sec)
-    return found
+    return counts

@@ -39,18 +39,18 @@ def delete_messages(
         all_of_it = topics is None and where is None and read.time_range == ALWAYS
         ending = _ended_runs(catalog, read.whose) if all_of_it else []
     catalog.adder.close()  # buckets that it has open count as being written
-    found: Dict[str, int] = {}
+    counts: Dict[str, int] = {}
     if where is not None:
         for name, passing in _filters(catalog, topics, where, read.whose).items():
             rows = passing.rows(read, bare=True)
-            found[name] = sum(1 for _ in rows) if dry_run else delete_rows(space, rows)
-        return found
+            counts[name] = sum(1 for _ in rows) if dry_run else delete_rows(space, rows)
+        return counts
     for table in catalog.tables(topics):
         part = delete_of_table(space, table, read, dry_run)
-        found[table.metadata.topic] = found.get(table.metadata.topic, 0) + part
+        counts[table.metadata.topic] = counts.get(table.metadata.topic, 0) + part
     if not dry_run:
         _forget(space, ending)
-    return found
+    return counts
 
 
 def delete_of_table(space: Keyspace, table: TopicTable, read: Read, dry_run: bool = False) -> int:

@@ -98,7 +98,7 @@ class _IndexComparison:
             self._noted.setdefault((each.node, each.writer), []).append(each)
 
     def at(self, run: Run) -> PlacesOfRun:
-        found = PlacesOfRun(run.name or str(run.writer), run.node, run.writer, "no poses")
+        places = PlacesOfRun(run.name or str(run.writer), run.node, run.writer, "no poses")
         noted = self._noted.get((run.node, run.writer), [])
         extents = [
             extent
@@ -107,9 +107,9 @@ class _IndexComparison:
             if extent.writer == run.writer
         ]
         if not extents:
-            return found
+            return places
         if run.state == "recording" or (run.kind == "import" and run.state != "ended"):
-            return found._replace(state="goes on")
+            return places._replace(state="goes on")
         tables = {each.table for each in noted}
         known = all(
             extent.table in tables
@@ -121,13 +121,13 @@ class _IndexComparison:
             for extent in extents
         )
         if not known:
-            return found._replace(state="not indexed")
+            return places._replace(state="not indexed")
         fixed = self._fixed(run.node)
         frames = [n.above for n in noted if n.robot != n.table]
         if any(fixed.get(name, "") != how for above in frames for name, how in above.items()):
-            return found._replace(state="not indexed")
+            return places._replace(state="not indexed")
         first, last = min(n.low for n in noted), max(n.high for n in noted)
-        return found._replace(state="indexed", first_ns=first, last_ns=last)
+        return places._replace(state="indexed", first_ns=first, last_ns=last)
 
     def _fixed(self, node: str) -> Mapping[str, str]:
         try:

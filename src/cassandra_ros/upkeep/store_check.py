@@ -425,19 +425,19 @@ class _Check:
         space = self._space
         until_us = old_us(space.cassandra)
         every = orphans(space.cassandra, space.name, table, until_us)
-        found = [o for o in every if table.named or _within(o.t, self._time_range)]
-        if not found:
+        in_range = [o for o in every if table.named or _within(o.t, self._time_range)]
+        if not in_range:
             return
         if self._repair:
-            remove_orphans(space.cassandra, table, found, until_us)
-        times = [orphan.t for orphan in found]
+            remove_orphans(space.cassandra, table, in_range, until_us)
+        times = [orphan.t for orphan in in_range]
         self._note(
             DamageKind.ORPHAN,
             table,
             "",
             None if table.named else (min(times), max(times)),
-            len(found),
-            f"pieces of {len(found)} large messages lie there without a message: the "
+            len(in_range),
+            f"pieces of {len(in_range)} large messages lie there without a message: the "
             "client that wrote them died; --repair deletes them",
             mended=self._repair,
         )

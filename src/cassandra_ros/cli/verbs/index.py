@@ -123,14 +123,14 @@ def _places(options: argparse.Namespace) -> int:
     whose = {"nodeID": options.node_id, "run": options.run}
     with open_store(options) as ros_cas:
         if options.list:
-            found = ros_cas.upkeep.placesIndex(**whose)
+            runs = ros_cas.upkeep.placesIndex(**whose)
         else:
             with MessageBar("noting places") as bar:
                 bar.unit = " s"
-                found = ros_cas.upkeep.indexPlaces(**whose, progress=bar.reach)
+                runs = ros_cas.upkeep.indexPlaces(**whose, progress=bar.reach)
     if options.json:
-        print_json([each._asdict() for each in found])
-    elif not found:
+        print_json([each._asdict() for each in runs])
+    elif not runs:
         print("there is no run")
     elif not options.quiet:
         rows = [
@@ -141,7 +141,7 @@ def _places(options: argparse.Namespace) -> int:
                 format_time(each.last_ns),
                 each.state,
             )
-            for each in found
+            for each in runs
         ]
         print(format_table(("run", "node", "poses from", "to", "places"), rows))
     return 0

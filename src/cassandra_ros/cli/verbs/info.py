@@ -140,31 +140,31 @@ def run(options: argparse.Namespace) -> int:
     """Print the description."""
     if options.key is not None and not (options.yaml or options.json):
         options.parser.error("-k goes with -y or --json")
-    found = _find(options)
+    description = _find(options)
     if options.yaml or options.json:
-        answers = _answer(found)
+        answers = _answer(description)
         if options.json:
-            answers["activity"] = _activity_answer(found.activity)
+            answers["activity"] = _activity_answer(description.activity)
         answer = _chosen(answers, options.key)
         (_print_yaml if options.yaml else print_json)(answer)
         return 0
-    _print_summary(found)
-    if found.infos:
+    _print_summary(description)
+    if description.infos:
         print()
-        _print_topics(found.infos)
-        _print_activity(found.eras)
-    if found.losses:
+        _print_topics(description.infos)
+        _print_activity(description.eras)
+    if description.losses:
         print()
         columns = ("lost of topic", "node", "run", "messages", "from", "to", "why")
-        rows = list(_loss_rows(found.losses, found.runs))
+        rows = list(_loss_rows(description.losses, description.runs))
         print(format_table(columns, rows, right=("messages",)))
-    if found.runs and not options.topics:
+    if description.runs and not options.topics:
         print()
-        rows = [_run_row(run) for run in found.runs[-_RUNS_SHOWN:]]
+        rows = [_run_row(run) for run in description.runs[-_RUNS_SHOWN:]]
         columns = ("run", "kind", "node", "started", "state", "messages", "lost")
         print(format_table(columns, rows, right=("messages", "lost")))
-        if len(found.runs) > _RUNS_SHOWN:
-            print(f"… and {len(found.runs) - _RUNS_SHOWN} earlier ones")
+        if len(description.runs) > _RUNS_SHOWN:
+            print(f"… and {len(description.runs) - _RUNS_SHOWN} earlier ones")
     return 0
 
 
@@ -324,8 +324,8 @@ def _loss_rows(losses: list[Loss], runs: list[Run]) -> Iterator[tuple[str, ...]]
         )
 
 
-def _answer(found: _Description) -> dict[str, object]:
-    start_ns, end_ns = found.ends or (None, None)
+def _answer(description: _Description) -> dict[str, object]:
+    start_ns, end_ns = description.ends or (None, None)
     times: dict[str, object] = {}
     if start_ns is not None and end_ns is not None:
         times = {
@@ -336,16 +336,16 @@ def _answer(found: _Description) -> dict[str, object]:
             "end_ns": end_ns,
         }
     return {
-        "keyspace": found.keyspace,
+        "keyspace": description.keyspace,
         **times,
-        "size": found.bytes,
-        "messages": found.messages,
-        "types": [{"type": name, "md5": md5sum} for name, md5sum in found.types],
-        "topics": list(map(_topic_answer, found.infos, found.samples)),
-        "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in found.losses],
+        "size": description.bytes,
+        "messages": description.messages,
+        "types": [{"type": name, "md5": md5sum} for name, md5sum in description.types],
+        "topics": list(map(_topic_answer, description.infos, description.samples)),
+        "losses": [{**asdict(loss), "kind": loss.kind.value} for loss in description.losses],
         "runs": [
             {**vars(run), **{k: dict(getattr(run, k)) for k in ("labels", "stored", "lost")}}
-            for run in found.runs
+            for run in description.runs
         ],
     }
 

@@ -24,10 +24,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print a line for each keyspace."""
     with open_store(options, make=True) as ros_cas:
-        found = ros_cas.getKeyspaces()
+        keyspaces = ros_cas.getKeyspaces()
     if options.json:
-        print_json(found)
-    elif found:
+        print_json(keyspaces)
+    elif keyspaces:
         header = ("", "keyspace", "topics", "tables", "copies")
         rows = [
             (
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> int:
                 str(each.tables),
                 ", ".join(f"{where} {count}" for where, count in each.copies.items()),
             )
-            for each in found
+            for each in keyspaces
         ]
         print(format_table(header, rows, right=("topics", "tables")))
     else:

@@ -234,15 +234,15 @@ def _name(options: argparse.Namespace) -> str:
 
 
 def _tell(made: MadeMap, files: list[str], options: argparse.Namespace) -> None:
-    found = made.map
+    grid = made.map
     if options.json:
         answer = {
-            "frame": found.frame,
-            "resolution": found.resolution,
-            "origin": [found.x, found.y, found.yaw],
-            "width": found.width,
-            "height": found.height,
-            "stamp_ns": found.stamp,
+            "frame": grid.frame,
+            "resolution": grid.resolution,
+            "origin": [grid.x, grid.y, grid.yaw],
+            "width": grid.width,
+            "height": grid.height,
+            "stamp_ns": grid.stamp,
             "used": made.used,
             "without_pose": made.without_pose,
             "unreadable": made.unreadable,
@@ -258,12 +258,12 @@ def _tell(made: MadeMap, files: list[str], options: argparse.Namespace) -> None:
 
 
 def _text(made: MadeMap, files: list[str], options: argparse.Namespace) -> str:
-    found = made.map
-    across, up = found.width * found.resolution, found.height * found.resolution
+    grid = made.map
+    across, up = grid.width * grid.resolution, grid.height * grid.resolution
     lines = [
         f"map of {counted(made.used, 'message')} of {shown(options.topic)}, "
-        f"{across:.1f} x {up:.1f} m in frame {shown(found.frame)}, "
-        f"{found.width} x {found.height} cells of {found.resolution:g} m",
+        f"{across:.1f} x {up:.1f} m in frame {shown(grid.frame)}, "
+        f"{grid.width} x {grid.height} cells of {grid.resolution:g} m",
         f"poses: {shown('; '.join(made.sources), None)}",
     ]
     others = [offer for offer in made.offers if not offer.taken]

@@ -58,14 +58,14 @@ def run(options: argparse.Namespace) -> int:
         topic = ros_cas.getTopic(options.topic)
         if keys:
             topic.setMeta(**keys)
-        found = dict(topic.getMeta)
+        metadata = dict(topic.getMeta)
     if options.definition:
-        print(shown_lines(found["definition"].rstrip("\n")))
+        print(shown_lines(metadata["definition"].rstrip("\n")))
     elif options.json:
-        print_json(found)
+        print_json(metadata)
     else:
-        del found["definition"]
-        _print_yaml(found)
+        del metadata["definition"]
+        _print_yaml(metadata)
     return 0
 
 

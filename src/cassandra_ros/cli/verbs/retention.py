@@ -113,19 +113,19 @@ def run(options: argparse.Namespace) -> int:
                     progress=bar.reach,
                 )
 
-        found: list[Retained] = []
+        results: list[Retained] = []
         if options.dry_run or not options.yes:
-            found = retain("counting", dry_run=True)
+            results = retain("counting", dry_run=True)
         if not options.dry_run:
-            if not options.yes and _gone(found):
-                confirm(f"Drop {counted(_gone(found), 'message')}?", _table(found))
-            found = retain("dropping", dry_run=False)
+            if not options.yes and _gone(results):
+                confirm(f"Drop {counted(_gone(results), 'message')}?", _table(results))
+            results = retain("dropping", dry_run=False)
     if options.json:
-        answer = [{"topic": e.topic, **{n: getattr(e, n) for n in _NUMBERS}} for e in found]
+        answer = [{"topic": e.topic, **{n: getattr(e, n) for n in _NUMBERS}} for e in results]
         print_json({"topics": answer, "dry_run": options.dry_run})
     elif not options.quiet:
-        print(_table(found))
-        gone = _gone(found)
+        print(_table(results))
+        gone = _gone(results)
         ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
         print(f"{counted(gone, 'message')} {ends} dropped")
     return 0

@@ -393,17 +393,17 @@ def read_numbers(planes: ByteArray, ats: Int64Array, base: str) -> NumberArray:
     unit, messages = PRIMITIVE_SIZES[base], planes.shape[1]
     if len(ats) <= MAX_OFFSETS_ONE_BY_ONE and planes.T.flags.c_contiguous:
         # The messages are adjacent in memory: each number is read in place.
-        found = np.empty((len(ats), messages), f"<u{unit}")
-        for row, at in zip(found, ats.tolist()):
+        numbers = np.empty((len(ats), messages), f"<u{unit}")
+        for row, at in zip(numbers, ats.tolist()):
             row[:] = np.ndarray((messages,), row.dtype, planes.T, at, (len(planes),))
     else:
         rows = planes[ats[:, None] + np.arange(unit)]
-        found = np.ascontiguousarray(rows.transpose(0, 2, 1)).view(f"<u{unit}")[..., 0]
-        found = np.ascontiguousarray(found)
+        numbers = np.ascontiguousarray(rows.transpose(0, 2, 1)).view(f"<u{unit}")[..., 0]
+        numbers = np.ascontiguousarray(numbers)
     if base in _PARTS:
-        halves = found.view(_PARTS[base]).reshape(*found.shape, 2).astype(np.int64)
+        halves = numbers.view(_PARTS[base]).reshape(*numbers.shape, 2).astype(np.int64)
         return halves[..., 0] * SECOND_NS + halves[..., 1]
-    values: NumberArray = found.view(DTYPES[base])
+    values: NumberArray = numbers.view(DTYPES[base])
     return (values != 0).view(np.uint8) if base == "bool" else values
 
 

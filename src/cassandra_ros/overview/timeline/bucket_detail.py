@@ -56,7 +56,7 @@ def refined(
     Args:
         gone: If it is set, no more keys are read.
     """
-    found, budget = list(pieces), _Budget()
+    detailed, budget = list(pieces), _Budget()
     coarse = [_coarse(piece, scale) for piece in pieces]
     costs = [
         float(
@@ -64,13 +64,13 @@ def refined(
         )
         for piece, c in zip(pieces, coarse)
     ]
-    for number in sorted(range(len(found)), key=costs.__getitem__):
+    for number in sorted(range(len(detailed)), key=costs.__getitem__):
         if gone.is_set():
             break
-        if coarse[number].any() and not (found[number].sampled):
-            better = _better(found[number], coarse[number], costs[number], scale, whose, budget)
-            found[number] = better or found[number]
-    return found
+        if coarse[number].any() and not (detailed[number].sampled):
+            better = _better(detailed[number], coarse[number], costs[number], scale, whose, budget)
+            detailed[number] = better or detailed[number]
+    return detailed
 
 
 def _coarse(piece: RangeCounts, scale: Scale) -> Bools:
