@@ -204,12 +204,14 @@ def test_run_in_the_foreground_takes_the_server_along(env, tmp_path, number):
             *("run", "--port", str(free_port()), "__name:=cassandra"),
         ],
         stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
         text=True,
         env=env,
     )
     cluster_folder = tmp_path / "cassandra_ros"
     try:
-        assert "answers at" in process.stdout.readline()
+        lines = iter(process.stdout.readline, "")
+        assert any("answers at" in line for line in lines)  # warnings may come before it
         cluster = LocalCluster(cluster_folder)
         [status] = cluster.status()
         assert answers_cql("127.0.0.1", cluster.settings.port, timeout_sec=60)
