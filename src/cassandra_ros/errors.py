@@ -12,9 +12,8 @@
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
   - TypeMismatch, UnknownFormat, UnknownEncoding, InvalidKey, InvalidName, InvalidOption,
-    InvalidQuery, InvalidExpression, AnswerTooLarge, DefinitionError, CorruptMessage,
-    BagError (also a ValueError)
-    + BagUnindexed and BagTooLarge, both a BagError
+    InvalidQuery, InvalidExpression, AnswerTooLarge, DefinitionError, CorruptMessage, BagError (also
+    a ValueError) + BagUnindexed and BagTooLarge, both a BagError
   - MissingDependency (also an ImportError)
 
 Each error text is a complete sentence: what failed, on which topic, why, and what to do.

@@ -109,7 +109,8 @@ def export_bag(
     report = ExportReport(os.fspath(path))
     first = list(islice(rows, 1))
     if not (before or first or empty):
-        raise _not_written(report.path, why_empty(catalog, names, nodeID, run))
+        why = why_empty(catalog, names, nodeID, run)
+        raise MessageNotFound(f"{report.path} is not written, for there is no such message: {why}")
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
         sent = PublishTimeFinder(catalog.keyspace.side_tables, writer.keeps_publish_times)
@@ -130,10 +131,6 @@ def _numbered(
         yield numbers.latched(row), low, row
     for row in rows:
         yield numbers.of(row), row.received, row
-
-
-def _not_written(path: str, reason: str) -> MessageNotFound:
-    return MessageNotFound(f"{path} is not written, for there is no such message: {reason}")
 
 
 def why_empty(

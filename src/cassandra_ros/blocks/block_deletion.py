@@ -4,8 +4,7 @@
 
 A mark is only added, so two clients can mark at the same time. A block with a mark on every message
 is deleted as a row. If the block was deleted meanwhile the mark remains as a row of its own, which
-is
-deleted too.
+is deleted too.
 """
 
 from __future__ import annotations

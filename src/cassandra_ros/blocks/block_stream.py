@@ -4,10 +4,8 @@
 
 Blocks of several writers and connections overlap. So a message is yielded as soon as no block that
 is still to be read can hold an earlier one. Whole buckets are read by pages of blocks. A read of
-few
-messages or of few blocks, or one in descending order, first reads the headers and then the blocks
-in
-the order in which it needs them.
+few messages or of few blocks, or one in descending order, first reads the headers and then the
+blocks in the order in which it needs them.
 """
 
 from __future__ import annotations

@@ -4,16 +4,13 @@
 
 The first byte is the version, the second one the flags; a zstd frame follows. It holds, each as
 planes (all first bytes, all second bytes, …, little-endian): the differences of the key times,
-those
-of ``_seq``, the sizes, and with flag 1 the receive times minus the key times. The messages follow
-in
-groups of equal size, the smallest first, each group in the order of the block. A group of at least
-16 messages is stored as planes too: bytes that change little from message to message are side by
-side, and a field at a fixed offset is some whole rows of a matrix. With flag 2 messages of at least
-512 bytes, which are the last, are coded as words instead (words.py): scans take half the bytes.
-With
-flag 4 each other group of at least 16 has its own layout (layouts.py). With flag 8 there is no
-frame, because zstd would save nothing.
+those of ``_seq``, the sizes, and with flag 1 the receive times minus the key times. The messages
+follow in groups of equal size, the smallest first, each group in the order of the block. A group of
+at least 16 messages is stored as planes too: bytes that change little from message to message are
+side by side, and a field at a fixed offset is some whole rows of a matrix. With flag 2 messages of
+at least 512 bytes, which are the last, are coded as words instead (words.py): scans take half the
+bytes. With flag 4 each other group of at least 16 has its own layout (layouts.py). With flag 8
+there is no frame, because zstd would save nothing.
 """
 
 from __future__ import annotations
@@ -44,8 +41,7 @@ HARDLY = 0.6
 have 0.05 to 0.3."""
 SAMPLE, STRETCHES = 16 * 1024, 4
 """Size of the sample in bytes, and number of its parts. Taken from blocks of at least four times
-this
-size."""
+this size."""
 MIN_PLANES = 16
 """Minimum number of messages of one size that are stored as planes. Fewer are stored plain, because
 planes would only tear texts apart."""
@@ -200,7 +196,7 @@ def _finished(flags: int, parts: Sequence[BytesLike], messages: int) -> bytes:
             if long and len(_mine.quick.compress(sample)) >= len(sample):
                 return stored
             return bytes((VERSION, flags)) + _mine.quick.compress(body)
-    return bytes((VERSION, flags)) + _compressor().compress(body)
+    return bytes((VERSION, flags)) + _mine.compressor.compress(body)
 
 
 def _many(sizes: Longs) -> List[Tuple[int, int]]:
@@ -236,7 +232,7 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
         fits = length <= most_bytes(size) if coded else length == size
         if min(count, size, length) < 0 or not fits:
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")
-        view = packed if stored else memoryview(_decompressor().decompress(packed))
+        view = packed if stored else memoryview(_mine.decompressor.decompress(packed))
     except zstandard.ZstdError as exc:
         raise CorruptMessage(f"a block cannot be unpacked: {exc}") from exc
     times, seqs = np.add.accumulate(_numbers(view, 0, 2, count, _I8), axis=1)
@@ -324,12 +320,4 @@ _mine = _PerThread()
 
 
 def _cost(data: bytes) -> int:
-    return len(_compressor().compress(data))
-
-
-def _compressor() -> zstandard.ZstdCompressor:
-    return _mine.compressor
-
-
-def _decompressor() -> zstandard.ZstdDecompressor:
-    return _mine.decompressor
+    return len(_mine.compressor.compress(data))

@@ -3,10 +3,9 @@
 """Long messages as words of 4 bytes, for messages full of measured ``float32``.
 
 A sensor counts millimetres or steps of its converter, and its driver writes 1.234 or 812.0. As
-bytes
-such numbers look random; as the integers 1234 and 812 they differ little from their neighbours.
-Messages are cut into words from their ends, because the name of a frame, which makes their sizes
-odd, is at their beginnings. Each word has a code:
+bytes such numbers look random; as the integers 1234 and 812 they differ little from their
+neighbours. Messages are cut into words from their ends, because the name of a frame, which makes
+their sizes odd, is at their beginnings. Each word has a code:
 
 - below ``_WHOLE`` it is the word itself: a length, a zero;
 - ``_WHOLE``: a ``float32`` that is a whole number;
@@ -14,10 +13,9 @@ odd, is at their beginnings. Each word has a code:
 - ``_OTHER``: any other word.
 
 A number is stored as an integer only if the division gives back each of its bits. The bytes are:
-the
-scale; of each message the bytes before its first word; the codes; then of whole, scaled and other
-words in turn the values as planes. Whole and scaled words are stored as differences from one to the
-next, with the sign in the lowest bit.
+the scale; of each message the bytes before its first word; the codes; then of whole, scaled and
+other words in turn the values as planes. Whole and scaled words are stored as differences from one
+to the next, with the sign in the lowest bit.
 """
 
 from __future__ import annotations

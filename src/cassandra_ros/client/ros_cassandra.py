@@ -185,23 +185,20 @@ class RosCassandra:
                 'ros'.
                 Another format than the stored one makes a second table, with a warning.
             msg_type: 'pkg/Name' of an installed type; None = the type that the ROS master knows,
-                else
-                that of the first message.
+                else that of the first message.
             nodeID: The robot or other source of its messages.
             ttl: Seconds until a message expires, 0 to MAX_TTL_SEC (some 18 years); 0 = never.
             comment: Free text.
             key_format: Key of a message: 'time' (its receive time), 'msg_part' (a field), 'hash'
                 (its content) or 'manual' (a name that you give); None = as the topic is stored,
-                else
-                'time'. See CassandraTopic.
+                else 'time'. See CassandraTopic.
             key_part: The field of 'msg_part', such as 'header.stamp'.
             metadata: Keys of your own for getMeta, with values that JSON gives back unchanged.
             index: Fields that get an index, such as 'linear.x'; see createIndex.
 
         Raises:
             TopicExists: It is stored with another type, key_format or ttl. (The comment and
-                metadata
-                of a stored topic stay as they are; setMeta changes them.)
+                metadata of a stored topic stay as they are; setMeta changes them.)
             InvalidKey: The type does not have the field key_part, or one of index.
             InvalidName: The topic, nodeID or a key of metadata is not a valid name.
             InvalidOption, UnknownFormat, DefinitionError.
@@ -241,8 +238,7 @@ class RosCassandra:
         """Drop a topic; return the number of its messages. Raises like getTopic.
 
         A client that is writing the topic makes it again with its next message. Messages that it
-        has
-        written since they were counted are deleted too.
+        has written since they were counted are deleted too.
         """
         return self.catalog.remove(topic)
 
@@ -250,8 +246,7 @@ class RosCassandra:
         """Delete all messages of a topic; return their number. The topic and its metadata stay.
 
         If a client is writing the topic, the messages that are there when this begins are deleted,
-        and
-        later ones stay. Raises like getTopic.
+        and later ones stay. Raises like getTopic.
         """
         return self.catalog.remove(topic, renew=True)
 
@@ -280,8 +275,7 @@ class RosCassandra:
         Args:
             nodeID: As in addTopic, for all topics.
             options: ``writer_id format ttl linger_sec block_sec give_up_after_sec run on_loss``, as
-                in
-                class MessageWriter.
+                in class MessageWriter.
         """
         return make_writer(self.catalog.keyspace, node=nodeID, **options)
 
@@ -340,9 +334,8 @@ class RosCassandra:
         """Read the rows of several topics lazily, merged by time.
 
         A row unpacks like a message of rosbag: ``for topic, msg, t in rosCas.readMessages()``,
-        where t
-        is the key time. Memory: some pages of rows for all topics together, and some for each topic
-        with a condition.
+        where t is the key time. Memory: some pages of rows for all topics together, and some for
+        each topic with a condition.
 
         Args:
             topics: Names of topics, or one name; None = all.
@@ -411,9 +404,8 @@ class RosCassandra:
 
         Yields pairs (row, row) in the order of the first topic's key times. A message of the second
         topic may be in several pairs. Of two equally near messages the earlier one is taken, of
-        equal
-        times the first. A message without a partner is left out, as in ROS's ApproximateTime; with
-        ``unpaired`` it comes with None, as in pandas' merge_asof.
+        equal times the first. A message without a partner is left out, as in ROS's ApproximateTime;
+        with ``unpaired`` it comes with None, as in pandas' merge_asof.
 
         Args:
             topic_a, topic_b: Each message of the first topic is paired with one of the second.
@@ -459,8 +451,7 @@ class RosCassandra:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
 
         DELETE returns one row with the number of deleted messages; TRUNCATE, CREATE INDEX and DROP
-        INDEX
-        return no rows.
+        INDEX return no rows.
 
         Args:
             statement: CQL with topic names, dotted fields and KEY (paper 3.2).
@@ -501,8 +492,8 @@ class RosCassandra:
         """Run a SELECT statement and describe how it was answered; ``print`` the result.
 
         The description says which buckets were read and how, what the server checked, what was
-        checked
-        here, and the numbers of rows read and returned. Raises InvalidQuery like executeCQL.
+        checked here, and the numbers of rows read and returned. Raises InvalidQuery like
+        executeCQL.
         """
         return self.statements.explain(statement, params, nodeID, run)
 
@@ -520,17 +511,14 @@ class RosCassandra:
         """Return the transform between two frames at any past time, as tf2 computes it.
 
         The time is that of the stamps in the headers. The last transform of a frame on tf_static
-        holds
-        at every time. Reading ends when both frames are connected and the time is between two
+        holds at every time. Reading ends when both frames are connected and the time is between two
         transforms of each frame on the way, so a transform received more than 2 s out of order may
-        be
-        missed.
+        be missed.
 
         Args:
             target, source: Frames to which, and from which, the transform takes points.
             time: A time, as in ``key``. 0 means, as in tf2, the newest time that all frames on the
-                way
-                have.
+                way have.
             nodeID, run: nodeID and run of the transforms, of both topics; None = all.
             tf, tf_static: Topics of moving and of fixed transforms. One of them may be missing.
 

@@ -3,10 +3,9 @@
 """Statements of all kinds, run on the topics that they name.
 
 DELETE removes whole messages. If its condition contains only KEY, NODE and RUN, the range is
-deleted
-as it is stored. Any other condition is checked for every message, page by page. If the condition is
-about elements of an array, a message is deleted when one element matches. Messages that are stored
-while it runs may be deleted or not.
+deleted as it is stored. Any other condition is checked for every message, page by page. If the
+condition is about elements of an array, a message is deleted when one element matches. Messages
+that are stored while it runs may be deleted or not.
 """
 
 from __future__ import annotations

@@ -348,8 +348,7 @@ class Cassandra:
     def _nodes_in_reach(self) -> list[Host]:
         """Return the reachable nodes of our data centre; raises NoHostAvailable."""
         # A session is ready as soon as one node answers, and connects to the other nodes later:
-        # wait
-        # for them.
+        # wait for them.
         while True:
             connected = self._session.get_pool_state()
             centres = {host.datacenter for host in connected}

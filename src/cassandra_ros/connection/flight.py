@@ -48,9 +48,8 @@ class Flight:
     """Sends idempotent statements without waiting for each answer. Thread-safe.
 
     The callback ``outcome`` of each statement is called once, on the driver's event thread or on
-    the
-    thread of a retry, with None or with the error after which the statement was given up. It must
-    not block.
+    the thread of a retry, with None or with the error after which the statement was given up. It
+    must not block.
     """
 
     def __init__(

@@ -239,8 +239,8 @@ class BufferedConnection(DefaultConnection):
         """Send as many bytes as the socket takes; return the rest to be queued, None = no rest.
 
         Waking the driver's thread takes a third of the time of a lookup. While that thread's
-        watcher is
-        active it may be in the middle of a request. Only libev's event loop has this watcher.
+        watcher is active it may be in the middle of a request. Only libev's event loop has this
+        watcher.
         """
         plain = type(self._socket) is socket.socket  # a TLS socket belongs to one thread
         if not plain or getattr(self, "_write_watcher_is_active", True):

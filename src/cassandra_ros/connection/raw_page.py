@@ -97,12 +97,9 @@ class RawPage(Sequence[RawRow]):
         """Guess where the rows begin and end; None if that is not possible.
 
         Rows with the same value in one column of four bytes are taken to be equally long, unless
-        the
-        bytes after such a row cannot be the beginning of a row. So the result is a guess. A caller
-        who
-        checks every size in a row that begins at its place, and finds that this row ends at the
-        place
-        of the next one, has checked the place of the next row too.
+        the bytes after such a row cannot be the beginning of a row. So the result is a guess. A
+        caller who checks every size in a row that begins at its place, and finds that this row ends
+        at the place of the next one, has checked the place of the next row too.
 
         Args:
             sized_at: Offset of that column in a row.

@@ -103,7 +103,8 @@ class HistorySubscriber:
         self.data_class: Any = data_class
         self._callback, self._args = callback, callback_args
         self._own = rosCas is None
-        self._rosCas = _opened() if rosCas is None else rosCas
+        keyspace = from_environment("KEYSPACE") or "ros"
+        self._rosCas = RosCassandra(keyspace=keyspace) if rosCas is None else rosCas
         self._strange: Set[Tuple[str, str]] = set()
         self._until = time.monotonic() + CONNECT_SEC
         self._is_connected = False
@@ -227,10 +228,6 @@ def _check(data_class: Any, callback: Any) -> None:
         raise InvalidOption(f"data_class={data_class!r:.80} is no class of messages")
     if not callable(callback):
         raise InvalidOption(f"callback={callback!r:.80} cannot be called")
-
-
-def _opened() -> RosCassandra:
-    return RosCassandra(keyspace=from_environment("KEYSPACE") or "ros")
 
 
 def _resolved(topic: str) -> str:

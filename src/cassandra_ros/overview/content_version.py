@@ -29,8 +29,7 @@ def content_version(
 
     It is computed from the directory. Only buckets that are being written, and those of topics with
     a time to live, take time: their messages are counted. The text may also change if other
-    messages
-    of the same buckets do, or the format of a topic.
+    messages of the same buckets do, or the format of a topic.
 
     Args:
         tables: Tables of the topics to read.

@@ -89,8 +89,7 @@ class Envelopes(NamedTuple):
     """Share of the messages that was read, 0 to 1; 1.0 = all."""
     edges: int
     """Number of blocks across the edges of pixels of which only the zones were read. Their pixels
-    may
-    show larger ranges of values than they have."""
+    may show larger ranges of values than they have."""
 
 
 class EnvelopeReader:

@@ -3,9 +3,8 @@
 """Latched messages: those that a subscriber at a past time would have received first.
 
 A connection is latched if its header says ``latching=1``. A late subscriber of such a topic gets
-the
-last message of each publisher. So a time range that is played or exported needs these messages from
-before the range, of the runs that have messages in the range.
+the last message of each publisher. So a time range that is played or exported needs these messages
+from before the range, of the runs that have messages in the range.
 """
 
 from __future__ import annotations

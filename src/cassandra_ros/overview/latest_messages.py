@@ -50,9 +50,8 @@ class Latest:
         """Return the last messages of each topic, in order of time.
 
         They are: the last message; for transforms all messages of the last second; for latched
-        topics
-        the last message of each publisher, however old; for topics with names the newest message of
-        each name, or its first one if all were stored later.
+        topics the last message of each publisher, however old; for topics with names the newest
+        message of each name, or its first one if all were stored later.
 
         Args:
             t: The moment, ns; a message at t itself counts.

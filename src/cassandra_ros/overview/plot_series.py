@@ -93,12 +93,10 @@ class Series:
     points: Points
     share: float = 1.0
     """Share of the messages that was read, 0 to 1. Below 1.0 points are missing, or lack some of
-    their
-    values."""
+    their values."""
     edges: int = 0
     """Number of blocks in two or more pixels of which only the zones were read. Each of these
-    pixels
-    shows the values of the whole block."""
+    pixels shows the values of the whole block."""
 
     @property
     def complete(self) -> bool:

@@ -69,8 +69,7 @@ def spaced_rows(
 
     If there are at most ``count`` messages, all are chosen. Otherwise each is the nearest to one of
     the times and is found by this time. With a condition all messages that satisfy it are read
-    once,
-    and in topics with names the keys of all messages.
+    once, and in topics with names the keys of all messages.
 
     Args:
         name: Name of the topic.

@@ -82,11 +82,9 @@ def is_valid(noted: IndexedPoses, robot: Robot, fixed: Mapping[str, str]) -> boo
     # A frame that did not exist has no visits, unless it was fixed to another frame since.
     absent = robot.frame not in noted.frames and robot.frame not in fixed
     absent = absent and len(noted.frames) < MAX_FRAMES
-    return robot.frame in noted.above or (absent and not _carries(robot.frame, fixed))
-
-
-def _carries(frame: str, fixed: Mapping[str, str]) -> bool:
-    return any(how.startswith(f"{frame} [") for how in fixed.values())
+    return robot.frame in noted.above or (
+        absent and not any(how.startswith(f"{robot.frame} [") for how in fixed.values())
+    )
 
 
 def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[IndexedPoses]) -> Iterator[NsRange]:

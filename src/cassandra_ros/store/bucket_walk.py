@@ -100,8 +100,7 @@ class BucketPart(NamedTuple):
     bucket: int
     rows: Sequence[BucketRow]
     """Rows of its writers in the directory; empty = no bucket, but the place up to which the
-    directory
-    was read."""
+    directory was read."""
     page_rows: int = 0
     page_bytes: int = 0
     """Approximate maximum size of its messages in memory, bytes."""

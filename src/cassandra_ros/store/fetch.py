@@ -83,9 +83,8 @@ def first_at(
     """Return the first row with exactly this key time, ns, in the order (node, seq, table).
 
     First the nodes that are known to write to a table are asked: one round trip. If they have no
-    row,
-    the directory is asked for other nodes, so no row is missed. If two nodes have a row with this
-    time, one that this process has not met yet is not preferred, even if it is first in order.
+    row, the directory is asked for other nodes, so no row is missed. If two nodes have a row with
+    this time, one that this process has not met yet is not preferred, even if it is first in order.
     """
     known = [(t_, n) for t_ in tables for n in sorted(t_.known_nodes if nodes is None else nodes)]
     row = _best(known, t)

@@ -33,8 +33,7 @@ from cassandra_ros.tables.row_table import (
 )
 
 # A batch costs the server some 0.5 ms in addition to its rows. Batches of 500 rows and 256 KiB cost
-# it
-# an eighth more, those of 200 rows and 64 KiB a third. None is larger than a chunk.
+# it an eighth more, those of 200 rows and 64 KiB a third. None is larger than a chunk.
 BATCH_ROWS = 1000
 BATCH_BYTES = 512 * 1024
 HELD_BYTES = 8 * 1024 * 1024
@@ -97,8 +96,7 @@ class OpenBucket:
     """State of one partition of one writer; guarded by the writer's lock.
 
     In a table whose rows have names there is one such object for each row, and the directory does
-    not
-    list it. ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
+    not list it. ``totals`` and ``in_air`` also change on the driver's thread, under ``self.mutex``.
 
     Args:
         table, node, bucket, name: The partition.

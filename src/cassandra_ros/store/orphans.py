@@ -4,8 +4,7 @@
 
 A writer stores the chunks of a large message first and its row last. A writer that dies in between
 leaves chunks without a row. A bucket is listed before its first row is written, so an unlisted
-bucket
-has lost its entry in the directory.
+bucket has lost its entry in the directory.
 """
 
 from __future__ import annotations
@@ -63,7 +62,11 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
 
     def read(rows: Iterable[RawRow]) -> List[Orphan]:
         old = (values for values in rows if decode_long(values[4]) <= until_us)
-        return [_orphan(table, values) for values in old if not _has_row(table, values)]
+        return [
+            Orphan(*_place(table, values), decode_long(values[2]), decode_long(values[3]))
+            for values in old
+            if not _has_row(table, values)
+        ]
 
     statement = bind(table.select_chunked(), (), _PAGE_KEYS)
     return table.collect(statement, read, "looking for orphans of")
@@ -98,7 +101,3 @@ def remove_orphans(
 def _place(table: RowTable, values: RawRow) -> Tuple[str, Where]:
     node, where = (values[0] or b"").decode(), values[1] or b""
     return node, where.decode() if table.named else decode_long(where)
-
-
-def _orphan(table: RowTable, values: RawRow) -> Orphan:
-    return Orphan(*_place(table, values), decode_long(values[2]), decode_long(values[3]))

@@ -424,8 +424,8 @@ class _BucketQueue(Generic[_T]):
     Of whole buckets one is requested ahead. Of filtered buckets, which return few rows, many are
     requested ahead, but not from the start, because the caller may need only the first row. If few
     rows are wanted, the buckets that hold that many are requested: one, those that begin at the
-    same
-    time, and more if the directory lists fewer rows in these. The numbers grow as rows are taken.
+    same time, and more if the directory lists fewer rows in these. The numbers grow as rows are
+    taken.
 
     Args:
         open_piece: Requests the rows of a bucket by the chosen queries.

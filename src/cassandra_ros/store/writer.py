@@ -127,8 +127,7 @@ class RowWriter:
 
         Args:
             again: Called on another thread if the table is dropped before the row is stored, to
-                write
-                the message into another table; without it the row is lost.
+                write the message into another table; without it the row is lost.
 
         Raises:
             TopicNotFound: The table was dropped; the row was not taken.
@@ -456,10 +455,7 @@ class RowWriter:
                         self._close_or_leave(bucket)
                         del self._buckets[key]
                     else:
-                        self._mark(bucket)
-
-    def _mark(self, bucket: OpenBucket) -> None:
-        self._put(bucket, bucket.take_totals())
+                        self._put(bucket, bucket.take_totals())
 
     def _put(self, bucket: OpenBucket, totals: BucketTotals | None, closed: bool = False) -> None:
         table, node, number = bucket.table, bucket.node, bucket.bucket

@@ -146,16 +146,14 @@ class BucketRow(NamedTuple):
     """Shadow columns that have values in all rows of this writer in the bucket."""
     writing: bool = False
     """Whether the writer has not closed the bucket. If rows were deleted, ``closed`` and
-    ``writing``
-    may both be false."""
+    ``writing`` may both be false."""
     cut: bool = False
     """Whether rows were deleted since the bucket was counted."""
 
     def expired(self, ttl: int) -> bool:
         """Return whether all rows of this writer in the bucket have expired; ttl in seconds."""
         # A bucket is closed after its last row. While it is open, a row may come that was retried
-        # for
-        # minutes.
+        # for minutes.
         margin = CLOCKS_SEC if self.closed else TTL_MARGIN_SEC
         return self.age_sec > ttl + margin
 
@@ -208,8 +206,7 @@ class Directory:
         """Table → slot → nodes, as listed last; may be out of date."""
         self.first: Dict[Tuple[str, bool], Tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
         """Table and whether newest rows come first → nodes and buckets in which the last read of
-        few rows
-        began; see ``foresee`` in store/."""
+        few rows began; see ``foresee`` in store/."""
 
     def patient(self, retry_sec: Seconds) -> Directory:
         """Return a copy for one writer, which retries each request for ``retry_sec``."""
@@ -343,8 +340,7 @@ class Directory:
         """Close a bucket that has no living writer; return whether that was done.
 
         It is not done if the bucket has changed since ``row`` was read, which must be before its
-        data
-        rows are counted.
+        data rows are counted.
         """
         columns = {"filled": set(row.filled), **totals.columns()}
         key = _key((table, row.node, row.bucket, row.writer))

@@ -149,8 +149,7 @@ class Registry:
         """Yield the connection headers of some tables (a full scan: connections are few).
 
         Yields (table, number of the connection in it, header). Each definition is read once,
-        however
-        many connections have it.
+        however many connections have it.
         """
         names = "tbl, conn, topic, number, header, def_offset, md5sum, def_hash"
         rows = self._tables.select("cr_connection", names, what="listing the connections")

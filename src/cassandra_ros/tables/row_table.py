@@ -256,8 +256,7 @@ class RowTable:
         """SELECT of columns, as CQL, of the blocks that may hold a message.
 
         Parameters are the partition key, the ranges of ``_t`` and of ``_seq``, and a key time.
-        Blocks
-        whose last message is earlier than that are left out.
+        Blocks whose last message is earlier than that are left out.
         """
         return self._select(
             names,

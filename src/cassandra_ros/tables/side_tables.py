@@ -345,8 +345,7 @@ class SideTables:
 
     def _make_lock_table(self) -> None:
         # The lock cannot guard its own creation. With a fixed id racing clients make the same
-        # table;
-        # its columns never change, and it is never dropped while the keyspace exists.
+        # table; its columns never change, and it is never dropped while the keyspace exists.
         table_id = uuid.uuid5(uuid.NAMESPACE_URL, f"cassandra_ros/{self.keyspace}/{_LOCK}")
         self._cassandra.schema_change(
             f"CREATE TABLE IF NOT EXISTS {self.qualified(_LOCK)} ({_LOCK_COLUMNS}) "

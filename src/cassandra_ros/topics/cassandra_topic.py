@@ -148,8 +148,8 @@ class CassandraTopic:
         Args:
             msg: A message object of the topic's type.
             key: With key_format ``time`` its time; None = now, by the node's clock if a node runs
-                in
-                this process. With ``manual`` its name. Leave it out with ``msg_part`` and ``hash``.
+                in this process. With ``manual`` its name. Leave it out with ``msg_part`` and
+                ``hash``.
             nodeID: The robot or other source of the message; None = the nodeID of addTopic.
 
         Returns:
@@ -308,8 +308,7 @@ class CassandraTopic:
             nodeID, limit, reverse, run: As in items.
             after: Position of a row after which to begin (a cursor).
             columns: Returns the columns of a table to read, None = all; a row fetches the others
-                when
-                its bytes are accessed.
+                when its bytes are accessed.
             chooser: Decides which conditions the server checks.
             wanted: Number of rows that will probably be taken, None = limit; decides the first
                 request.
@@ -364,8 +363,7 @@ class CassandraTopic:
         """Return the key in a text that a user typed. Raises InvalidKey.
 
         A name is the text itself. A time is integer nanoseconds or ISO 8601. A value of a field is
-        a
-        number, true, false or a text, by the type of the field; then a time must be ISO 8601.
+        a number, true, false or a text, by the type of the field; then a time must be ISO 8601.
         """
         check_text("text", text, error=InvalidKey)
         return self._finder().of_text(text)
@@ -397,10 +395,8 @@ class CassandraTopic:
         """Delete the messages at key, or with key <= time <= to_key; return their number.
 
         A key that the store returned deletes its one message; a bare time, name or value deletes
-        all
-        messages that have it. With ``where`` and ``run`` only messages that satisfy the condition,
-        or of
-        the run, are deleted; then key and to_key may be left out for all times.
+        all messages that have it. With ``where`` and ``run`` only messages that satisfy the
+        condition, or of the run, are deleted; then key and to_key may be left out for all times.
 
         Raises:
             MessageNotFound: There is no message at key (without to_key).
@@ -462,12 +458,10 @@ class CassandraTopic:
         """Return messages as a pandas.DataFrame with one column a field.
 
         The index ``KEY`` is their time, exact to the nanosecond, in UTC and without a zone, or
-        their
-        names. Columns are those of getArrays, except that times are datetime64[ns] without a zone,
-        durations timedelta64[ns], and arrays are in cells, whatever their lengths. Missing values
-        are
-        NaN, NaT, None, or NA in a nullable type (Int32, UInt64, boolean), so that integers stay
-        integers.
+        their names. Columns are those of getArrays, except that times are datetime64[ns] without a
+        zone, durations timedelta64[ns], and arrays are in cells, whatever their lengths. Missing
+        values are NaN, NaT, None, or NA in a nullable type (Int32, UInt64, boolean), so that
+        integers stay integers.
 
         Args:
             fields, key, to_key, where, nodeID, run: As in getArrays, also the errors.
@@ -484,14 +478,12 @@ class CassandraTopic:
 
         The topic may be recorded meanwhile, and its new rows are found in any case: a bucket that a
         writer has open is read without the index. Another call for an existing index goes on where
-        the
-        first was interrupted, and adds rows that were being written then.
+        the first was interrupted, and adds rows that were being written then.
 
         Args:
             field: Dotted path, such as 'linear.x'. For an array, or a field in an array of
-                messages, the
-                index finds the messages that contain a value. Texts over 1 KiB, arrays over 256
-                elements and NaN are not indexed; such messages are always read.
+                messages, the index finds the messages that contain a value. Texts over 1 KiB,
+                arrays over 256 elements and NaN are not indexed; such messages are always read.
             progress: Called with the number of rows that are done, and of all rows.
 
         Returns:

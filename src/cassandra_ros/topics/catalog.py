@@ -168,8 +168,7 @@ class Catalog:
 
         Returns:
             The number of deleted messages. If renew is set and a client is writing the topic, only
-            the
-            messages that were there at the beginning are deleted.
+            the messages that were there at the beginning are deleted.
         """
         name, space = self.get(topic).name, self.keyspace
         self.adder.close()

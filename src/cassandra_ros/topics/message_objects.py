@@ -26,8 +26,7 @@ def with_messages(
     """Yield each row with its message.
 
     Rows are taken ahead, never more than have been yielded. An error of a row, or of reading rows,
-    is
-    raised when its row would be yielded.
+    is raised when its row would be yielded.
 
     Args:
         cassandra: Connection of the read; after it is closed no more rows are yielded.

@@ -176,14 +176,12 @@ class MessageWriter:
         """Prepare for the messages of a connection: its table, definition and header.
 
         If its definition is empty, broken or hostile, or does not agree with the md5sum, it is
-        stored as
-        it is and the messages are stored as ``binary``; the handle's warning says so.
+        stored as it is and the messages are stored as ``binary``; the handle's warning says so.
 
         Args:
             connection: Topic and header.
             bucket_ns: Length of the buckets if the table is made here, ns; None = 1 min for types
-                with
-                arrays, otherwise 10 min.
+                with arrays, otherwise 10 min.
             span_ns: Maximum time range of a block if the table is made here, ns; None = 10 s.
             large: Whether messages over 512 KiB will come, so that their chunk table is made now.
             format, node: Format and nodeID in place of the writer's.
@@ -413,10 +411,10 @@ class MessageWriter:
         return taken
 
     def _block_message_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
-        self._write_anew(self.ready(handle), t_ns, seq, wire)
+        self.write(self.ready(handle), t_ns, seq & MAX_COUNTER, wire)
 
     def _row_anew(self, handle: Handle, row: NewRow) -> None:
-        self._write_anew(handle, row.t, row.seq, row.wire)
+        self.write(handle, row.t, row.seq & MAX_COUNTER, row.wire)
 
     def _current(self, handle: Handle) -> Handle:
         """Return the current handle; wait for a silent store as long as for a row."""
@@ -439,9 +437,6 @@ class MessageWriter:
         again = partial(self.write, handle, t_ns, seq & MAX_COUNTER, wire, name)
         self._rows.add(handle.table, handle.node, row, again)
         return row
-
-    def _write_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
-        self.write(handle, t_ns, seq & MAX_COUNTER, wire)
 
     @property
     def pending_bytes(self) -> int:

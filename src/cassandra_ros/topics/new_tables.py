@@ -42,8 +42,7 @@ class NewTables:
         """Return the format for new messages of a topic.
 
         It is the requested one (raises UnknownFormat). Without a request it is that of the table
-        made
-        last, for this md5 if there is one, so a stored topic stays in its format.
+        made last, for this md5 if there is one, so a stored topic stays in its format.
         """
         if asked is not None and asked != "":
             format_class(asked)
@@ -58,10 +57,8 @@ class NewTables:
 
         Args:
             metadata: Content of its comment. Columns, date and values that are '' or 0 are
-                completed
-                here; values of the topic's other tables hold for this one too. Of its indexes only
-                the
-                fields count; a field that the type lacks is left out.
+                completed here; values of the topic's other tables hold for this one too. Of its
+                indexes only the fields count; a field that the type lacks is left out.
             definition: The checked definition, or None.
             large: Make the chunk table too, for which large messages would have to wait later.
 

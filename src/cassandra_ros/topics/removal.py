@@ -116,8 +116,7 @@ def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us
     """Delete some of the rows of a time range; return their number.
 
     Consecutive rows are deleted together: each deletion leaves a tombstone, and Cassandra refuses
-    to
-    read a bucket with 100,000 of them.
+    to read a bucket with 100,000 of them.
 
     Args:
         rated: All rows of the time range in order, each with whether it is deleted.

@@ -3,9 +3,8 @@
 """Reads that go on while a table is replaced by another one, because its topic is converted.
 
 The old table is dropped some seconds after the new one became visible. A reader of the old table
-then
-gets an error, and goes on in the new table after the last row that it yielded: rows have the same
-positions there.
+then gets an error, and goes on in the new table after the last row that it yielded: rows have the
+same positions there.
 """
 
 from __future__ import annotations

@@ -45,8 +45,7 @@ class RowReader:
         """Yield rows in the order (t, node, seq, table), or its reverse, lazily.
 
         For topics with names all keys are listed first, and all rows are read. The server may leave
-        out
-        fewer rows than the chooser asks.
+        out fewer rows than the chooser asks.
         """
         if isinstance(read.only, Named):
             rows: Iterable[TableRow] = self._versions(tables, read.only, read)

@@ -49,8 +49,7 @@ class TopicInfo:
     """Key of a message: 'time', 'hash', 'manual', or the name of the key field."""
     rate_hz: Optional[float]
     """Mean rate while messages were coming, Hz: gaps between buckets, such as between two
-    recordings,
-    do not count. None if no bucket has two messages of one writer."""
+    recordings, do not count. None if no bucket has two messages of one writer."""
 
     def __repr__(self) -> str:
         node = f" of {shown(self.node)}" if self.node else ""

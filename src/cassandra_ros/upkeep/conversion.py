@@ -5,8 +5,7 @@
 For each definition of the topic a new table is filled, which readers do not see yet. It is compared
 with the old tables message by message, and replaces them by one change of its comment
 (``tables/succession.py``). Some seconds later, when every client has read the comment, the old
-tables
-are dropped. A client that is reading one of them then goes on in the new table
+tables are dropped. A client that is reading one of them then goes on in the new table
 (``topics/replaced_tables.py``).
 """
 
@@ -277,9 +276,8 @@ class Conversion:
         """Wait until every client has read the changed comments.
 
         Before the copy: afterwards no client writes into the old tables. After the switch: clients
-        that
-        cannot read the comments may go on writing into the old tables until they can; ``add_late``
-        copies these messages.
+        that cannot read the comments may go on writing into the old tables until they can;
+        ``add_late`` copies these messages.
         """
         time.sleep(replacement.SETTLE_SEC)
 

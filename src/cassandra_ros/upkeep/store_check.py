@@ -6,8 +6,7 @@ The check reads the messages of each bucket, with the checksums of blocks and of
 zones of blocks, and the connections and definitions to which rows refer. Counts and times are
 compared with the directory if no client is writing. A row that cannot come from any message is
 damage. A changed number in a column of the formats ``ros``, ``json`` or ``yaml`` cannot be told
-from
-a stored one.
+from a stored one.
 """
 
 from __future__ import annotations
@@ -93,8 +92,7 @@ class CheckReport:
     buckets: int = 0
     writing: int = 0
     """Buckets that are open, or in which messages were deleted, for less than a minute: the
-    directory
-    has no final counts of them to compare."""
+    directory has no final counts of them to compare."""
     unsummed: int = 0
     """Messages in rows of their own, which have no checksum and were only decoded."""
     damages: List[Damage] = field(default_factory=list)

@@ -147,7 +147,9 @@ class TableCopy:
                 writer_id, counter = split_seq(row.seq)
                 writer = opened.get(writer_id)
                 if writer is None:
-                    writer = opened[writer_id] = self._open(writer_id)
+                    writer = opened[writer_id] = MessageWriter(
+                        self._space, writer_id, ttl=None, limits=self._limits, given=True
+                    )
                 key = (writer_id, row.conn, row.node)
                 handle = handles.get(key)
                 if handle is None:
@@ -165,9 +167,6 @@ class TableCopy:
                     failed = exc
         if failed is not None:
             raise failed
-
-    def _open(self, writer_id: int) -> MessageWriter:
-        return MessageWriter(self._space, writer_id, ttl=None, limits=self._limits, given=True)
 
     def _handle(self, row: StoredRow) -> Handle:
         return Handle(row.connection, self._new, row.conn, row.node, None)

@@ -45,9 +45,8 @@ class Upkeep:
         """Delete messages of several topics; return topic → number. Topics stay, even if empty.
 
         The arguments are those of RosCassandra.readMessages, but with ``where`` only topics that
-        have a
-        condition lose messages. With only a run, all messages of the run are deleted, and it is no
-        longer listed; a run that is still recording is refused.
+        have a condition lose messages. With only a run, all messages of the run are deleted, and it
+        is no longer listed; a run that is still recording is refused.
 
         Args:
             dry_run: Only count the messages.
@@ -99,8 +98,7 @@ class Upkeep:
         """Index where the robots of runs were, so that NEAR reads only poses around a place.
 
         Recorders do it themselves; this is for imports, and for recordings without it. Runs that
-        are
-        indexed stay as they are; runs that go on and interrupted imports are left out.
+        are indexed stay as they are; runs that go on and interrupted imports are left out.
 
         Args:
             nodeID, run: nodeID, and run by name or writer id; None = all.
@@ -135,21 +133,18 @@ class Upkeep:
         """Drop messages by age and size, thin others, and keep those around events.
 
         Latched messages are not thinned. A message that a publisher had latched before a kept time
-        range
-        is kept too, so that the range can be played. Messages with names are not touched. A
-        repetition
-        with the same arguments only drops messages that have become older.
+        range is kept too, so that the range can be played. Messages with names are not touched. A
+        repetition with the same arguments only drops messages that have become older.
 
         Args:
             topics: Names of topics; None = all with a time key.
             max_age: Maximum age of messages; seconds or a Duration.
             max_bytes: Maximum number of serialised bytes (as info counts them) of these topics
                 together; the oldest messages are dropped first. What is kept around events is kept
-                in
-                addition.
+                in addition.
             keep: Topic → condition, a text or (text, parameters); may contain other topics.
-                Messages
-                from ``before`` before to ``after`` after a message that matches are not touched.
+                Messages from ``before`` before to ``after`` after a message that matches are not
+                touched.
             thin: Maximum number of messages a second that are kept, for each publisher.
             thin_after: Minimum age of messages that are thinned; like max_age.
             now: Time from which ages are counted back; None = the server's present time.

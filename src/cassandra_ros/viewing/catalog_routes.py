@@ -124,14 +124,10 @@ def _runs(call: ApiCall) -> Json:
     by_topic, counts = call.flag("by_topic"), call.flag("counts")
     # Messages of runs that did not end are counted in all tables of the keyspace.
     runs = call.store.runs() if counts else list_runs(call.catalog.keyspace, ())
-    selected = [run for run in runs if not names or _names(run, names)]
+    selected = [r for r in runs if not names or r.name in names or str(r.writer) in names]
     selected.sort(key=lambda run: str(run.started), reverse=True)
     listed: List[Json] = [_run(run, by_topic, counts) for run in selected[:limit]]
     return {"runs": listed, "left_off": max(len(selected) - limit, 0)}
-
-
-def _names(run: Run, names: Sequence[str]) -> bool:
-    return run.name in names or str(run.writer) in names
 
 
 def listed_at_most(call: ApiCall) -> int:

@@ -36,17 +36,13 @@ def run(options: argparse.Namespace) -> int:
     with open_store(options) as ros_cas:
         runs = sorted(ros_cas.runs(), key=lambda run: str(run.started))
     if options.json:
-        print_json([_answer(run) for run in runs])
+        # Without the labels that an import adds for its own use.
+        print_json([{**vars(run), "labels": run.public_labels} for run in runs])
     elif runs:
         print(format_table(_HEADER, [_row(run) for run in runs], right=("messages", "lost")))
     else:
         print(f"keyspace {options.keyspace} holds no run")
     return 0
-
-
-def _answer(run: Run) -> dict[str, object]:
-    """Return the fields of a run, without the labels that an import adds for its own use."""
-    return {**vars(run), "labels": run.public_labels}
 
 
 def _row(run: Run) -> tuple[str, ...]:
