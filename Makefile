@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo viewer screenshots test campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees clean distclean
+.PHONY: help setup demo viewer screenshots test campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -39,6 +39,7 @@ help:
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
 	@echo "make bench-trees    compare two checkouts: ARGS=\"EARLIER LATER\""
+	@echo "make bench-mechanisms  compare conversions of many messages together with one by one"
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
 setup:
@@ -101,6 +102,9 @@ bench-viewer: setup
 
 bench-trees: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_trees.py $(ARGS)
+
+bench-mechanisms: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_mechanisms.py $(ARGS)
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output
