@@ -144,12 +144,12 @@ class Catalog:
 
     def names(self, *, fresh: bool = True) -> set[str]:
         """Return the names of all topics."""
-        tables = self.keyspace.schema.tables(fresh=fresh)
+        listing = self.keyspace.schema.listing(fresh=fresh)
         with self._mutex:
             for name, wish in list(self._pending.items()):
                 if (name, wish.metadata.format) in self.keyspace.schema.seen:
                     del self._pending[name]  # its first message has been stored
-            return {metadata.topic for metadata in tables.values()} | set(self._pending)
+            return {*listing.by_topic, *self._pending}
 
     def is_written(self, topic: str) -> bool:
         """Return whether a client, such as a recorder, is writing messages of a topic now."""
@@ -230,7 +230,8 @@ class Catalog:
         with self._mutex:
             wish = self._pending.get(name)
         # By the comments alone: a table that cannot be read must not hide the other topics.
-        tables = [m for _, m in sorted(self.keyspace.schema.tables().items()) if m.topic == name]
+        listing = self.keyspace.schema.listing()
+        tables = [listing.visible[table] for table in listing.by_topic.get(name, ())]
         if wish is None and not tables:
             raise TopicNotFound(f"topic {name} was removed from keyspace {self.keyspace.name}")
         if wish is None:

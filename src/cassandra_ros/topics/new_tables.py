@@ -47,7 +47,8 @@ class NewTables:
         if asked is not None and asked != "":
             format_class(asked)
             return asked
-        tables = [m for m in self._schema.tables().values() if m.topic == topic]
+        listing = self._schema.listing()
+        tables = [listing.visible[table] for table in listing.by_topic.get(topic, ())]
         return stored_format(tables, md5sum) if tables else DEFAULT_FORMAT
 
     def make(
