@@ -241,9 +241,6 @@ def indexed(draw, ref):
     return ".".join(parts)
 
 
-# ------------------------------------------------------------------ one by one
-
-
 INT64 = parse_definition("pkg/A", "int64 x\nint32[] some\nfloat32 f", None)
 
 

@@ -346,9 +346,6 @@ def test_damage_in_the_middle_says_how_much_was_stored(rosCas, cql, tmp_path):
     assert counts_agree(rosCas, cql) == {"/chatter": info.first}
 
 
-# ------------------------------------------------------------------ repetition
-
-
 def test_importing_twice_changes_nothing(rosCas, cql, bags, tmp_path):
     path = bags / "turtlesim_tf.bag"
     import_bag(rosCas, path)
@@ -467,9 +464,6 @@ def test_of_many_topics_the_nearest_are_named():
         match_topics(["/x"], present, "a.bag")
     with pytest.raises(TopicNotFound, match="/x in a.bag; it has none$"):
         match_topics(["/x"], set(), "a.bag")
-
-
-# ------------------------------------------------------------------ export
 
 
 def test_two_bags_of_the_same_topics_verify_each_and_export_together(rosCas, tmp_path):

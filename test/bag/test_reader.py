@@ -102,9 +102,6 @@ def test_connections_without_messages_are_left_out_as_rosbag_does(tmp_path):
     assert [topic for _, topic, _ in read_with_rosbag(path)[0]] == ["/chatter"]
 
 
-# ------------------------------------------------------------------ what cannot be read
-
-
 def test_the_truncated_bag_is_refused_with_the_remedy(bags):
     path = bags / "truncated_header_only.bag"
     with pytest.raises(BagUnindexed, match=f"cut short after 3072 bytes.*rosbag reindex {path}"):

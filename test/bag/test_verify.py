@@ -122,9 +122,6 @@ def test_an_import_of_the_exported_bag_is_equal_to_the_original(rosCas, bags, ke
     assert report.scope == "all stored messages on its topics"
 
 
-# ------------------------------------------------------------------ content
-
-
 def record(rosCas, messages, names=None, later=5_000):
     """Store messages as a live recording does: other times and callers."""
     with rosCas.messageWriter() as writer:
@@ -189,9 +186,6 @@ def test_content_is_in_the_order_of_reception(rosCas, tmp_path):
     assert iso_time(9 * 10**9) not in surplus
 
 
-# ------------------------------------------------------------------ alignment
-
-
 def align(bag, store):
     def entries(texts):
         return [Entry(0, 0, i, "t", "m", text.encode(), "/a") for i, text in enumerate(texts)]
@@ -232,9 +226,6 @@ def test_only_equal_sequences_are_equal(bag, store):
     equal, differences, _ = align(bag, store)
     assert (differences == 0) == (bag == store)
     assert equal <= min(len(bag), len(store))
-
-
-# ------------------------------------------------------------------ the order of reading
 
 
 def test_overlapping_chunks_are_put_in_order(tmp_path):

@@ -150,9 +150,6 @@ def test_expired_blocks_are_not_counted(rosCas):
     assert rosCas.getTopic("/a").countTopicData() == 0
 
 
-# ------------------------------------------------------------------ requests that fail
-
-
 def test_losses_are_counted_by_message(far, proxy, rosCas):
     proxy.catch(block_of(7))
     losses = []
@@ -197,9 +194,6 @@ def test_what_fails_once_is_sent_again(far, proxy, rosCas, stored):
     assert len(failed.frames) == 2
     assert wires(rosCas) == [wire_of(n) for n in range(10)]
     assert told(rosCas) == (10, 10, 10)
-
-
-# ------------------------------------------------------------------ the table goes meanwhile
 
 
 @pytest.mark.fault

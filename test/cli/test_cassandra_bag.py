@@ -303,9 +303,6 @@ def test_an_empty_export_is_an_error_and_leaves_the_old_bag(call, bags, tmp_path
     assert call("verify", path, "--content", "--start", "0", "--end", "18.999")[0] == 1
 
 
-# ------------------------------------------------------------------ errors
-
-
 def test_errors_are_one_line_and_status_1(type_in, bags, tmp_path):
     cases = [
         (("import", bags / "truncated_header_only.bag"), "rosbag reindex"),

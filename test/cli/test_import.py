@@ -34,9 +34,6 @@ def cut(path, name, size):
     return target
 
 
-# ------------------------------------------------------------------ many bags
-
-
 def test_many_bags_with_a_bad_one_among_them(call, tmp_path):
     good, more = make_bag(tmp_path / "1.bag"), make_bag(tmp_path / "4.bag", ("/c",))
     bad = cut(good, "2.bag", good.stat().st_size - 100)
@@ -68,9 +65,6 @@ def test_many_bags_with_a_bad_one_among_them(call, tmp_path):
     status, out, err = call("import", good, more, "--format", "xml")
     assert (status, err.count("\n")) == (1, 1)
     assert [line.split()[-1] for line in out.splitlines()[-2:]] == ["failed", "tried"]
-
-
-# ------------------------------------------------------------------ salvage
 
 
 def test_salvage_of_a_bag_that_is_cut_short(call, tmp_path):
@@ -170,9 +164,6 @@ def test_a_cut_anywhere_gives_what_stands_before_it(tmp_path, compression):
     assert 0 < len(found) < 60
 
 
-# ------------------------------------------------------------------ topics, and where to
-
-
 def test_chosen_topics_in_and_out(call, tmp_path):
     path = make_bag(tmp_path / "a.bag", ("/cam/left", "/cam/right", "/tf"), 30)
     assert call("import", path, "-e", "/cam/.*", "-q") == (0, "", "")
@@ -195,9 +186,6 @@ def test_chosen_topics_in_and_out(call, tmp_path):
     assert {m.topic for m in read_with_rosbag(target)[1]} == {"/tf", "/cam/left"}
     assert call("export", target, "-o", target)[0] == 2
     assert call("export")[0] == 2
-
-
-# ------------------------------------------------------------------ large chunks
 
 
 def test_large_chunks_need_an_option(call, tmp_path, monkeypatch):

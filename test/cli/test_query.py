@@ -56,9 +56,6 @@ def plain(value):
     return value.to_nsec() if hasattr(value, "to_nsec") else value
 
 
-# ------------------------------------------------------------------ table
-
-
 def test_a_table_is_for_people(call, rosCas, numbers):
     topic = rosCas.addTopic("/mixed")
     topic.addData(Twist(linear=Vector3(x=0.25)), key=T)
@@ -100,9 +97,6 @@ def test_a_long_table_keeps_its_first_widths(call, rosCas):
     lines = call("query", "select data, NODE from long")[1].splitlines()
     assert lines[:2] == ["data  NODE", "   0"]
     assert lines[249:] == [" 248", "1000000000000"]
-
-
-# ------------------------------------------------------------------ csv, json
 
 
 STATEMENTS = [
@@ -187,9 +181,6 @@ def test_json_is_json_that_all_can_read(call, numbers, rosCas):
     assert json.loads(call("query", "select data from big", "--output", "ndjson")[1]) == {
         "data": 2**64 - 1
     }
-
-
-# ------------------------------------------------------------------ parquet
 
 
 def parquet(call, path, statement, *more):
@@ -288,9 +279,6 @@ def test_parquet_of_two_definitions(call, rosCas, tmp_path):
     table = parquet(call, tmp_path / "x.parquet", "select x, y from x")
     assert table["x"].to_pylist() == [str(2**60), '"word"', "5"]
     assert table["y"].to_pylist() == [None, None, 0]
-
-
-# ------------------------------------------------------------------ values, files, errors
 
 
 def test_values_for_markers(call, texts, numbers):
@@ -410,9 +398,6 @@ def test_the_help_tells_all(call):
         assert word in out
 
 
-# ------------------------------------------------------------------ processes
-
-
 @pytest.mark.parametrize("package", ["pandas", "pyarrow"])
 def test_without_the_optional_packages(env, rosCas, tmp_path, package):
     """Everything else works, and --output parquet says what to install."""
@@ -492,9 +477,6 @@ def test_ctrl_c_ends_quietly(env, rosCas, tmp_path):
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=300)
     assert (process.returncode, out, err) == (130, b"", b"")
-
-
-# ------------------------------------------------------------------ index
 
 
 def test_index(call, rosCas):

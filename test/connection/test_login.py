@@ -149,9 +149,6 @@ def test_files_that_are_none(home, tmp_path, monkeypatch):
         read_login()
 
 
-# -------------------------------------------------------------------- wrong certificates
-
-
 @contextlib.contextmanager
 def server(certificate, trusted=None):
     """A port that speaks TLS, and nothing else, with a certificate."""
@@ -195,9 +192,6 @@ def test_certificates_that_are_refused(home, make_certificate):
     home(trusting.format(valid))
     with server(valid, trusted=valid) as port:
         assert "asks for a certificate of ours" in refusal(port)
-
-
-# -------------------------------------------------------------------- what the server says
 
 
 @pytest.mark.parametrize(

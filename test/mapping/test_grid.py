@@ -120,8 +120,6 @@ def test_a_cloud_that_is_none_is_refused():
         beams_of_cloud(wild, None)
 
 
-# ---------------------------------------------------------------------------------- rays
-
 CELL = st.integers(-40, 40)
 RAYS = st.lists(st.tuples(CELL, CELL, st.booleans()), min_size=1, max_size=12)
 
@@ -194,9 +192,6 @@ def test_a_grid_grows_to_all_sides_and_not_without_end():
     for wrong in ({"resolution": 0.0}, {"resolution": NAN}, {"resolution": 1, "hit": 0.4}):
         with pytest.raises(InvalidOption):
             LogOddsGrid(**wrong)
-
-
-# --------------------------------------------------------------------------------- files
 
 
 def read_as_map_server(path):

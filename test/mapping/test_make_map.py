@@ -230,9 +230,6 @@ def test_what_no_map_can_be_made_of_says_why(store, fresh):
             makeMap(alone, "/scan")
 
 
-# --------------------------------------------------------------------- on the command line
-
-
 @pytest.fixture
 def bag(store, cassandra, capsys, tmp_path, monkeypatch):
     """Run cassandra_bag on the robots' keyspace, in an empty folder."""
@@ -339,9 +336,6 @@ def test_the_help_tells_the_defaults_that_the_library_has(bag):
         f"{CLOUD_HEIGHTS[1]:g} for clouds)",
     ):
         assert known in text
-
-
-# -------------------------------------------------------------------------------- real bags
 
 
 def test_a_recorded_map_is_shown_as_it_is(bags, fresh, tmp_path):

@@ -102,9 +102,6 @@ def asked(store, condition, params=(), **options):
     return sorted(key.to_nsec() for (key,) in rows)
 
 
-# -------------------------------------------------------------------- a real robot
-
-
 @pytest.fixture(scope="module")
 def husky(fresh):
     with fresh() as store:
@@ -190,9 +187,6 @@ def test_errors_say_what_there_is(husky):
         husky.executeCQL("select KEY from /joy where NEAR(?, 0, 1)", [math.nan])
     with pytest.raises(RunNotFound):
         husky.near(0, 0, 5, run="nobody")
-
-
-# -------------------------------------------------------------------- with the index, and without
 
 
 SPOTS = st.integers(-3, 3).map(float)
@@ -289,9 +283,6 @@ def test_near_is_what_is_counted_by_hand(drive_stores, drive, disk, by_tf):
     check()
 
 
-# -------------------------------------------------------------------- the index
-
-
 def lane(store, node="", count=40, run="lane", start=T0, y=0.0, kind="recording"):
     """A robot that drives 10 m a second along x, by tf, and a message each second."""
     with Writer(store, node, run, kind=kind) as writer:
@@ -386,9 +377,6 @@ def test_frames_that_are_fixed_in_another_way_since(rosCas):
     assert asked(rosCas, "NEAR(50, 500, 1)") == [T0 + 5 * SEC]
 
 
-# -------------------------------------------------------------------- while recording
-
-
 class Clock:
     def __init__(self):
         self.now = T0
@@ -473,9 +461,6 @@ def test_without_places_nothing_is_noted(rosCas, monkeypatch):
     tables = [t.name for t in rosCas.getTopic("/tf").tables]
     assert rosCas.catalog.keyspace.place_index.placed(tables) == []
     assert asked(rosCas, "NEAR(20, 0, 2)") == [T0 + 2 * SEC + 1]
-
-
-# -------------------------------------------------------------------- whose robot
 
 
 def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
@@ -608,9 +593,6 @@ def test_messages_under_names_and_deleting(rosCas):
         cursor = result.cursor
     rest = list(rosCas.iterCQL("select data from /n where NEAR(200, 0, 100)", after=cursor))
     assert [n for (n,) in first + rest] == [n for n in range(10, 30) if n not in (19, 20, 21)]
-
-
-# -------------------------------------------------------------------- poses that come or go later
 
 
 DETOUR = T0 + 4 * SEC

@@ -55,8 +55,6 @@ def same(poses, row, found):
     return np.abs(mine[:3] - other[:3]).max() < 1e-9 and turned < 1e-9
 
 
-# ------------------------------------------------------------------ beside tf2, one by one
-
 FRAMES = "abcde"
 TRANSFORMS = st.lists(
     st.tuples(
@@ -142,9 +140,6 @@ def test_a_half_way_turn_goes_the_shorter_way():
     back = there @ there.inverse()
     assert np.allclose(seven(back), seven(Rigid.none(1)))
     assert np.allclose(there.inverse().apply(there.apply(np.eye(3))), np.eye(3))
-
-
-# ------------------------------------------------------------------------ out of a store
 
 
 def test_all_times_of_a_recording_are_where_lookups_say(store, monkeypatch):

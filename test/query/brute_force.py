@@ -190,9 +190,6 @@ def operands_of(tree):
     return [] if tree is None or isinstance(tree, Value) else [tree]
 
 
-# -------------------------------------------------------------------- the meaning
-
-
 def compare(sign, value, wanted):
     if isinstance(value, str):
         beside = next(((a, b) for a, b in zip(value, wanted) if a != b), None)
@@ -588,9 +585,6 @@ def canonical(value):
     if isinstance(value, float):
         return f"float {value!r}"
     return f"bool {value}" if isinstance(value, bool) else value
-
-
-# -------------------------------------------------------------------- the text
 
 
 class Writer:

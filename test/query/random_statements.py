@@ -53,9 +53,6 @@ TEXTS = ["", "'", "''", '"', "%", "_", "a%", "\x00", "\uffff", "\U0010ffff", "\u
 TIMES = [0, -1, 1, 2**32 * SECOND - 1, 2**32 * SECOND, 2**63, -(2**63) - 1, 10**30]
 
 
-# -------------------------------------------------------------------- values and their texts
-
-
 def ulps(value):
     """Numbers beside a float: the next doubles, the next float32 and what lies between."""
     bits = struct.unpack("<q", struct.pack("<d", value))[0]
@@ -195,9 +192,6 @@ SECONDS = [
 ]
 STRETCHES = st.sampled_from([Op("time", (KEY, length), "time") for length in SECONDS[:2]])
 NUMBERS = {("number", False), ("bool", False)}
-
-
-# -------------------------------------------------------------------- fields
 
 
 def pathsOf(types, name=None, steps=()):
@@ -460,8 +454,6 @@ class Asker:
 
     def _isArray(self, operand):
         return any(array for _, array in self._kinds(operand))
-
-    # ---------------------------------------------------------------- values of a field
 
     def _valuesOf(self, operand):
         """Strategy of values: half of them stored ones, and as many beside them as at the edges."""

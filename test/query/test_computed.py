@@ -217,9 +217,6 @@ def test_what_is_missing_makes_the_rest_so():
     assert not test(cut)
 
 
-# -------------------------------------------------------------------- rows made of several
-
-
 def made(statement, messages, nodes=""):
     rows = [row_of(m, t=T0 + n, node=nodes[n : n + 1]) for n, m in enumerate(messages)]
     tables = list({row.table.name: row.table for row in rows}.values())
@@ -285,9 +282,6 @@ def test_what_is_computed_is_bounded(count):
         return
     with pytest.raises(ValueError, match="nested deeper"):
         shown(UInt64(2), text)
-
-
-# -------------------------------------------------------------------- at random
 
 
 @pytest.mark.campaign

@@ -47,8 +47,6 @@ def fails(msg_class, text, params=()):
     return caught.value
 
 
-# -------------------------------------------------------------------- numbers
-
 NUMBERS = st.one_of(
     st.integers(-(2**63), 2**63 - 1),
     st.integers(2**53 - 3, 2**53 + 3),
@@ -98,9 +96,6 @@ def test_zero_and_nan():
     assert not matches(nan, "latitude = nan")
     assert not matches(nan, "latitude in ?", [[math.nan, 1]])
     assert matches(nan, "latitude not in (1, 2)")
-
-
-# -------------------------------------------------------------------- text, bool, times
 
 
 @campaign(200)
@@ -154,9 +149,6 @@ def test_nodes():
     assert matches(msg, "NODE != 'husky' and NODE in ('turtle', 'x')", node="turtle")
 
 
-# -------------------------------------------------------------------- patterns
-
-
 def like(text, pattern):
     """The definition of LIKE, one code point after the other."""
     if not pattern:
@@ -196,9 +188,6 @@ def test_parts_of_a_pattern_do_not_overlap():
 def test_like_on_nodes():
     assert matches(Bool(True), "NODE like 'husky_%'", node="husky_1")
     assert not matches(Bool(True), "NODE like 'Husky%'", node="husky_1")
-
-
-# -------------------------------------------------------------------- missing values, arrays
 
 
 VALUES = st.sampled_from([0, -1, 1, 1.5, -0.0, 255, 256, 255.0, 0.1, 1e300, math.nan, math.inf])
@@ -326,9 +315,6 @@ def test_arrays_in_arrays():
     assert matches(msg, "status.values[1].key = 'y' and status.name = 'a'")
     assert matches(msg, "status[2].values.value = '3'")
     assert not matches(msg, "status[1].values.value = '3'")
-
-
-# -------------------------------------------------------------------- errors
 
 
 @pytest.mark.parametrize(

@@ -391,9 +391,6 @@ def test_memory_is_bounded(husky, monkeypatch):
     assert len(husky.ask("select count(*) from tf group by time(10ms)")) > 500
 
 
-# -------------------------------------------------------------------- stores made for the purpose
-
-
 def test_several_nodes(rosCas):
     topic = rosCas.addTopic("/pose", format="ros")
     for n in range(6):

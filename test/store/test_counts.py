@@ -59,9 +59,6 @@ def test_a_closed_bucket_of_one_writer_does_not_speak_for_the_other(rosCas):
     assert counts(rosCas) == (15, 15, 15)
 
 
-# ------------------------------------------------------------------ who stood still
-
-
 def test_who_is_taken_for_dead_comes_back_before_that():
     assert directory.HEARTBEAT_SEC < writer.REOPEN_SEC < directory.STALE_SEC
     assert writer.IDLE_SEC < directory.STALE_SEC
@@ -127,9 +124,6 @@ def test_a_writer_that_was_not_late_is_not_counted_again(rosCas, still, monkeypa
     assert counts(rosCas) == (10, 10, 10)
 
 
-# ------------------------------------------------------------------ heartbeats
-
-
 @pytest.fixture
 def beating(monkeypatch):
     """Heartbeats as fast as the ticker goes."""
@@ -186,9 +180,6 @@ def test_a_bucket_with_rows_on_their_way_is_not_closed(rosCas, beating, monkeypa
     assert counts(rosCas) == (10, 10, 10)
 
 
-# ------------------------------------------------------------------ counted again
-
-
 def test_a_recount_gives_what_the_writer_has_counted(rosCas):
     """Plain rows, one that its columns do not hold exactly, and one in chunks."""
     odd = b"\4\0\0\0\xff\xfe\xfd\xfc"  # no UTF-8
@@ -235,9 +226,6 @@ def test_a_count_ends_where_its_times_end(rosCas):
     for low in ends[:8]:
         for high in ends[-8:]:
             assert topic.countTopicData(low, high) == sum(low <= t <= high for t in times)
-
-
-# ------------------------------------------------------------------ deleted
 
 
 @pytest.fixture
@@ -291,9 +279,6 @@ def test_rows_that_are_written_while_others_are_deleted_stay(rosCas, around_dele
         (True, 5),
     ]
     assert counts(rosCas) == (6, 6, 6)
-
-
-# ------------------------------------------------------------------ with a time to live
 
 
 def test_the_note_of_a_node_outlives_the_rows_that_rely_on_it(rosCas, monkeypatch):

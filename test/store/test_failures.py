@@ -34,8 +34,6 @@ from cassandra_ros.store import writer as writing
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import bind
 
-# ------------------------------------------------------------------ chunks and their row
-
 
 def write_small(writer, number):
     """Write a message and wait until it is stored: the ticker has come by meanwhile."""
@@ -76,9 +74,6 @@ def test_a_row_waits_for_each_of_its_chunks(far, proxy, rosCas, missing, failed)
         assert (stats.stored, stats.lost, losses, found) == (1, 0, [], [wire])
     assert len(rows.frames) == len(found)
     assert topic.countTopicData() == rosCas.info(["/big"])[0].count == len(found)
-
-
-# ------------------------------------------------------------------ batches
 
 
 def text(number):
@@ -197,9 +192,6 @@ def test_a_bucket_whose_chunks_are_on_their_way_is_not_closed(far, proxy, rosCas
     assert told(rosCas) == (2, 2, 2)
 
 
-# ------------------------------------------------------------------ the table goes meanwhile
-
-
 FORMATS = pytest.mark.parametrize("format", ["binary", "packed"])
 
 
@@ -294,8 +286,6 @@ def test_one_that_is_added_while_its_topic_goes_lies_in_the_next_table(far, prox
     (table,) = rosCas.getTopic("/a").tables
     assert keys[0].table == table.name
 
-
-# ------------------------------------------------------------------ pages
 
 COUNT = 40
 

@@ -60,9 +60,6 @@ def index_names(cql, rosCas, table):
     return {row[0][len(table.name) :] for row in rows}
 
 
-# ---------------------------------------------------------------- rows
-
-
 def test_a_row_deleted_between_read_and_write_stays_deleted(rosCas, cql):
     table = store(rosCas, "/t", 20)
     backfill = Backfill(table, add(rosCas, table))
@@ -145,9 +142,6 @@ def test_without_a_ttl_a_value_stays(rosCas, cql):
     assert all(row == mine for row, mine in stamps)
 
 
-# ---------------------------------------------------------------- directory
-
-
 def test_what_a_recount_says_fails_where_something_changed(rosCas):
     table = store(rosCas, "/t", 5, writer_id=7)
     directory = rosCas.catalog.keyspace.directory
@@ -194,9 +188,6 @@ def test_a_writer_does_not_list_what_its_earlier_rows_lack(rosCas):
     }
     assert rows == {9: frozenset(), 10: {"_ix0"}}
     assert rosCas.getTopic("/t").createIndex("data") == 10
-
-
-# ---------------------------------------------------------------- schema
 
 
 class Crash(Exception):
@@ -610,9 +601,6 @@ def test_comments_of_earlier_releases_are_read():
     assert read.without_index("data").next_shadow == 1
     assert read.without_index("data").with_index("x", 1).indexes == {"x": "_ix1"}
     assert TopicMetadata("/t", "a/B", "", "ros", SEC).next_shadow == 0
-
-
-# ---------------------------------------------------------------- times to live
 
 
 def test_what_is_no_ttl_is_refused(rosCas):

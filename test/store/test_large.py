@@ -162,8 +162,6 @@ def test_deletes_leave_no_orphan(rosCas, cql):
     assert chunksOf(cql, rosCas) == {}
 
 
-# ------------------------------------------------------------------ torn messages
-
 HALF_WRITTEN = """
 import os, signal, sys
 from cassandra_ros import RosCassandra
@@ -270,8 +268,6 @@ def test_what_was_changed_is_corrupt_and_the_others_are_not(rosCas, cql):
         assert topic.getData(key).layout.data_offset == 7
     assert topic.countTopicData() == len(list(topic.rows())) == count
 
-
-# ------------------------------------------------------------------ 200 MB
 
 HUGE = """
 import hashlib, resource, sys

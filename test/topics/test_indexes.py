@@ -61,9 +61,6 @@ def frames(message):
     return {transform.child_frame_id for transform in message.transforms}
 
 
-# ---------------------------------------------------------------- while others write
-
-
 def test_made_while_another_process_records(rosCas, cassandra, keyspace):
     topic = store(rosCas, "/t", texts(3000), step_ns=10_000_000)  # 30 buckets
     with children(1, cassandra, keyspace) as (child,):
@@ -268,9 +265,6 @@ def test_a_writer_that_died_is_filled_and_may_come_back(rosCas, unhurried, monke
     assert check_texts(rosCas, topic) == 20
 
 
-# ---------------------------------------------------------------- values and formats
-
-
 @pytest.mark.parametrize(
     "form",
     sparing([f for f, made in FORMATS.items() if not made.PACKED], kept=["ros", "json"]),
@@ -367,9 +361,6 @@ def test_several_indexes_of_one_topic(rosCas):
     topic.removeIndex("position")
     assert topic.getMeta["indexes"] == ["header.seq", "name", "velocity"]
     assert check(rosCas, topic, "name", lambda m: m.name, "b") == [40]
-
-
-# ---------------------------------------------------------------- topics
 
 
 def test_with_the_topic(rosCas):

@@ -70,9 +70,6 @@ def test_what_comes_after_the_last_partner_is_not_read():
     assert next(first).t == 10
 
 
-# ---------------------------------------------------------------- stored messages
-
-
 @pytest.fixture
 def filmed(rosCas):
     """Images (numbers) at 0, 1, ... 9 s, poses each 0.3 s from 2 s on, of two robots at 5 s."""

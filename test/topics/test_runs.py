@@ -125,8 +125,6 @@ def test_losses_follow_their_topic(rosCas):
     assert rosCas.losses() == []
 
 
-# -------------------------------------------------------------------- reads of one run
-
 T0 = 1_500_000_000 * SECOND_NS
 NAMES = ("morning", "evening", "")
 """Names of the runs of three writers that write at once; '' = no name. A fourth has no run."""

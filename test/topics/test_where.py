@@ -195,9 +195,6 @@ def test_it_means_the_same_in_every_format(rosCas, fmt):
     ]
 
 
-# ---------------------------------------------------------------- removal
-
-
 @every_key
 def test_removal_without_a_key(rosCas, monkeypatch, kind):
     monkeypatch.setattr(removal, "ROWS_AT_ONCE", 7)
@@ -238,9 +235,6 @@ def test_removal_says_what_it_needs(rosCas):
     assert topic.countTopicData() == 60
     assert topic.removeData(to_key=header(5).stamp, where="seq < 3") == 3
     assert topic.removeData(to_key=header(5).stamp) == 3
-
-
-# ---------------------------------------------------------------- errors
 
 
 NO_CONDITIONS = [
@@ -297,9 +291,6 @@ def test_a_condition_for_a_topic_that_is_not_read(rosCas):
         rosCas.readMessages(where={"/h": "seq > 1", "h": "seq < 5"})
     with pytest.raises(InvalidOption, match="mapping"):
         rosCas.readMessages(["/h"], where="seq > 1")
-
-
-# ---------------------------------------------------------------- several topics
 
 
 @pytest.mark.parametrize("received", [False, True])

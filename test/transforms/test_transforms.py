@@ -113,9 +113,6 @@ def assert_same(store, whole, target, source, time, **options):
     return None
 
 
-# -------------------------------------------------------------------- real robots
-
-
 class Recorded:
     """The transforms of a bag in a store, and in tf2."""
 
@@ -203,9 +200,6 @@ def test_only_what_is_needed_is_read(stored, monkeypatch):
     )
     recorded.store.lookupTransform("base_link", "imu_link", Stamp.from_ns(middle))
     assert read == [(middle - 2 * SEC, middle + 2 * SEC)]
-
-
-# -------------------------------------------------------------------- made recordings
 
 
 class Store:
@@ -400,9 +394,6 @@ def test_topics_of_other_names_and_types(alone):
     assert "topic /tf holds std_msgs/String" in str(error.value)
 
 
-# -------------------------------------------------------------------- errors
-
-
 def test_outside_of_what_was_recorded(store):
     store.track("map", "base")
     end = T0 + 39 * SEC // 4
@@ -513,9 +504,6 @@ def test_what_is_no_time(store, time):
         store.look("map", "base", time)
 
 
-# -------------------------------------------------------------------- the tree changes
-
-
 def test_slashes_in_front_on_both_sides(store):
     for n in range(3):
         store.add(
@@ -582,9 +570,6 @@ def test_any_order_any_parent(shared, data):
         store.same(*frames, time)
 
 
-# -------------------------------------------------------------------- what is left out
-
-
 def broken(kind, stamp):
     made = transform("map", "base", stamp, 99.0)
     if kind == "nan":
@@ -626,9 +611,6 @@ def test_rotations_that_tf2_just_takes(store):
             made.transform.rotation.w = w
             store.add(made)
         assert (store.same("map", child, T0 + 5) is None) == taken
-
-
-# -------------------------------------------------------------------- stamps and row keys
 
 
 @pytest.mark.parametrize("delay", [HOUR, -HOUR, 3 * SEC, 10**17, -(10**17)])
@@ -717,9 +699,6 @@ def test_the_newest_time_is_the_newest_that_all_have(store):
     assert store.same("odom", "base", 0) is None
 
 
-# -------------------------------------------------------------------- two robots
-
-
 def test_two_robots(alone):
     alone.track("map", "base", nodeID="red")
     alone.track("map", "base", start=T0 + SEC // 8, speed=-1.0, nodeID="blue")
@@ -736,9 +715,6 @@ def test_two_robots(alone):
     assert "of node blue" in str(error.value)
     with pytest.raises(LookupException):
         alone.look("map", "base", time, nodeID="green")
-
-
-# -------------------------------------------------------------------- times beyond 2038
 
 
 BEYOND = """

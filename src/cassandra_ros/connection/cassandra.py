@@ -226,8 +226,6 @@ class Cassandra:
         raw_session.client_protocol_handler = RawProtocolHandler
         return Link(cluster, session, raw_session)
 
-    # ---------------------------------------------------------------- statements
-
     @property
     def closed(self) -> bool:
         """Whether this connection was closed and can neither read nor write any more."""
@@ -428,8 +426,6 @@ class Cassandra:
         with translated(f"reading the replication of {keyspace}", self.outage.nodes):
             self._links.await_open(RETRY_SEC).cluster.refresh_keyspace_metadata(keyspace)
         self._keyspaces.add(keyspace)
-
-    # ---------------------------------------------------------------- for writer and reader
 
     def send_raw(self, statement: Statement) -> ResponseFuture:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""

@@ -167,8 +167,6 @@ class PieceReader:
         writers = self._wanted.bounds.read.whose.writers
         return BucketRead(piece.table, piece.node, piece.bucket, ends, writers=writers)
 
-    # ---------------------------------------------------------------- bounds
-
     def _zones(self, table: TopicTable) -> Optional[_ZoneColumns]:
         """Return how the zones of all columns are read; None if messages have to be read."""
         known = table.zone_map
@@ -221,8 +219,6 @@ class PieceReader:
                 low[n] = as_floats(read(next(raws)), kind)
                 high[n] = as_floats(read(next(raws)), kind)
         return low, high
-
-    # ---------------------------------------------------------------- messages
 
     def _values(self, table: TopicTable) -> TableValues:
         return TableValues(self._select, table, Findings(self._select.text))

@@ -146,8 +146,6 @@ class EnvelopeReader:
             parts.update(self._at_once(listed, [n for n in left if n not in parts], grid))
         return self._joined(grid, listed, parts)
 
-    # ---------------------------------------------------------------- what there is to read
-
     def _listed(self, grid: Grid) -> Iterator[_Listed]:
         bounds = self._bounds
         low, high = bounds.read.time_range
@@ -205,8 +203,6 @@ class EnvelopeReader:
     def _keep(self, listed: _Listed, grid: Grid, part: PartEnvelope) -> None:
         if self._cache is not None and self._keeps(listed):
             self._cache.put(self._key(listed, grid), part)
-
-    # ---------------------------------------------------------------- reading
 
     def _new(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid

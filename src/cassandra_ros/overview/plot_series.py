@@ -193,9 +193,6 @@ def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> Optional[in
     return next((row.t for row in topic.read(read)), None)
 
 
-# ---------------------------------------------------------------- rows that are made
-
-
 def _of_rows(
     topic: CassandraTopic, select: Select, drawn: PlotColumns, window: Window, asker: SeriesRequest
 ) -> Series:

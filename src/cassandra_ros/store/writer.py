@@ -120,8 +120,6 @@ class RowWriter:
         self._ticker = threading.Thread(target=self._tick, name="cassandra_ros-writer", daemon=True)
         self._ticker.start()
 
-    # ---------------------------------------------------------------- rows in
-
     def add(self, table: RowTable, node: str, row: NewRow, again: Again | None = None) -> None:
         """Take one row; blocks while too many bytes are in flight.
 
@@ -336,8 +334,6 @@ class RowWriter:
         waiting = self._builders.nbytes + sum(batch.nbytes + batch.held for batch in batches)
         return self._flight.nbytes + waiting
 
-    # ---------------------------------------------------------------- outcomes
-
     def _count(self, table: RowTable, batch: Batch) -> None:
         # Called on the driver's thread, on those of retries, and on the caller's.
         with self._counting:
@@ -401,8 +397,6 @@ class RowWriter:
             error, self._error = self._error, None
             raise error
 
-    # ---------------------------------------------------------------- time
-
     def _tick(self) -> None:
         beat = time.monotonic()
         while not self._closing.wait(TICK_SEC):
@@ -464,8 +458,6 @@ class RowWriter:
         place = (table.name, node, number, self._writer_id)
         self._directory.mark(place, table.metadata.ttl, bucket.filled, totals, closed=closed)
         bucket.mark()
-
-    # ---------------------------------------------------------------- end
 
     def flush(self) -> None:
         """Return when every row that was taken is acknowledged or counted as lost."""

@@ -204,8 +204,6 @@ class RowTable:
         """Return the columns of the indexes for a bucket that is opened now; None = no index."""
         return self._indexes.shadows(self.metadata.indexes)
 
-    # ---------------------------------------------------------------- statements
-
     def insert(self, shadows: Sequence[str] = (), *, full: bool = True) -> PreparedStatement:
         """INSERT of a row.
 
@@ -319,8 +317,6 @@ class RowTable:
             return self._every
         return _listed([*_OWN, *self._received, *columns])
 
-    # ---------------------------------------------------------------- requests
-
     def select_range(
         self,
         names: str,
@@ -410,8 +406,6 @@ class RowTable:
 
     def _doing(self, what: str) -> str:
         return f"{what} topic {self.metadata.topic}"
-
-    # ---------------------------------------------------------------- values
 
     def is_rest(self, values: RawRow) -> bool:
         """Return whether a row has expired except for the value of an index."""

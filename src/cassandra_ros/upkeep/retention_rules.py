@@ -166,8 +166,6 @@ class _Retention:
                     else thin_rows(self._space, rows, until_us)
                 )
 
-    # ---------------------------------------------------------------- size
-
     def _cutoff_of_size(self, tables: Sequence[TopicTable], most: int) -> int:
         """Return the time from which on the messages of all tables take at most ``most`` bytes."""
         directory = self._space.directory
@@ -207,8 +205,6 @@ class _Retention:
         """Yield rows without their bytes."""
         return self._space.rows.read(tables, replace(read, columns=lambda table: ()))
 
-    # ---------------------------------------------------------------- what stays
-
     def _make_pins(self) -> _Pins:
         rules, end = self._rules, max(self.cutoff, self._thin_end)
         pins = _Pins()
@@ -223,8 +219,6 @@ class _Retention:
                 for row in self._finder.before(low, high):
                     pins.latched.setdefault(row.table.name, set()).add(row.t)
         return pins
-
-    # ---------------------------------------------------------------- rate
 
     def _rated(
         self, table: TopicTable, gap: TimeRange, last: _Periods

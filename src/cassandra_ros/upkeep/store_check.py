@@ -164,8 +164,6 @@ class _Check:
         self._conns: Counts[int] = Counter()
         self._done = 0
 
-    # ---------------------------------------------------------------- topics
-
     def topic(self, name: str) -> None:
         """Read all tables of a topic."""
         try:
@@ -289,8 +287,6 @@ class _Check:
         if self._progress is not None:
             self._progress(self._done, max(total, self._done))
 
-    # ---------------------------------------------------------------- the directory
-
     def _compare(self, table: TopicTable, node: str, bucket: int) -> None:
         """Compare the rows of a bucket with the directory."""
         directory = self._space.directory
@@ -377,8 +373,6 @@ class _Check:
             mended=mended,
         )
 
-    # ---------------------------------------------------------------- names
-
     def _names(self, table: TopicTable) -> None:
         """Read the messages of a topic whose messages have names."""
         keys = [k for k in list_names(table, None) if _within(k.position.t, self._time_range)]
@@ -409,8 +403,6 @@ class _Check:
                 text,
                 mended=self._repair,
             )
-
-    # ---------------------------------------------------------------- what rows refer to
 
     def _connections(self, table: TopicTable) -> None:
         for conn, count in sorted(self._conns.items()):

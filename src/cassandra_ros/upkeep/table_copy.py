@@ -60,8 +60,6 @@ class TableCopy:
                     found[node, name] = max(found.get((node, name), (t, seq)), (t, seq))
         return found
 
-    # ---------------------------------------------------------------- filling
-
     def fill(self) -> None:
         """Write all rows into the new table."""
         writers = sorted(self._writers())
@@ -171,8 +169,6 @@ class TableCopy:
     def _handle(self, row: StoredRow) -> Handle:
         return Handle(row.connection, self._new, row.conn, row.node, None)
 
-    # ---------------------------------------------------------------- comparing
-
     def compare(self) -> int:
         """Compare all rows of the new table with those of the old ones; return their number.
 
@@ -217,8 +213,6 @@ class TableCopy:
             f"the message of topic {row.topic} at {row.t} is only in one of the tables after the "
             "conversion: nothing was converted, and nothing is lost; convert it again"
         )
-
-    # ---------------------------------------------------------------- late
 
     def add_late(self) -> int:
         """Copy the rows that came into the old tables after the copy; return their number."""
