@@ -18,7 +18,7 @@ from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, install
 from query.rows import attribute, plain
 
 from cassandra_ros.arrays import table_values
-from cassandra_ros.arrays.field_arrays import gather_fields, read_arrays
+from cassandra_ros.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.errors import CorruptMessage, InvalidQuery
 from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.messages.classes import (
@@ -79,7 +79,7 @@ class Row:
 def gather(rows, fields=None, where=None, tables=None):
     tables = tables or list({row.table.name: row.table for row in rows}.values())
     topic = Topic("/topic", tables)
-    return read_arrays(topic, fields, where, lambda columns: rows)
+    return as_arrays(gather_fields(topic, fields, where, lambda columns: rows))
 
 
 def shown(value):

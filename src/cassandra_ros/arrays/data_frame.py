@@ -7,45 +7,24 @@ pandas and pyarrow are imported when the first DataFrame is made, because nothin
 
 from __future__ import annotations
 
-from typing import Any, Optional
+from typing import Any
 
 import numpy as np
 
-from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.column_values import rows_of
-from cassandra_ros.arrays.field_arrays import (
-    FieldArray,
-    Fields,
-    ReadBlocks,
-    ReadRows,
-    Where,
-    gather_fields,
-)
+from cassandra_ros.arrays.field_arrays import FieldArray
 from cassandra_ros.installation import optional_module
-from cassandra_ros.query.protocols import Row
-from cassandra_ros.query.source import Source
-from cassandra_ros.read import EVERYBODY, Whose
 
 _UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
 
 
-def read_frame(
-    topic: Source[Row],
-    fields: Fields,
-    where: Where,
-    read: ReadRows,
-    blocks: Optional[ReadBlocks] = None,
-    *,
-    whose: Whose = EVERYBODY,
-) -> Any:
-    """Return fields as a DataFrame with index KEY; arguments and errors as gather_fields."""
+def as_frame(fields: dict[str, FieldArray]) -> Any:
+    """Return gathered fields, KEY among them, as a DataFrame with index KEY."""
     pandas = optional_module("pandas", "toDataFrame")
-    asked = None if fields is None else ["KEY", *check_list("fields", fields, "['linear.x']")]
-    found = gather_fields(topic, asked, where, read, blocks, whose=whose)
-    key = found.pop("KEY")
+    key = fields.pop("KEY")
     times = key.kind.kind == "time"
     index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")
-    columns = {name: _series(pandas, array) for name, array in found.items()}
+    columns = {name: _series(pandas, array) for name, array in fields.items()}
     return pandas.DataFrame(columns, index=index)
 
 

@@ -126,22 +126,12 @@ def _from_blocks(
     return _join_tables(select, list(tables.values()))
 
 
-def read_arrays(
-    topic: Source[Row],
-    fields: Fields,
-    where: Where,
-    read: ReadRows,
-    blocks: Optional[ReadBlocks] = None,
-    *,
-    whose: Whose = EVERYBODY,
-) -> dict[str, AnyArray]:
-    """Return fields as arrays; a field with missing values as a masked array.
+def as_arrays(fields: dict[str, FieldArray]) -> dict[str, AnyArray]:
+    """Return gathered fields as arrays; a field with missing values as a masked array.
 
-    Arguments and errors are those of gather_fields.
+    ``fields`` is emptied, which frees each column after its conversion: only one exists twice.
     """
-    found = gather_fields(topic, fields, where, read, blocks, whose=whose)
-    # pop() frees each column after its conversion, so that only one column exists twice.
-    return {name: _masked(*found.pop(name)) for name in list(found)}
+    return {name: _masked(*fields.pop(name)) for name in list(fields)}
 
 
 def _masked(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:

@@ -29,7 +29,7 @@ from typing import (
     Tuple,
 )
 
-from cassandra_ros.arrays.field_arrays import read_arrays
+from cassandra_ros.arrays.field_arrays import as_arrays, gather_fields
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp
@@ -129,7 +129,7 @@ class LiveTopic:
     ) -> Dict[str, Any]:
         """Return fields of the messages in [key, to_key] as numpy arrays."""
         read = Read(range_between(key, to_key))
-        return read_arrays(self, fields, None, lambda columns: self.read(read))
+        return as_arrays(gather_fields(self, fields, None, lambda columns: self.read(read)))
 
     def count(self, read: Read) -> int:
         """Count the messages of a time range."""

@@ -11,16 +11,18 @@ from typing import Any, Iterator, Optional, Sequence, Union
 from cassandra_ros.arguments import (
     check_field,
     check_limit,
+    check_list,
     check_message_name,
     check_new_node,
     check_nodes,
     check_text,
     check_user_keys,
 )
-from cassandra_ros.arrays.data_frame import read_frame
-from cassandra_ros.arrays.field_arrays import read_arrays
+from cassandra_ros.arrays.data_frame import as_frame
+from cassandra_ros.arrays.field_arrays import FieldArray, as_arrays, gather_fields
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
+from cassandra_ros.installation import optional_module
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.metadata import MetaView
@@ -442,9 +444,7 @@ class CassandraTopic:
                 place.
             InvalidKey: key or to_key is not valid.
         """
-        finder = self._finder(nodeID, where, run)
-        reads, whose = finder.reads(key, to_key), finder.whose
-        return self._keyspace.naming(lambda: read_arrays(self, fields, where, *reads, whose=whose))
+        return as_arrays(self._gather(fields, key, to_key, where, nodeID, run))
 
     def toDataFrame(
         self,
@@ -469,9 +469,25 @@ class CassandraTopic:
         Raises:
             MissingDependency: pandas is not installed; the text says how to install it.
         """
+        optional_module("pandas", "toDataFrame")  # before the messages are read
+        if fields is not None:
+            fields = ["KEY", *check_list("fields", fields, "['linear.x']")]
+        return as_frame(self._gather(fields, key, to_key, where, nodeID, run))
+
+    def _gather(
+        self,
+        fields: Fields,
+        key: Optional[AnyKey],
+        to_key: Optional[Time],
+        where: Optional[Where],
+        nodeID: Optional[str],
+        run: RunName,
+    ) -> dict[str, FieldArray]:
         finder = self._finder(nodeID, where, run)
-        reads, whose = finder.reads(key, to_key), finder.whose
-        return self._keyspace.naming(lambda: read_frame(self, fields, where, *reads, whose=whose))
+        gather = partial(
+            gather_fields, self, fields, where, *finder.reads(key, to_key), whose=finder.whose
+        )
+        return self._keyspace.naming(gather)
 
     def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
         """Make an index on a field, so that conditions on it read only the matching rows.
