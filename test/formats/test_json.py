@@ -6,8 +6,10 @@ import json
 import math
 import struct
 import tracemalloc
+from functools import partial
 
 import pytest
+from formats.storages import check_kept_beside, check_refused, storage_of
 from messages.random_wire import SEPARATOR
 
 from cassandra_ros.errors import CorruptMessage
@@ -15,15 +17,11 @@ from cassandra_ros.formats.json import CassandraTopic_json
 from cassandra_ros.messages.classes import installed_definition, message_class, serialize
 from cassandra_ros.messages.definition import parse_definition
 
-
-def jsonFormat(definition):
-    if isinstance(definition, str):
-        definition = installed_definition(definition)
-    return CassandraTopic_json(definition.type, definition.md5sum, definition)
+json_format = partial(storage_of, CassandraTopic_json)
 
 
 def test_the_text_is_rosbridges():
-    storage = jsonFormat("sensor_msgs/CompressedImage")
+    storage = json_format("sensor_msgs/CompressedImage")
     message = message_class(storage.definition)(format="png", data=b"\x89PNG\r\n")
     message.header.frame_id = 'Zoë "cam" \u2028\0'
     message.header.stamp.secs = 7
@@ -38,7 +36,7 @@ def test_the_text_is_rosbridges():
 
 
 def test_kinds_of_fields():
-    storage = jsonFormat(
+    storage = json_format(
         parse_definition(
             "p/T",
             "char[2] c\nuint8[] b\nint8[] from\nuint64 u\nint64 i\nbool[1] f\nduration[] d\n"
@@ -65,7 +63,7 @@ def test_kinds_of_fields():
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_floats_that_are_not_finite_are_null(value):
-    storage = jsonFormat("sensor_msgs/LaserScan")
+    storage = json_format("sensor_msgs/LaserScan")
     message = message_class(storage.definition)(ranges=[1.0, value], angle_min=value)
     encoded = storage.encode(message)
     assert (encoded.odd, encoded.raw) == (True, serialize(message))
@@ -87,13 +85,11 @@ def test_floats_that_are_not_finite_are_null(value):
     ],
 )
 def test_what_the_text_cannot_say_is_kept_beside_it(text, wire):
-    encoded = jsonFormat(parse_definition("p/T", text)).encode_wire(wire)
-    assert encoded.columns[0] is not None
-    assert (encoded.odd, encoded.raw) == (True, wire)
+    check_kept_beside(CassandraTopic_json, text, wire)
 
 
 def test_a_string_like_null_is_exact():
-    storage = jsonFormat("std_msgs/String")
+    storage = json_format("std_msgs/String")
     encoded = storage.encode(message_class(storage.definition)(data="null"))
     assert encoded == ((b'{"data":"null"}',), False, None)
 
@@ -125,13 +121,11 @@ HOSTILE = [
 
 @pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
 def test_texts_that_are_no_message(text):
-    storage = jsonFormat("std_msgs/Float64MultiArray")
-    with pytest.raises(CorruptMessage, match="Float64MultiArray"):
-        storage.decode_wire((text.encode(),), None)
+    check_refused(CassandraTopic_json, text)
 
 
 def test_arrays_are_shortened_before_strings():
-    storage = jsonFormat("diagnostic_msgs/DiagnosticStatus")
+    storage = json_format("diagnostic_msgs/DiagnosticStatus")
     value = message_class(installed_definition("diagnostic_msgs/KeyValue"))
     make = message_class(storage.definition)
 
@@ -158,13 +152,13 @@ def test_arrays_are_shortened_before_strings():
 
 def test_a_type_whose_shortest_text_is_too_long_has_none():
     text = "\n".join(f"float64 {'x' * 200}{i}" for i in range(400))
-    storage = jsonFormat(parse_definition("p/T", text))
+    storage = json_format(parse_definition("p/T", text))
     wire = bytes(3200)
     assert storage.encode_wire(wire) == ((None,), True, wire)
 
 
 def test_large_messages_are_not_turned_into_objects():
-    storage = jsonFormat("nav_msgs/Path")
+    storage = json_format("nav_msgs/Path")
     pose = struct.pack("<IIII", 0, 0, 0, 0) + bytes(56)
     wire = bytes(16) + struct.pack("<I", 200_000) + pose * 200_000
     tracemalloc.start()

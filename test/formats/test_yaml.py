@@ -5,24 +5,22 @@ from __future__ import annotations
 import itertools
 import math
 import struct
+from functools import partial
 
 import genpy
 import pytest
 import yaml
+from formats.storages import check_kept_beside, check_refused, storage_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, WireMaker, installedTypes
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.yaml import CassandraTopic_yaml
-from cassandra_ros.messages.classes import installed_definition, message_class, serialize
+from cassandra_ros.messages.classes import message_class, serialize
 from cassandra_ros.messages.definition import attribute_name, parse_definition
 
-
-def yamlFormat(definition):
-    if isinstance(definition, str):
-        definition = installed_definition(definition)
-    return CassandraTopic_yaml(definition.type, definition.md5sum, definition)
+yaml_format = partial(storage_of, CassandraTopic_yaml)
 
 
 class Loader(yaml.SafeLoader):
@@ -31,7 +29,7 @@ class Loader(yaml.SafeLoader):
 
 def checkPublished(msg_type, seed):
     """The message that `rostopic pub -f` would send of the text is the message."""
-    storage = yamlFormat(msg_type)
+    storage = yaml_format(msg_type)
     specs = storage.definition.specs.values()
     if any(attribute_name(f.name) != f.name for spec in specs for f in spec.fields):
         return  # rostopic knows such fields by another name only
@@ -57,7 +55,7 @@ def test_rostopic_publishes_installed_types(msg_type, seed):
 
 
 def test_the_text_is_block_style_with_numbers_in_one_line():
-    storage = yamlFormat(
+    storage = yaml_format(
         parse_definition(
             "p/T",
             "time t\nfloat64[] f\nuint8[3] b\nstring[] s\nE[] a\nE on\nint8[] n\nbool y\nE[] z"
@@ -104,13 +102,11 @@ def test_the_text_is_block_style_with_numbers_in_one_line():
     ],
 )
 def test_what_the_text_cannot_say_is_kept_beside_it(text, wire):
-    encoded = yamlFormat(parse_definition("p/T", text)).encode_wire(wire)
-    assert encoded.columns[0] is not None
-    assert (encoded.odd, encoded.raw) == (True, wire)
+    check_kept_beside(CassandraTopic_yaml, text, wire)
 
 
 def test_pythons_nan_is_exact():
-    storage = yamlFormat("std_msgs/Float64")
+    storage = yaml_format("std_msgs/Float64")
     wire = struct.pack("<Q", 0x7FF8 << 48)
     assert storage.encode_wire(wire) == ((b"data: .nan\n",), False, None)
     assert storage.decode_wire((b"data: .nan\n",), None) == wire
@@ -122,7 +118,7 @@ def test_pythons_nan_is_exact():
     | st.text("-?:,[]{}#&*!|>'\"%@`~ \n\t\r\x85\u2028\ufeff.0123456789xobeE_=<yYnNofu", max_size=9)
 )
 def test_strings_are_exact_or_kept(text):
-    storage = yamlFormat("std_msgs/String")
+    storage = yaml_format("std_msgs/String")
     wire = serialize(message_class(storage.definition)(data=text))
     columns, odd, raw = storage.encode_wire(wire)
     assert raw == (wire if odd else None)
@@ -168,13 +164,11 @@ HOSTILE = [
 
 @pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
 def test_texts_that_are_no_message(text):
-    storage = yamlFormat("std_msgs/Float64MultiArray")
-    with pytest.raises(CorruptMessage, match="Float64MultiArray"):
-        storage.decode_wire((text.encode(),), None)
+    check_refused(CassandraTopic_yaml, text)
 
 
 def test_texts_of_people_are_read():
-    storage = yamlFormat("std_msgs/UInt8MultiArray")
+    storage = yaml_format("std_msgs/UInt8MultiArray")
     text = "# mine\ndata: !!binary AAEC\nlayout:\n  data_offset: 0x10\n  dim: []\n"
     assert storage.decode_wire((text.encode(),), None) == bytes(4) + struct.pack(
         "<II3s", 16, 3, b"\0\1\2"
@@ -227,7 +221,7 @@ def exactly(value):
 
 def checkTree(tree):
     """A text says its tree, and what is taken for faithful says it to the bit."""
-    storage = yamlFormat("std_msgs/Empty")
+    storage = yaml_format("std_msgs/Empty")
     text = storage.print_tree(tree)
     said = storage.parse(text)
     assert exactly(said) == exactly(storage.parse_own(text))
