@@ -12,10 +12,11 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
 
 from cassandra_ros.connection.address import (
     DEFAULT_HOST,
@@ -365,6 +366,11 @@ def read_conditions(options: argparse.Namespace, name: str) -> dict[str, str]:
             options.parser.error(text)
         conditions[topic] = condition
     return conditions
+
+
+def same_named(kind: type[Any], options: argparse.Namespace) -> dict[str, Any]:
+    """Return the values of the options that have the names of a dataclass's fields."""
+    return {f.name: getattr(options, f.name) for f in fields(kind) if hasattr(options, f.name)}
 
 
 def without_empty(words: Sequence[str]) -> list[str]:

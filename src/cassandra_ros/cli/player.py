@@ -28,6 +28,7 @@ from cassandra_ros.cli.options import (
     open_store,
     read_pair,
     read_where,
+    same_named,
     strip_remappings,
     without_empty,
 )
@@ -173,46 +174,23 @@ def read_selection(options: argparse.Namespace) -> PlaySelection:
     """Return the selection of messages that the options describe."""
     from cassandra_ros.playing.play_selection import PlaySelection
 
-    around = options.around
-    return PlaySelection(
+    around, values = options.around, same_named(PlaySelection, options)
+    values.update(
         topics=[*options.topics, *options.more] or None,
-        regex=options.regex,
-        exclude=options.exclude,
-        start=options.start,
-        end=options.end,
-        duration=options.duration,
         nodeID=options.node_id,
-        run=options.run,
         where=read_where(options) or None,
-        prefix=options.prefix,
         around=around and read_pair(around, ":", "'TOPIC: CONDITION'"),
-        before=options.before,
-        after=options.after,
-        align_start=options.align_start,
-        node_prefix=options.node_prefix,
     )
+    return PlaySelection(**values)
 
 
 def read_options(options: argparse.Namespace) -> PlayerOptions:
     """Return the options of the player that the command line gives."""
     from cassandra_ros.playing.play_options import PlayerOptions
 
-    return PlayerOptions(
-        rate=options.rate,
-        immediate=options.immediate,
-        paused=options.pause,
-        loop=options.loop,
-        keep_alive=options.keep_alive,
-        skip_empty=options.skip_empty,
-        pause_topics=options.pause_topics,
-        queue=options.queue,
-        clock_hz=options.hz if options.clock else 0.0,
-        delay=options.delay,
-        wait_for_subscribers=options.wait_for_subscribers,
-        rate_control_topic=options.rate_control_topic,
-        rate_control_max_delay=options.rate_control_max_delay,
-        read_ahead=options.read_ahead,
-    )
+    clock_hz = options.hz if options.clock else 0.0
+    values = same_named(PlayerOptions, options)
+    return PlayerOptions(**values, paused=options.pause, clock_hz=clock_hz)
 
 
 def main() -> int:

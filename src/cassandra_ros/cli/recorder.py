@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Callable, Mapping, Optional, Sequence
@@ -27,6 +26,7 @@ from cassandra_ros.cli.options import (
     add_store_options,
     awaited_store,
     open_store,
+    same_named,
     store_place,
     strip_remappings,
 )
@@ -287,8 +287,7 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
             (check_pattern if options.regex else check_ros_name)(text)
     except (InvalidName, InvalidOption, UnknownFormat) as exc:
         parser.error(str(exc))
-    names = {f.name for f in fields(RecorderOptions)}.intersection(vars(options))
-    values = {name: getattr(options, name) for name in names}
+    values = same_named(RecorderOptions, options)
     values["labels"] = dict(options.labels or ())
     values.update(where=options.where or (), rate_limit=options.rate_limit or ())
     return RecorderOptions(**values, free_space=local_space(store_place(options)[0]))
