@@ -84,6 +84,16 @@ class RosMaster:
     """Environment for child processes: workspace, master, ROS home and log of this run."""
 
 
+def pytest_addoption(parser):
+    group = parser.getgroup("hostile", "changed inputs for each reader of foreign data")
+    text = "number of inputs of each target (default: by the length of the campaign)"
+    group.addoption("--inputs", type=int, metavar="N", help=text)
+    text = "number of the first input (default: %(default)s)"
+    group.addoption("--first", type=int, default=0, metavar="N", help=text)
+    text = "go on after a failure, and tell one of each kind at the end"
+    group.addoption("--every", action="store_true", help=text)
+
+
 def pytest_configure(config):
     # Fixtures are torn down on Ctrl-C. Tear them down on SIGTERM, too, and where a shell
     # started us in the background and SIGINT is ignored, here and by inheritance in every node.

@@ -116,3 +116,14 @@ def test_such_a_table_is_left_out_with_one_warning_that_names_it(rosCas, cql, ca
     (warning,) = [r.getMessage() for r in caplog.records if "left out" in r.getMessage()]
     assert f"table {rosCas.keyspace}.{table.name} is left out" in warning
     assert f"{field} cannot be {value!r}" in warning
+
+
+@pytest.mark.parametrize("version", ["Infinity", "-Infinity", "NaN", "1e999", "[1]", "null"])
+def test_a_version_that_is_no_number_is_no_error(version):
+    """Python reads Infinity in JSON; one changed comment must not break all reads."""
+    made = TopicMetadata(
+        topic="/x", msg_type="a/B", md5sum="0" * 32, definition="", format="ros", bucket_ns=1
+    )
+    comment = made.to_comment().replace('"version": 1', f'"version": {version}')
+    assert comment != made.to_comment()
+    assert from_comment(comment, "t_1") is None

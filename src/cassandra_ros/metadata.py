@@ -171,7 +171,7 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
         found = json.loads(comment)
         values = found[_OURS if _OURS in found else _FILLING]
         version = int(values["version"])
-    except (ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None  # a table of another program whose comment contains our key by chance
     if version > SCHEMA_VERSION:
         raise UnsupportedSchema(

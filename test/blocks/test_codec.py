@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import random
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from cassandra_ros.blocks.codec import (
     LEVEL,
     MIN_PLANES,
     QUICK_LEVEL,
+    VERSION,
     pack_block,
     unpack_block,
 )
@@ -136,3 +138,28 @@ def test_fewer_than_no_bytes_or_messages_are_refused(count, size):
     data = b"\x01\x00" + zstandard.ZstdCompressor().compress(bytes(15))
     with pytest.raises(CorruptMessage):
         unpack_block(data, count, size)
+
+
+@pytest.mark.parametrize("count", [1, 10**6])
+def test_a_bomb_is_not_unpacked(count):
+    """A row may say anything of its block, also that it holds a gigabyte, which its frame does."""
+    size = 1 << 30
+    packer = zstandard.ZstdCompressor().compressobj(size=size)
+    parts = [packer.compress(bytes(1 << 20)) for _ in range(size >> 20)]
+    data = bytes([VERSION, 0]) + b"".join([*parts, packer.flush()])
+    assert len(data) < 200_000
+    tracemalloc.start()
+    try:
+        with pytest.raises(CorruptMessage, match="too many"):
+            unpack_block(data, count, size - 20 * count)
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_sizes_that_a_block_only_states_take_no_memory():
+    """With words or layouts the packed bytes are fewer than those of the messages."""
+    data = pack_block([5], [1], [b"x" * 600], None)
+    for flags in range(16):
+        with pytest.raises(CorruptMessage):
+            unpack_block(bytes([VERSION, flags]) + data[2:], 1, 2**31 - 1)

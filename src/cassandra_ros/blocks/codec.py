@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from cassandra_ros.blocks.layouts import BytesLike, lay_out, read_layout
 from cassandra_ros.blocks.words import code_words, decode_words, most_bytes
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.tables.block_limits import MAX_CONTENT_BYTES
 
 Longs = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
@@ -228,7 +229,10 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
         # Checked before memory is allocated: the frame's header has its length.
         packed = memoryview(data)[_HEAD:]
         stored = bool(data[1] & _STORED)
-        length = (len(packed) if stored else zstandard.frame_content_size(packed)) - begin
+        content = len(packed) if stored else zstandard.frame_content_size(packed)
+        if max(content, size) > MAX_CONTENT_BYTES:
+            raise CorruptMessage(f"a block says that it holds {max(content, size)} bytes: too many")
+        length = content - begin
         fits = length <= most_bytes(size) if coded else length == size
         if min(count, size, length) < 0 or not fits:
             raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes")

@@ -15,6 +15,10 @@ ALL_BYTES = 64 * 1024 * 1024
 ALONE_BYTES = 64 * 1024
 """Size from which a message gets a block of its own, bytes."""
 
+MAX_CONTENT_BYTES = 16 * 1024 * 1024
+"""Maximum size of what a block says that it holds, packed and serialised, bytes. A larger one was
+changed; blocks that this package writes have at most a thirtieth of it."""
+
 
 class Limits(NamedTuple):
     """Maximum number of messages and of serialised bytes in one block."""
