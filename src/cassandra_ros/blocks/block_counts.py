@@ -18,14 +18,7 @@ from cassandra_ros.blocks.block_row import (
 )
 from cassandra_ros.blocks.codec import Longs
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.tables.row_table import (
-    ALL,
-    MAX_SEQ,
-    MIN_SEQ,
-    Order,
-    RowTable,
-    encode_long,
-)
+from cassandra_ros.tables.row_table import ALL, MAX_SEQ, MIN_SEQ, Order, RowTable, encode_long
 
 PAGE_HEADERS = 5000
 _AT_ONCE = 16

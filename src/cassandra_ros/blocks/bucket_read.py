@@ -11,13 +11,7 @@ from typing import Callable, FrozenSet, Iterable, List, Optional, Sequence, Tupl
 import numpy as np
 from numpy.typing import NDArray
 
-from cassandra_ros.blocks.block_row import (
-    Block,
-    BlockRow,
-    ask_blocks,
-    read_block,
-    stand_in,
-)
+from cassandra_ros.blocks.block_row import Block, BlockRow, ask_blocks, read_block, stand_in
 from cassandra_ros.blocks.codec import Longs, Unpacked
 from cassandra_ros.connection.driver_errors import is_refused
 from cassandra_ros.connection.paging import PagedRead, RawRow
@@ -89,11 +83,7 @@ class BucketRead:
         self.reaching: Terms = (("_last", ">=", encode_long(low)),) if self.first < low else ()
 
     def ask(
-        self,
-        names: str,
-        count: int,
-        last: Optional[RawRow] = None,
-        terms: Terms = (),
+        self, names: str, count: int, last: Optional[RawRow] = None, terms: Terms = ()
     ) -> PagedRead:
         """Request ``count`` blocks a page, those after the last row that was read."""
         low, high = self.ends

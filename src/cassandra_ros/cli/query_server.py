@@ -15,12 +15,7 @@ import sys
 from typing import Callable, Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
-from cassandra_ros.cli.options import (
-    add_store_options,
-    open_store,
-    read_port,
-    strip_remappings,
-)
+from cassandra_ros.cli.options import add_store_options, open_store, read_port, strip_remappings
 from cassandra_ros.cli.parsers import program_parser
 from cassandra_ros.printable import shown_lines
 

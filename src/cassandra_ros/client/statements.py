@@ -108,13 +108,7 @@ class Statements:
         topic, whose = self.topic_of(select), self._catalog.whose(node, run)
         return self._keyspace.naming(
             lambda: QueryResult(
-                select,
-                topic,
-                whose,
-                limit=limit,
-                after=after,
-                plan=plan,
-                watch=watch,
+                select, topic, whose, limit=limit, after=after, plan=plan, watch=watch
             )
         )
 

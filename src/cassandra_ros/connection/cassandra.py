@@ -49,19 +49,10 @@ from cassandra_ros.connection.paging import (
     retried,
     sent_ahead,
 )
-from cassandra_ros.connection.protocol import (
-    PROTOCOL_VERSION,
-    RawProtocolHandler,
-    connection_class,
-)
+from cassandra_ros.connection.protocol import PROTOCOL_VERSION, RawProtocolHandler, connection_class
 from cassandra_ros.connection.schema_changes import SchemaChanges
 from cassandra_ros.connection.sessions import Link, Links
-from cassandra_ros.errors import (
-    ConnectionFailed,
-    KeyspaceNotFound,
-    StoreUnavailable,
-    TopicNotFound,
-)
+from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, StoreUnavailable, TopicNotFound
 
 CONNECT_TIMEOUT_SEC = 10.0
 NEW_TABLE_SEC = 1.0
@@ -266,9 +257,7 @@ class Cassandra:
         while True:
             try:
                 statement = retried(
-                    "preparing a statement",
-                    lambda: self._session.prepare(cql),
-                    outage=self.outage,
+                    "preparing a statement", lambda: self._session.prepare(cql), outage=self.outage
                 )
                 statement.is_idempotent = True
                 return statement

@@ -36,10 +36,7 @@ class Outage:
     """
 
     def __init__(
-        self,
-        where: str,
-        nodes: Callable[[], str] = str,
-        failing: Callable[[float], object] = float,
+        self, where: str, nodes: Callable[[], str] = str, failing: Callable[[float], object] = float
     ) -> None:
         self._where = where
         self.nodes = nodes

@@ -7,17 +7,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from typing import (
-    Callable,
-    Deque,
-    Iterable,
-    Iterator,
-    Optional,
-    Sequence,
-    Tuple,
-    TypeVar,
-    Union,
-)
+from typing import Callable, Deque, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, Union
 
 from cassandra.cluster import ResponseFuture, ResultSet
 from cassandra.query import Statement

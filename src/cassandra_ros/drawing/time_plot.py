@@ -110,11 +110,7 @@ def curves_of(series: Sequence[Series], names: Tuple[str, str]) -> Sequence[Curv
 
 
 def draw_xy(
-    stream: IO[bytes],
-    ending: str,
-    curves: Sequence[Curve],
-    size: Tuple[int, int],
-    title: str = "",
+    stream: IO[bytes], ending: str, curves: Sequence[Curve], size: Tuple[int, int], title: str = ""
 ) -> None:
     """Draw one column of statements over another into one picture.
 
@@ -180,11 +176,7 @@ def _aspect(curve: Curve) -> Optional[float]:
 
 
 def draw_plot(
-    stream: IO[bytes],
-    ending: str,
-    series: Sequence[Series],
-    size: Tuple[int, int],
-    title: str = "",
+    stream: IO[bytes], ending: str, series: Sequence[Series], size: Tuple[int, int], title: str = ""
 ) -> None:
     """Draw statements into one picture over time.
 

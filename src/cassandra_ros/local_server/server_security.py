@@ -96,10 +96,7 @@ class Security:
 
     def yaml(self) -> dict[str, object]:
         """Return the settings for login and TLS in a node's cassandra.yaml."""
-        keystore = {
-            "keystore": str(self._keystore),
-            "keystore_password": self._secret("keystore"),
-        }
+        keystore = {"keystore": str(self._keystore), "keystore_password": self._secret("keystore")}
         return {
             "authenticator": "PasswordAuthenticator",
             # No cache, so that a changed password is refused at once.

@@ -61,12 +61,7 @@ class SensorPoses:
         received: Number of poses taken at receive times, because none was known at the stamps.
     """
 
-    def __init__(
-        self,
-        choice: PoseChoice,
-        measured: Measurements,
-        times: Sequence[int],
-    ) -> None:
+    def __init__(self, choice: PoseChoice, measured: Measurements, times: Sequence[int]) -> None:
         self._catalog = measured.catalog
         self._choice = choice
         self._measured = measured

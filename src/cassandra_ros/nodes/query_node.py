@@ -34,11 +34,7 @@ from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage, StoredTopic
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.nodes.ros_node import (
-    bound_master_calls,
-    forward_logging,
-    own_name,
-)
+from cassandra_ros.nodes.ros_node import bound_master_calls, forward_logging, own_name
 from cassandra_ros.query.rows.answer_bound import AnswerBound
 from cassandra_ros.query.tree.json_values import from_json
 from cassandra_ros.query.tree.parse import parse_statement

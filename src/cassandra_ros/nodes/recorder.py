@@ -108,11 +108,7 @@ class Recorder:
         self._mutex = threading.RLock()
 
     def start(
-        self,
-        topics: Topics = (),
-        *,
-        name: str = "",
-        labels: Optional[Mapping[str, str]] = None,
+        self, topics: Topics = (), *, name: str = "", labels: Optional[Mapping[str, str]] = None
     ) -> str:
         """Start a run, or record more topics in the current one.
 

@@ -95,10 +95,7 @@ class Subscriptions:
             )
 
     def drain(
-        self,
-        topics: Collection[str],
-        count: Callable[[str], int],
-        give_up: Callable[[], bool],
+        self, topics: Collection[str], count: Callable[[str], int], give_up: Callable[[], bool]
     ) -> list[str]:
         """Wait until each connection was empty once: then all earlier messages were handled.
 

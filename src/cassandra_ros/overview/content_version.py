@@ -20,10 +20,7 @@ _ALL_BUCKETS = -(2**63), 2**63 - 1
 
 
 def content_version(
-    directory: Directory,
-    tables: Sequence[TopicTable],
-    read: Read,
-    before: Sequence[StoredRow] = (),
+    directory: Directory, tables: Sequence[TopicTable], read: Read, before: Sequence[StoredRow] = ()
 ) -> str:
     """Return a text that changes whenever the messages in a time range do.
 

@@ -12,17 +12,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import cached_property
-from typing import (
-    Callable,
-    Dict,
-    FrozenSet,
-    Iterable,
-    Iterator,
-    List,
-    Optional,
-    Sequence,
-    Tuple,
-)
+from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_topics
 from cassandra_ros.errors import CorruptMessage
@@ -80,10 +70,7 @@ def latched_before(
     """
     names, whose = check_topics(topics), catalog.whose(nodeID, run)
     finder = LatchedFinder(
-        catalog.keyspace,
-        catalog.tables(names),
-        whose,
-        tests_of(catalog, where, whose),
+        catalog.keyspace, catalog.tables(names), whose, tests_of(catalog, where, whose)
     )
     return finder.before(t, LAST_NS if to is None else to)
 

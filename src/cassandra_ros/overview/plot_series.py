@@ -113,11 +113,7 @@ class Series:
 
 
 def read_series(
-    keyspace: Keyspace,
-    topic: CassandraTopic,
-    select: Select,
-    window: Window,
-    asker: SeriesRequest,
+    keyspace: Keyspace, topic: CassandraTopic, select: Select, window: Window, asker: SeriesRequest
 ) -> Series:
     """Read the numbers that a statement gives over time.
 

@@ -36,11 +36,7 @@ class MessageChoice:
         """Yield the rows in order of time; their messages are read when they are accessed."""
         if self.where is None:
             return topic.rows(
-                self.start,
-                self.end,
-                nodeID=self.node,
-                run=self.writers,
-                columns=lambda table: (),
+                self.start, self.end, nodeID=self.node, run=self.writers, columns=lambda table: ()
             )
         names, whose = [topic.name], catalog.whose(self.node, self.writers)
         filters = catalog.filters({topic.name: self.where}, names, whose)

@@ -13,12 +13,7 @@ from __future__ import annotations
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, Cell, cells_of
-from cassandra_ros.places.paths import (
-    LONGEST_GAP_NS,
-    clip_ranges,
-    merge_ranges,
-    subtract_ranges,
-)
+from cassandra_ros.places.paths import LONGEST_GAP_NS, clip_ranges, merge_ranges, subtract_ranges
 from cassandra_ros.places.regions import Region
 from cassandra_ros.places.robots import MAX_FRAMES, Robot
 from cassandra_ros.places.stored_topics import Extent, StoredTopics

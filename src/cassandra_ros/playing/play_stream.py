@@ -121,11 +121,7 @@ class Stream:
     def _find_sources(self, start: Optional[When], end: Optional[When]) -> List[PlaySource]:
         asked = self.selection
         whole = PlaySource(
-            self._catalog,
-            self.topics,
-            self._whose,
-            asked.where,
-            self._stored_ranges,
+            self._catalog, self.topics, self._whose, asked.where, self._stored_ranges
         )
         if not self._align:
             return self._with_messages([whole])

@@ -354,8 +354,7 @@ class Playback:
                 if waited >= SAY_SEC and not said:
                     said = True
                     _log.warning(
-                        "the store has given no message for %.0f s: the replay stands",
-                        SAY_SEC,
+                        "the store has given no message for %.0f s: the replay stands", SAY_SEC
                     )
             if said:
                 _log.warning("the replay stood for %.1f s", time.monotonic() - since)

@@ -28,9 +28,7 @@ class StoredRange(NamedTuple):
 
 
 def stored_ranges(
-    keyspace: Keyspace,
-    tables: Sequence[TopicTable],
-    whose: Whose = EVERYBODY,
+    keyspace: Keyspace, tables: Sequence[TopicTable], whose: Whose = EVERYBODY
 ) -> List[StoredRange]:
     """Return the time range of each run in each table; most of them without reading a row."""
     ranges: List[StoredRange] = []

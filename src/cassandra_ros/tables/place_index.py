@@ -125,11 +125,7 @@ class PlaceIndex:
         return {robot for (robot,) in rows}
 
     def withdraw(
-        self,
-        table: str,
-        low: int = 0,
-        high: int = MAX_NS,
-        run: Optional[Tuple[str, int]] = None,
+        self, table: str, low: int = 0, high: int = MAX_NS, run: Optional[Tuple[str, int]] = None
     ) -> None:
         """Note that visits are no longer complete, because poses are added or deleted.
 

@@ -341,8 +341,7 @@ class Schema:
         for table in tables:
             for name in (table, chunk_table_name(table)):
                 lock.change(
-                    f"DROP TABLE IF EXISTS {self.qualified(name)}",
-                    what=f"dropping table {name}",
+                    f"DROP TABLE IF EXISTS {self.qualified(name)}", what=f"dropping table {name}"
                 )
             self._cassandra.forget(table)
 

@@ -17,12 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from cassandra_ros.errors import (
-    CassandraRosError,
-    DefinitionError,
-    SchemaConflict,
-    TopicNotFound,
-)
+from cassandra_ros.errors import CassandraRosError, DefinitionError, SchemaConflict, TopicNotFound
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.metadata import TopicMetadata
@@ -86,10 +81,7 @@ class _Plan:
 
 
 def convert_topic(
-    space: Keyspace,
-    topic: str,
-    format_name: str,
-    progress: Progress = None,
+    space: Keyspace, topic: str, format_name: str, progress: Progress = None
 ) -> Converted:
     """Store a topic in another format from now on, while others read it.
 

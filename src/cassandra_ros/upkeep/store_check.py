@@ -28,12 +28,7 @@ from cassandra_ros.store.orphans import old_us, orphans, partitions, remove_orph
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, slot_of
 from cassandra_ros.tables.row_encoder import Zones
-from cassandra_ros.tables.row_table import (
-    ALL,
-    TableRow,
-    decode_long,
-    encode_texts,
-)
+from cassandra_ros.tables.row_table import ALL, TableRow, decode_long, encode_texts
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import read_wire
 from cassandra_ros.topics.topic_table import TopicTable
@@ -394,15 +389,7 @@ class _Check:
             if self._repair:
                 self._space.directory.add_node(table.name, 0, node)
             text = f"{count} messages of node {node!r} are in no directory; --repair lists it"
-            self._note(
-                DamageKind.UNLISTED,
-                table,
-                node,
-                None,
-                count,
-                text,
-                mended=self._repair,
-            )
+            self._note(DamageKind.UNLISTED, table, node, None, count, text, mended=self._repair)
 
     def _connections(self, table: TopicTable) -> None:
         for conn, count in sorted(self._conns.items()):

@@ -89,11 +89,7 @@ class Upkeep:
         return check_store(self._catalog, names, time_range, repair, progress)
 
     def indexPlaces(
-        self,
-        *,
-        nodeID: Optional[str] = None,
-        run: RunName = None,
-        progress: Progress = None,
+        self, *, nodeID: Optional[str] = None, run: RunName = None, progress: Progress = None
     ) -> List[PlacesOfRun]:
         """Index where the robots of runs were, so that NEAR reads only poses around a place.
 

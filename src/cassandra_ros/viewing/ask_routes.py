@@ -9,12 +9,7 @@ from dataclasses import replace
 from typing import Callable, Sequence
 
 from cassandra_ros.arrays.array_types import column_types
-from cassandra_ros.errors import (
-    AnswerTooLarge,
-    CassandraRosError,
-    InvalidOption,
-    TopicNotFound,
-)
+from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidOption, TopicNotFound
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
@@ -339,11 +334,7 @@ ROUTES: tuple[Route, ...] = (
             _STATEMENT,
             *WHOLE_RANGE,
             Parameter(
-                "pixels",
-                "count",
-                f"Maximum number of pixels, up to {MOST_PIXELS}.",
-                False,
-                PIXELS,
+                "pixels", "count", f"Maximum number of pixels, up to {MOST_PIXELS}.", False, PIXELS
             ),
             Parameter(
                 "seconds",

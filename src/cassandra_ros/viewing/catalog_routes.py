@@ -174,10 +174,7 @@ ROUTES: tuple[Route, ...] = (
         "/api/topics",
         _topics,
         "Topics, sorted by name: types, formats, number of messages and time range.",
-        (
-            TOPICS,
-            Parameter("counts", "flag", "Count messages, from the directory.", default=True),
-        ),
+        (TOPICS, Parameter("counts", "flag", "Count messages, from the directory.", default=True)),
     ),
     Route(
         "/api/runs",

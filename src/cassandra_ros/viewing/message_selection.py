@@ -89,10 +89,7 @@ def _conditions(catalog: Catalog, lines: tuple[str, ...]) -> dict[str, Where]:
 
 
 def _of_nodes(
-    catalog: Catalog,
-    topics: tuple[str, ...] | None,
-    where: dict[str, Where],
-    nodes: Nodes,
+    catalog: Catalog, topics: tuple[str, ...] | None, where: dict[str, Where], nodes: Nodes
 ) -> dict[str, Where]:
     """Add the selected robots to the conditions if there are several: reads take one, or all."""
     if nodes is None or len(nodes) == 1:

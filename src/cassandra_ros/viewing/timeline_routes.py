@@ -111,10 +111,7 @@ ROUTES: Tuple[Route, ...] = (
         (
             *WHOLE_RANGE,
             Parameter(
-                "pixels",
-                "count",
-                f"Maximum number of cells, 1 to {MAX_CELLS}.",
-                default=_PIXELS,
+                "pixels", "count", f"Maximum number of cells, 1 to {MAX_CELLS}.", default=_PIXELS
             ),
             TOPICS,
             NODES,

@@ -32,12 +32,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Iterator, Sequence
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
-from cassandra_ros.cli.options import (
-    add_origin_options,
-    add_store_options,
-    open_store,
-    store_place,
-)
+from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store, store_place
 from cassandra_ros.cli.terminal_text import (
     counted,
     format_bytes,
@@ -61,18 +56,7 @@ if TYPE_CHECKING:
     from cassandra_ros.topics.catalog import Catalog
     from cassandra_ros.topics.stored_totals import TopicInfo
 
-_HEADER = (
-    "topic",
-    "type",
-    "format",
-    "node",
-    "messages",
-    "rate",
-    "size",
-    "first",
-    "last",
-    "bucket",
-)
+_HEADER = ("topic", "type", "format", "node", "messages", "rate", "size", "first", "last", "bucket")
 _RIGHT = ("messages", "rate", "size", "bucket")
 _RUNS_SHOWN = 20
 _SAMPLED = 10_000

@@ -46,13 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the statements, the picture and the store."""
     add = parser.add_argument
     add("statements", metavar="STATEMENT", nargs="+", help="a SELECT, in quotes")
-    add(
-        "-o",
-        "--output",
-        metavar="FILE",
-        required=True,
-        help="the picture: .png, .svg or .pdf",
-    )
+    add("-o", "--output", metavar="FILE", required=True, help="the picture: .png, .svg or .pdf")
     add("-f", "--force", action="store_true", help="replace FILE if it exists")
     add(
         "--size",

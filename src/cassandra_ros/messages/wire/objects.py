@@ -16,18 +16,7 @@ import struct
 from collections import deque
 from itertools import chain, islice, repeat
 from types import MemberDescriptorType
-from typing import (
-    Any,
-    Callable,
-    Dict,
-    Iterator,
-    List,
-    NamedTuple,
-    Optional,
-    Sequence,
-    Tuple,
-    Union,
-)
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import genpy
 import numpy as np
