@@ -226,10 +226,11 @@ def account(case: dict[str, Any]) -> dict[str, Any]:
     """Return the account of a case.
 
     Args:
-        case: hosts, port, keyspace; topic (prefix of the names); logs (of the publishers); robots
-            (each has stored everything); kills (times at which recorders were killed, ns); removed
-            (time ranges whose messages were deleted, ns, ends included); removed_count (number of
-            messages that verbs told to have deleted, whichever those are); told (number of messages
+        case: Its keys are hosts, port, keyspace; topic (prefix of the topics' names); logs (of the
+            publishers); robots (each has recorded everything); kills (times at which recorders were
+            killed, ns); removed (time ranges whose messages were deleted, ns, ends included);
+            removed_count (number of messages that verbs told to have deleted, whichever those are);
+            gone_before_ns (time at which the keyspace was dropped, ns); told (number of messages
             that a recorder told as lost where the store could not keep it).
     """
     published = sorted(line for path in case["logs"] for line in read_log(path))
@@ -296,7 +297,7 @@ def account_of(
         removed = any(first <= time_ns <= last for first, last in case["removed"])
         if number in copies:
             sums["not_removed"] += removed
-        elif removed:
+        elif removed or time_ns < case["gone_before_ns"]:
             sums["removed"] += 1
         elif not connections or number in unheard:
             sums["unheard"] += 1

@@ -64,6 +64,8 @@ def table_of(group: str, lines: dict[str, dict[str, Any]]) -> str:
             line = lines.get(name)
             rows.append([f"`{name}`", *_cells(line, len(head) - 1)])
             below.append(f"- `{name}`: {fault.done}{_run(line)}")
+    if not below:
+        return "No fault of this group has run yet."
     return "\n".join([*(f"| {' | '.join(row)} |" for row in rows), "", *below])
 
 

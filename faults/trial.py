@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import random
-import re
 import sys
 import time
 import uuid
@@ -91,6 +91,7 @@ class Trial:
         self.kills: list[int] = []
         self.removed: list[tuple[int, int]] = []
         self.removed_count = 0
+        self.gone_before_ns = 0
         self.told = 0
         self.open = contextlib.ExitStack()
         """What is closed after the account: proxies, servers of this trial."""
@@ -132,8 +133,8 @@ class Trial:
     def run(self, *command: object, **env: str) -> Program:
         """Start a program; it is killed at the end if it still runs."""
         output = self.folder / f"{len(self._programs)}.log"
-        uri = {"ROS_MASTER_URI": self.master.uri}
-        program = Program(list(command), output, {**self.world.env, **uri, **env})
+        own = {"ROS_MASTER_URI": self.master.uri, "ROS_HOME": str(self.folder / "ros")}
+        program = Program(list(command), output, {**self.world.env, **own, **env})
         self._programs.append(program)
         return program
 
@@ -192,11 +193,10 @@ class Trial:
             raise Failed(f"{words}: exit status {program.process.returncode}:\n{program.output}")
         return program.output
 
-    def removed_by(self, output: str) -> int:
-        """Note how many messages a verb with --json has deleted."""
-        (count,) = re.findall(r'"(?:deleted|messages)": (\d+)', output)[-1:]
-        self.removed_count += int(count)
-        return int(count)
+    def removed_by(self, output: str) -> None:
+        """Note how many messages a verb with --json says that it has deleted."""
+        answer, _ = json.JSONDecoder().raw_decode(output, output.index("{"))
+        self.removed_count += sum(answer.get("removed", answer.get("deleted", {})).values())
 
     def bag(self, topics: int = 4) -> Path:
         """Write a bag of all messages, and its log."""
@@ -245,6 +245,13 @@ class Trial:
         except (NoHostAvailable, DriverException):  # the table is not there yet
             return False
 
+    def outlast_lock(self) -> None:
+        """After a kill: in the short form, let the schema lock run out at once, not after 120 s."""
+        if self.short:
+            with contextlib.suppress(DriverException), self.store() as store:
+                cql = f"DELETE FROM {self.keyspace}.cr_lock WHERE name = 'schema' IF EXISTS"
+                list(store.select(cql))
+
     def note(self, text: str) -> None:
         """Add a note to the line of the fault."""
         self.result.notes.append(text)
@@ -275,6 +282,7 @@ class Trial:
             "kills": self.kills,
             "removed": self.removed,
             "removed_count": self.removed_count,
+            "gone_before_ns": self.gone_before_ns,
             "told": self.told,
         }
 

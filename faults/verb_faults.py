@@ -8,7 +8,7 @@ import time
 
 from faults.trial import START_NS, TOPIC, Trial
 
-KILLS = 3, 20
+KILLS = 4, 20
 """Number of kills in the short and in the long form."""
 PACE_HZ = 10_000.0
 """Messages a second that a verb works on, about; kills are spread over its duration."""
@@ -76,19 +76,25 @@ def index_killed(trial: Trial) -> None:
 def _killed_and_completed(trial: Trial, *words: object) -> None:
     """Kill a verb at random moments, early ones first; each process goes on with what is left."""
     begun = time.monotonic()
-    trial.done("list")
+    trial.verb("list").process.wait()  # before an import there is no keyspace
     start_sec = time.monotonic() - begun
     count = KILLS[not trial.short]
-    step_sec = (0.2 * start_sec + trial.messages / PACE_HZ) / count
+    step_sec = (0.4 * start_sec + trial.messages / PACE_HZ) / count
     killed = 0
     for number in range(count):
         program = trial.verb(*words)
-        time.sleep(0.8 * start_sec + step_sec * (number + trial.random.random()))
+        time.sleep(0.6 * start_sec + step_sec * (number + trial.random.random()))
         if program.runs:
             program.kill()
             killed += 1
+            trial.outlast_lock()
     trial.done(*words)
     trial.note(f"killed {killed} times while it worked")
 
 
-FAULTS = ()
+FAULTS = (
+    conversion_killed,
+    conversion_back_killed,
+    deletion_killed,
+    deletion_killed_packed,
+)

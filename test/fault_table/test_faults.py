@@ -80,7 +80,7 @@ PUBLISHED = [Published(number, number * SECOND // 10, 1) for number in range(100
 
 
 def sums_of(stored, published=PUBLISHED, **case):
-    case = {"kills": [], "removed": [], **case}
+    case = {"kills": [], "removed": [], "gone_before_ns": 0, **case}
     own = account_of(published, Contents(dict(stored), 0), case)
     return {**own.sums, "missing": len(own.missing)}
 
