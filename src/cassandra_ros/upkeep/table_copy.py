@@ -151,7 +151,9 @@ class TableCopy:
                 key = (writer_id, row.conn, row.node)
                 handle = handles.get(key)
                 if handle is None:
-                    handle = handles[key] = writer.ready(self._handle(row))
+                    handle = handles[key] = writer.ready(
+                        Handle(row.connection, self._new, row.conn, row.node, None)
+                    )
                 writer.write(handle, row.received, counter, row.wire, row.name)
                 self._tell.one()
             for writer in opened.values():
@@ -165,9 +167,6 @@ class TableCopy:
                     failed = exc
         if failed is not None:
             raise failed
-
-    def _handle(self, row: StoredRow) -> Handle:
-        return Handle(row.connection, self._new, row.conn, row.node, None)
 
     def compare(self) -> int:
         """Compare all rows of the new table with those of the old ones; return their number.

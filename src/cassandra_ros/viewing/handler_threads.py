@@ -14,7 +14,7 @@ import logging
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Callable, Iterator, Mapping, Sequence, TypeVar, Union
+from typing import Callable, Iterator, TypeVar, Union
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
@@ -52,8 +52,9 @@ class HandlerThreads:
         """Return the coroutine that answers a route."""
 
         async def answer(request: web.Request) -> web.StreamResponse:
-            headers = _headers(request)
-            call = ApiCall(self._shared, route, _query(request), headers, request.method)
+            query = {name: request.query.getall(name) for name in request.query}
+            headers = {name.lower(): text for name, text in request.headers.items()}
+            call = ApiCall(self._shared, route, query, headers, request.method)
             self._calls.add(call)
             try:
                 body = await self._run(partial(_work, route, call))
@@ -192,11 +193,3 @@ def _work(route: Route, call: ApiCall) -> Union[Bytes, SpooledFile, _Chunks]:
             chunks.close()
         return chunks
     return Bytes(json_bytes(answer), "application/json")
-
-
-def _query(request: web.Request) -> Mapping[str, Sequence[str]]:
-    return {name: request.query.getall(name) for name in request.query}
-
-
-def _headers(request: web.Request) -> Mapping[str, str]:
-    return {name.lower(): text for name, text in request.headers.items()}
