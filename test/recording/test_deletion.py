@@ -183,3 +183,15 @@ def test_one_thread_makes_the_table_after_a_removal(rosCas, connect, monkeypatch
         together(*[partial(writer.current, second)] * 4)
         assert len(made) == 1
         assert writer.current(second).table is writer.current(handle).table
+
+
+def test_a_recording_goes_on_after_its_keyspace_was_dropped(rosCas, connect, recorded, cql):
+    """The keyspace is made anew with its side tables, and the topic in it."""
+    recorded.begin("ros")
+    await_true(lambda: recorded.stored() > 100)
+    cql.execute(f"DROP KEYSPACE {rosCas.keyspace}")
+    names = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = %s"
+    await_true(lambda: any(n[:2] == "t_" for (n,) in cql.execute(names, (rosCas.keyspace,))))
+    with connect(keyspace=rosCas.keyspace) as other:
+        await_true(lambda: other.existTopic("/a") and other.getTopic("/a").countTopicData() > 100)
+    recorded.end()

@@ -329,6 +329,8 @@ class SideTables:
             wanted = {**SIDE_TABLES, **{name: LATER_TABLES[name] for name in later}}
             there = self._list()
             if _LOCK not in there:
+                self._keyspace_made = False  # another client may have dropped it since
+                self.make_keyspace()
                 self._make_lock_table()
             if not there.issuperset(wanted):
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
@@ -342,6 +344,12 @@ class SideTables:
             else:
                 self._there = there
             self._made = True
+
+    def forget(self) -> None:
+        """Check the keyspace and its side tables anew at the next ``make``."""
+        with self._mutex:
+            self._made = self._keyspace_made = False
+            self._there = frozenset()
 
     def _make_lock_table(self) -> None:
         # The lock cannot guard its own creation. With a fixed id racing clients make the same

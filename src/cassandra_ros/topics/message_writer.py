@@ -304,6 +304,7 @@ class MessageWriter:
     def _connect_anew(self, handle: Handle) -> Handle:
         """Return a handle of the table in which the topic of a removed table goes on."""
         schema = self._keyspace.schema
+        self._keyspace.side_tables.forget()  # the whole keyspace may have been dropped
         schema.tables(fresh=True)
         like = handle.table.metadata
         like = like.with_(format=schema.format_after(handle.table.name, like.format), cut=True)
