@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Makes the folder rows_v1: rows as this release writes them, for later releases to read.
+"""Makes the folder rows_vN: rows of schema version N, as this release writes them.
 
-By hand, once for each schema version, against a Cassandra without a keyspace rows_v1:
-PYTHONPATH=src python3 test/store/make_rows_v1.py 127.0.0.1 9042
+Later releases read and change them. By hand, once for each schema version, against a Cassandra
+without a keyspace of the folder's name:
+PYTHONPATH=src python3 test/store/make_rows.py 127.0.0.1 9042
 For a format that is added later, append its name: then only its rows are added.
 """
 
@@ -24,9 +25,10 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of, parse_definition
+from cassandra_ros.metadata import SCHEMA_VERSION
 
-FOLDER = Path(__file__).with_name("rows_v1")
-KEYSPACE = "rows_v1"
+KEYSPACE = f"rows_v{SCHEMA_VERSION}"
+FOLDER = Path(__file__).with_name(KEYSPACE)
 T0 = 1_500_000_000 * 10**9
 SIDE_TABLES = ("cr_connection", "cr_definition", "cr_node", "cr_bucket")
 THING = "int32 number\nstring[] names\nlost_msgs/Part[] parts\n" + "=" * 80

@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Rows that were written with any schema version are read, continued and changed by this release.
+
+Each version has a folder, rows_v1 and so on, which make_rows.py wrote when the version was new.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from std_msgs.msg import String
+from store.make_rows import SIDE_TABLES, long
+
+from cassandra_ros import RosCassandra
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.metadata import SCHEMA_VERSION
+
+HERE = Path(__file__).parent
+FOLDERS = [HERE / f"rows_v{version}" for version in range(1, SCHEMA_VERSION + 1)]
+
+
+def make_table(cql, keyspace, path):
+    """Make a table of the folder and fill it, with the bare driver."""
+    from cassandra.query import UNSET_VALUE, BoundStatement
+
+    table = json.loads(path.read_text())
+    comment = table["comment"].replace("'", "''")
+    first, *indexes = table["statements"]
+    cql.execute(first.format(keyspace=keyspace) + f" WITH comment = '{comment}'")
+    for statement in indexes:
+        cql.execute(statement.format(keyspace=keyspace))
+    names = ", ".join(f'"{name}"' for name in table["columns"])
+    marks = ", ".join("?" * len(table["columns"]))
+    insert = cql.prepare(f'INSERT INTO {keyspace}."{table["table"]}" ({names}) VALUES ({marks})')
+    for row in table["rows"]:
+        bound = BoundStatement(insert)
+        bound.values = [UNSET_VALUE if value is None else long(value) for value in row]
+        cql.execute(bound)
+
+
+@pytest.fixture(params=FOLDERS, ids=lambda path: path.name)
+def earlier(request, cassandra, new_keyspace, cql):
+    """The folder of a schema version, and a store with its rows."""
+    cql.execute(
+        f"CREATE KEYSPACE {new_keyspace} WITH replication = "
+        "{'class': 'SimpleStrategy', 'replication_factor': 1}"
+    )
+    folder = request.param
+    paths = sorted(set(folder.glob("*.json")) - {folder / "expected.json"})
+    assert {path.stem for path in paths} >= set(SIDE_TABLES), "run make_rows.py"
+    for path in paths:
+        make_table(cql, new_keyspace, path)
+    with RosCassandra(cassandra.host, cassandra.port, keyspace=new_keyspace) as rosCas:
+        yield folder, rosCas
+
+
+def test_all_rows_are_read_and_the_topics_go_on(earlier):
+    folder, rosCas = earlier
+    expected = json.loads((folder / "expected.json").read_text())
+    assert {topic.name for topic in rosCas.getAllTopics()} == set(expected)
+    told = {}
+    for info in rosCas.info():
+        told[info.topic] = told.get(info.topic, 0) + info.count
+    for name, messages in expected.items():
+        topic = rosCas.getTopic(name)
+        rows = list(topic.rows())
+        assert [[r.t, r.node, r.type, r.md5sum, r.wire] for r in rows] == [
+            [*facts, long(wire)] for *facts, wire in messages
+        ]
+        for row in rows:
+            cls = row.message_class()
+            assert (cls._type, cls._md5sum) == (row.type, row.md5sum)
+            # An installed type only where it is the one that was recorded.
+            assert (cls is String) == (row.md5sum == String._md5sum)
+        assert told[name] == len(messages)
+        if topic.getMeta["key_format"] == "time":
+            assert topic.countTopicData(0, MAX_NS) == len(messages)
+    check_values(rosCas)
+    # The topics go on: new rows beside the old.
+    for form in FORMATS:
+        topic = rosCas.addTopic(f"/{form}/text", form)
+        key = topic.addData(String(data="new"), nodeID="robot")
+        assert topic.getData(key).data == "new"
+        assert len(topic.tables) == 3
+
+
+def check_values(rosCas):
+    for form in FORMATS:
+        things = [message for _, message in rosCas.getTopic(f"/{form}/thing").items()]
+        assert (things[0].number, things[0].names, things[0].parts[0].value) == (7, ["hi"], 1.0)
+        assert rosCas.executeCQL(f"select number from /{form}/thing") == [(7,)]
+        (big,) = [message for _, message in rosCas.getTopic(f"/{form}/big").items()]
+        assert big.data == bytes(600_000)
+    assert rosCas.getTopic("/manual").getData("kitchen").x == 1.0
+    assert rosCas.getTopic("/part").getData(1.5).x == 1.5
+    assert rosCas.getTopic("/stamp").getData(1_400_000_000.0).child_frame_id == "part"
+
+
+def test_they_are_checked_converted_and_deleted(earlier):
+    folder, rosCas = earlier
+    expected = json.loads((folder / "expected.json").read_text())
+    assert not rosCas.upkeep.check().damages
+    for form, other in (("packed", "ros"), ("ros", "packed")):
+        name = f"/{form}/thing"
+        rosCas.convertTopic(name, other)
+        (row,) = rosCas.getTopic(name).rows()
+        assert [row.t, row.node, row.type, row.md5sum] == expected[name][0][:4]
+        assert row.wire == long(expected[name][0][4])
+    for form in FORMATS:
+        topic = rosCas.getTopic(f"/{form}/text")
+        assert topic.removeData(0, MAX_NS) == len(expected[topic.name])
+        assert topic.countTopicData() == 0
+        rosCas.removeTopic(f"/{form}/big")
+    rosCas.renameTopic("/manual", "/named")
+    assert rosCas.getTopic("/named").getData("kitchen").x == 1.0
+    assert not rosCas.upkeep.check().damages
+
+
+@pytest.mark.parametrize("folder", FOLDERS[-1:], ids=lambda path: path.name)
+def test_the_newest_folder_has_every_format(folder):
+    names = {path.name for path in folder.glob("*.json")}
+    for form in FORMATS:
+        assert any(name.startswith(f"{form}_") for name in names), "run make_rows.py"
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 300_000
