@@ -5,17 +5,31 @@
 from __future__ import annotations
 
 import logging
+import struct
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, Iterable, Iterator, Optional, Sequence, Tuple, Union
+from operator import itemgetter
+from typing import (
+    Any,
+    Callable,
+    Container,
+    Dict,
+    Iterable,
+    Iterator,
+    List,
+    Optional,
+    Sequence,
+    Tuple,
+    Union,
+)
 
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.rows.compiled_rows import CompiledRows, compile_rows, compile_wire_rows
 from cassandra_ros.query.rows.condition_check import Check, RowValues
-from cassandra_ros.query.rows.field_extractor import Extractor, extractor_of
+from cassandra_ros.query.rows.field_extractor import ColumnField, Extractor, extractor_of
 from cassandra_ros.query.rows.name_resolution import (
     COUNTED,
     KEY_PLACE,
@@ -33,6 +47,22 @@ ResultRow = Tuple[Any, ...]
 """One value for each column of the result."""
 RowIdentity = Tuple[Union[int, str], str, str, int]
 """KEY, NODE and RUN of a row, and its time, ns."""
+_RawColumns = Sequence[Optional[bytes]]
+"""Encoded columns of a row."""
+_ResultRows = List[ResultRow]
+_CompiledRows = Callable[[Row], Optional[_ResultRows]]
+"""Function that returns the result rows of a stored row; None = use the general way."""
+_ShownColumns = Sequence[Tuple[Optional[int], Optional[Get]]]
+"""For each column of the result the index of its value (None: missing in this table), and the
+conversion for display."""
+_Show = Callable[[Row, List[Any]], ResultRow]
+"""Function from the values of a row, which it may change, to a row of the result."""
+_Fill = Callable[[_RawColumns, List[Any]], bool]
+"""Function that sets the values of some fields; it returns False if one is missing."""
+_FieldPlace = Tuple[int, int, ColumnField]
+"""Index among the values, index among the columns, and the field's decoder."""
+_NONE: _ResultRows = []
+"""Shared empty result; callers do not change it."""
 
 
 @dataclass(frozen=True)
@@ -97,32 +127,36 @@ class Projection:
         return replace(self, shown=tuple(shown))
 
     @cached_property
-    def compiled(self) -> Optional[CompiledRows]:
-        """Fast function for the rows of nearly all stored rows; see compiled_rows."""
+    def compiled(self) -> Optional[_CompiledRows]:
+        """Fast function for the result rows of nearly all stored rows.
+
+        None if something is unnested or, in format ``ros``, a field has no column. The fields of
+        the condition are decoded first, the other fields only if the condition is true. For a row
+        with a missing column or malformed values the function returns None, and the row is read in
+        the general way.
+        """
         if self.extractor is None:
             return None
         if not self.stored:
             read = self.extractor.whole()
             if read is None:
                 return None
-            return compile_wire_rows(
-                read, self.own, self.check, self.shown, KEY_PLACE, self.computed
-            )
+            show = _compile_show(self.shown, self.computed)
+            return _compile_wire_rows(read, self.own, self.check, show)
         direct = self.extractor.direct()
         if direct is None or self.columns is None:
             return None
-        return compile_rows(
-            direct,
-            self.own,
-            self.check,
-            tuple(self.checked),
-            self.shown,
-            KEY_PLACE,
-            self.computed,
-            own_width=OWN_WIDTH,
-            asked=len(self.columns),
-            stored=self.stored,
-        )
+        places = range(OWN_WIDTH, OWN_WIDTH + len(direct))
+        spots = {
+            len(self.columns): [field.asked for field in direct],
+            self.stored: [field.stored for field in direct],
+        }
+        layouts = {
+            count: _fills(list(zip(places, each, direct)), self.checked)
+            for count, each in spots.items()
+        }
+        show = _compile_show(self.shown, self.computed)
+        return _compile_rows(layouts, self.own, self.check, len(direct), show)
 
     def own(self, row: Row) -> RowIdentity:
         """Return the values of a row that are not fields."""
@@ -286,3 +320,155 @@ def _show_of(output: Output) -> Optional[Get]:
 
 def _itself(value: object) -> object:
     return value
+
+
+def _compile_wire_rows(
+    read: Callable[[bytes], List[Any]],
+    own: Callable[[Row], RowIdentity],
+    check: Check,
+    show: _Show,
+) -> _CompiledRows:
+    """Compile the function for a table whose rows hold serialised messages, read by ``read``."""
+
+    def rows(row: Row) -> Optional[_ResultRows]:
+        try:
+            values = [*own(row), *read(row.wire)]
+        except (CorruptMessage, MessageNotFound):
+            return None
+        return [show(row, values)] if check(values) is True else _NONE
+
+    return rows
+
+
+def _compile_rows(
+    layouts: Dict[int, Tuple[_Fill, _Fill]],
+    own: Callable[[Row], RowIdentity],
+    check: Check,
+    fields: int,
+    show: _Show,
+) -> _CompiledRows:
+    """Compile the function for a table with a column for each field.
+
+    Args:
+        layouts: Number of columns of a row -> what sets its checked fields, and its other fields.
+        fields: Number of fields, whose values follow those of ``own``.
+    """
+    blank = [None] * fields
+
+    def rows(row: Row) -> Optional[_ResultRows]:
+        held = row.columns
+        fills = layouts.get(len(held))
+        if fills is None:
+            return None
+        values: List[Any] = [*own(row), *blank]
+        try:
+            if not fills[0](held, values):
+                return None
+            if check(values) is not True:
+                return _NONE
+            if not fills[1](held, values):
+                return None
+        except BUILD_ERRORS:
+            return None
+        return [show(row, values)]
+
+    return rows
+
+
+def _fills(parts: Sequence[_FieldPlace], checked: Container[int]) -> Tuple[_Fill, _Fill]:
+    """Return the functions that set the checked fields, and the other fields.
+
+    If one number is checked, all numbers are read: together they cost hardly more than one.
+    """
+    number = any(place in checked and direct.code for place, _, direct in parts)
+    first = [p for p in parts if p[0] in checked or (number and p[2].code)]
+    return _compile_fill(first), _compile_fill([part for part in parts if part not in first])
+
+
+def _compile_fill(parts: Sequence[_FieldPlace]) -> _Fill:
+    numbers = [part for part in parts if part[2].code]
+    if len(numbers) < 2:  # itemgetter returns a tuple only for two and more
+        numbers = []
+    others = [(place, at, d.decode) for place, at, d in parts if not (d.code and numbers)]
+    fills = [_others(others)] if others else []
+    fills += [_numbers(numbers)] if numbers else []
+    if not fills:
+        return lambda held, values: True
+    if len(fills) == 1:
+        return fills[0]
+    return lambda held, values: fills[0](held, values) and fills[1](held, values)
+
+
+def _others(parts: Sequence[Tuple[int, int, Get]]) -> _Fill:
+    def fill(held: _RawColumns, values: List[Any]) -> bool:
+        for place, at, decode in parts:
+            raw = held[at]
+            if raw is None:
+                return False
+            values[place] = decode(raw)
+        return True
+
+    return fill
+
+
+def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
+    take = itemgetter(*(at for _, at, _ in parts))
+    unpack = struct.Struct(">" + "".join(d.code for _, _, d in parts)).unpack
+    places = [place for place, _, _ in parts]
+    first, end = places[0], places[-1] + 1
+    together = places == list(range(first, end))
+
+    def fill(held: _RawColumns, values: List[Any]) -> bool:
+        raws = take(held)
+        if None in raws:
+            return False
+        if together:
+            values[first:end] = unpack(b"".join(raws))
+            return True
+        for place, value in zip(places, unpack(b"".join(raws))):
+            values[place] = value
+        return True
+
+    return fill
+
+
+def _compile_show(shown: _ShownColumns, computed: Sequence[Get] = ()) -> _Show:
+    """Return the function from the values of a row, which it may change, to a row of the result."""
+    if computed:
+        inner = _compile_show(shown)
+        return lambda row, values: inner(row, [*values, *[get(values) for get in computed]])
+    keys = [n for n, (place, get) in enumerate(shown) if place == KEY_PLACE and get is None]
+    made: Dict[Tuple[int, Get], int] = {}
+    gets, copies = [], []
+    for n, (place, get) in enumerate(shown):
+        if place is not None and get:
+            first = made.setdefault((place, get), n)
+            # A column that is selected twice is computed once.
+            if first == n:
+                gets.append((n, get))
+            else:
+                copies.append((n, first))
+    # The row's key is appended to the values.
+    places = [-1 if n in keys else place for n, (place, _) in enumerate(shown)]
+    if None in places or len(places) < 2:
+        take = _take(places)
+    else:
+        take = itemgetter(*places)
+
+    def show(row: Row, values: List[Any]) -> Tuple[Any, ...]:
+        if keys:
+            values.append(row.key)
+        if not gets:
+            return take(values)
+        found = list(take(values))
+        for n, get in gets:
+            found[n] = get(found[n])
+        for n, first in copies:
+            found[n] = found[first]
+        return tuple(found)
+
+    return show
+
+
+def _take(places: Sequence[Optional[int]]) -> Callable[[List[Any]], Tuple[Any, ...]]:
+    return lambda values: tuple([None if place is None else values[place] for place in places])
