@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A stored message: its bytes and what is known of it; an object when it is accessed."""
+"""A stored message: its bytes, read ahead if they are many; an object when it is accessed."""
 
 from __future__ import annotations
 

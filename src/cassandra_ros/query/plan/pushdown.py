@@ -119,7 +119,7 @@ Used = Dict[Tuple[int, str], Leaf]
 
 
 class Pushdown:
-    """Chooses for every bucket what the server checks; see Chooser in store/scan.py.
+    """Chooses for every bucket what the server checks; see Chooser in read.py.
 
     Args:
         expression: The bound condition; None is always true.
