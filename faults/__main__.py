@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -36,6 +37,7 @@ def main() -> int:
         for name in names:
             print(f"{name}: {FAULTS[name].done}")
         return 0
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # servers and mounts are ended
     messages, rate = SHORT if options.short else LONG
     failed = []
     with tempfile.TemporaryDirectory(prefix="cassandra_ros_faults_") as folder:

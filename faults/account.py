@@ -14,7 +14,8 @@ Of each number that was published one of these is true:
   had no subscriber, or it was published after a recorder was killed and before the next message
   that is stored.
 - in flight: it is missing and was published in the last IN_FLIGHT_SEC before a recorder was killed,
-  and the run of that recorder has no end, which tells readers that it was interrupted.
+  and the run of that recorder has no end, which tells readers that it was interrupted; or with
+  --journal the next recorder has noted the gap.
 - lost: a row of cr_loss counts it.
 - unaccounted: nothing above. The table must have 0 of these.
 """
@@ -40,6 +41,8 @@ from faults.numbered import Published, read_log, text_of
 IN_FLIGHT_SEC = 2.0
 """Maximum age of a message that is lost when its recorder is killed, s. It waits in a batch or a
 block (0.5 s) and for its acknowledgement."""
+KILLED = "recorder killed"
+"""Reason of the loss that the next recorder notes for one with --journal."""
 SECOND_NS = 10**9
 TIMEOUT_SEC = 60
 TEXT_COLUMNS = ("data", "value")
@@ -156,7 +159,10 @@ class Store:
         if not self._has("cr_run"):
             return 0
         cql = f"SELECT started, ended FROM {self.keyspace}.cr_run"
-        return sum(ended is None or ended < started for started, ended in self.select(cql))
+        return sum(
+            started is not None and (ended is None or ended < started)
+            for started, ended in self.select(cql)
+        )
 
     def _has(self, table: str) -> bool:
         cql = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = %s"
@@ -251,7 +257,8 @@ def account(case: dict[str, Any]) -> dict[str, Any]:
     vague = [row[1:3] for row in losses if not row[3]]
     told_vaguely = sum(any(a <= time_ns <= b for a, b in vague) for time_ns in missing)
     told_vaguely = max(0, min(rest, told_vaguely))
-    untold_kill = sums["in_flight"] if open_runs < len(case["kills"]) else 0
+    told_kills = open_runs + sum(kind == KILLED for kind, *_ in losses)
+    untold_kill = sums["in_flight"] if told_kills < len(case["kills"]) else 0
     of_others = sum(len(contents[name].copies) for name in set(contents) - set(case["robots"]))
     return {
         "published": len(published) * len(case["robots"]),

@@ -22,11 +22,16 @@ def recorder_killed_packed(trial: Trial) -> None:
     _killed(trial, "packed")
 
 
-def _killed(trial: Trial, form: str) -> None:
-    recorder, publisher = trial.record("--format", form)
+def recorder_killed_with_journal(trial: Trial) -> None:
+    """The same with --journal: the next recorder stores what the killed one had received."""
+    _killed(trial, "ros", "--journal")
+
+
+def _killed(trial: Trial, form: str, *options: str) -> None:
+    recorder, publisher = trial.record("--format", form, *options)
     publisher.await_share(trial.random.uniform(0.2, 0.8))
     trial.kills.append(recorder.kill())
-    trial.recorder(TOPIC, "--format", form)
+    trial.recorder(TOPIC, "--format", form, *options)
     trial.await_normal(trial.kills[0])
 
 
@@ -181,10 +186,17 @@ def keyspace_dropped(trial: Trial) -> None:
 FAULTS = (
     recorder_killed,
     recorder_killed_packed,
+    clock_set_back,
     clock_set_forward,
     simulated_clock_set_back,
     two_recorders,
     type_changes,
     many_topics,
     roscore_killed,
+    truncated,
+    messages_deleted,
+    topic_deleted,
+    renamed,
+    converted,
+    indexed,
 )

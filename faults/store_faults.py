@@ -38,8 +38,22 @@ def store_frozen(trial: Trial) -> None:
 
 def store_away_longer_than_the_buffer(trial: Trial) -> None:
     """Cassandra cannot be reached until the buffer of the recorder has overflowed."""
+    _away(trial, "--buffsize", "1")
+
+
+def store_away_with_a_spool(trial: Trial) -> None:
+    """Cassandra cannot be reached for the same time, and the recorder has its spool."""
+    _away(trial, "--buffsize", "1")
+
+
+def store_away_longer_than_the_spool(trial: Trial) -> None:
+    """Cassandra cannot be reached until a spool of a small size has overflowed."""
+    _away(trial, "--buffsize", "1", "--spool-size", "100K")
+
+
+def _away(trial: Trial, *options: str) -> None:
     proxy, place = _proxied(trial)
-    _, publisher = trial.record("--buffsize", "1", place=place)
+    _, publisher = trial.record(*options, place=place)
     publisher.await_share(0.2)
     proxy.cut()
     publisher.await_share(1.5)
