@@ -387,6 +387,10 @@ def test_memory_is_bounded(husky, monkeypatch):
         assert remedy in caught.value.reason
     few = "select KEY from encoder order by pose.pose.position.x limit 5"
     assert len(husky.ask(few)) == 5
+    # The memory of rows that LIMIT drops is free again.
+    monkeypatch.setattr("cassandra_ros.query.rows.result_groups.LEAST_KEPT", 10)
+    few = "select KEY from tf order by transforms.transform.rotation.w limit 5"
+    assert len(husky.ask(few)) == 5
     # What is grouped by time is given as soon as it is complete.
     assert len(husky.ask("select count(*) from tf group by time(10ms)")) > 500
 

@@ -13,7 +13,7 @@ import pytest
 from campaign import sparing
 from geometry_msgs.msg import TransformStamped, Vector3
 from sensor_msgs.msg import Image, JointState, PointCloud
-from std_msgs.msg import Float32, Float64, Header, String, UInt8MultiArray
+from std_msgs.msg import Float32, Float64, String, UInt8MultiArray
 from tf2_msgs.msg import TFMessage
 from topics.by_index import by_index, check, directory_rows, filled
 from topics.clients import children
@@ -24,7 +24,7 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
+from cassandra_ros.messages.index_field import MAX_ELEMENTS
 from cassandra_ros.store import writer as writer_module
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.succession import Listing
@@ -302,15 +302,13 @@ def test_every_format(rosCas, form):
 
 
 def test_a_message_that_one_of_three_indexes_cannot_hold_is_found(rosCas):
-    fields = ["seq", "frame_id", "stamp"]
-    topic = rosCas.addTopic("/h", "binary", msg_type="std_msgs/Header", index=fields)
-    names = ["map", "x" * (MAX_TEXT_BYTES + 1)]
-    for number, name in enumerate(names):
-        topic.addData(Header(seq=number, frame_id=name), key=T0 + number)
+    fields = ["header.seq", "name", "header.frame_id"]
+    topic = rosCas.addTopic("/j", "binary", msg_type="sensor_msgs/JointState", index=fields)
+    for number, names in enumerate([["a"], ["a"] * (MAX_ELEMENTS + 1), ["b"]]):
+        topic.addData(JointState(name=names), key=T0 + number)
     rosCas.catalog.adder.close()
-    for number, name in enumerate(names):
-        asked = rosCas.executeCQL("select seq from /h where frame_id = ?", [name])
-        assert asked == [(number,)]
+    found = rosCas.executeCQL("select KEY from /j where name CONTAINS 'a'")
+    assert [key.ns for (key,) in found] == [T0, T0 + 1]
 
 
 def test_large_messages_are_read_from_their_chunks(rosCas):
