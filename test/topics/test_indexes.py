@@ -302,7 +302,7 @@ def test_every_format(rosCas, form):
 
 
 def test_a_message_that_one_of_three_indexes_cannot_hold_is_found(rosCas):
-    fields = ["header.seq", "name", "header.frame_id"]
+    fields = ["header.seq", "name", "position"]
     topic = rosCas.addTopic("/j", "binary", msg_type="sensor_msgs/JointState", index=fields)
     for number, names in enumerate([["a"], ["a"] * (MAX_ELEMENTS + 1), ["b"]]):
         topic.addData(JointState(name=names), key=T0 + number)
