@@ -41,7 +41,8 @@ BELOW = {
     "overview": TOPICS,
     "upkeep": {*TOPICS, "overview"},
     "client": {*TOPICS, "overview", "upkeep"},
-    "recording": TOPICS,
+    "spool": {"bag", "tables", "messages"},
+    "recording": {"spool", *TOPICS},
     "playing": {*TOPICS, "overview"},
     "history": {"recording", *TOPICS},
     "bag": {*TOPICS, "overview", "client"},
@@ -52,7 +53,7 @@ BELOW = {
     "viewing": {"drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", *TOPICS},
     "cli": {
         *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),
-        *("client", "upkeep", "overview"),
+        *("client", "upkeep", "overview", "spool"),
         *TOPICS,
     },
 }

@@ -12,8 +12,8 @@
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
   - TypeMismatch, UnknownFormat, UnknownEncoding, InvalidKey, InvalidName, InvalidOption,
-    InvalidQuery, InvalidExpression, AnswerTooLarge, DefinitionError, CorruptMessage, BagError (also
-    a ValueError) + BagUnindexed and BagTooLarge, both a BagError
+    InvalidQuery, InvalidExpression, AnswerTooLarge, DefinitionError, CorruptMessage, SpoolError,
+    BagError (also a ValueError) + BagUnindexed and BagTooLarge, both a BagError
   - MissingDependency (also an ImportError)
 
 Each error text is a complete sentence: what failed, on which topic, why, and what to do.
@@ -217,6 +217,10 @@ class BagUnindexed(BagError):
 
 class BagTooLarge(BagError):
     """A bag or an MCAP would unpack to too many bytes; it may be made to fill the memory."""
+
+
+class SpoolError(CassandraRosError):
+    """A folder or a file of the spool cannot be used; the text names it."""
 
 
 class ClockNotSet(CassandraRosError):

@@ -33,7 +33,7 @@ def one(roscore):
 def test_a_store_that_goes_away(roscore, proxy, keyspace, rosCas, one):
     """Two warnings, and messages are kept meanwhile; a second Ctrl-C drops them."""
     proxy.cut()
-    with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "60") as child:
+    with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "60", "--no-spool") as child:
         child.await_line("waiting up to 60 s for the store: no Cassandra answers at")
         proxy.mend()
         child.await_line("recording 1 topic")
@@ -72,7 +72,7 @@ def await_received(client, count):
 @pytest.mark.fault
 def test_what_comes_before_the_store_answers_is_recorded(roscore, proxy, keyspace, rosCas, one):
     proxy.cut()
-    arguments = ("/a", "--wait", "600", "-O", "early")
+    arguments = ("/a", "--wait", "600", "-O", "early", "--no-spool")
     with start_recorder(roscore, proxy, keyspace, *arguments) as child, start_client(
         roscore
     ) as client:
@@ -101,7 +101,9 @@ def test_what_comes_before_the_store_answers_is_recorded(roscore, proxy, keyspac
 def test_what_does_not_fit_before_the_store_answers_is_told(roscore, proxy, keyspace, rosCas, one):
     proxy.cut()
     wires = [message(String(f"{n:05}" + 1000 * "x")) for n in range(2000)]
-    with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "600", "-b", "1") as child:
+    with start_recorder(
+        roscore, proxy, keyspace, "/a", "--wait", "600", "-b", "1", "--no-spool"
+    ) as child:
         child.await_line("recording 1 topic")
         with start_client(roscore) as client:
             one.await_subscribers().publish(*wires)
@@ -122,7 +124,7 @@ def test_what_does_not_fit_before_the_store_answers_is_told(roscore, proxy, keys
 def test_an_end_before_the_store_answers(roscore, proxy, keyspace, one):
     """After the first Ctrl-C messages wait for the store; the second one drops them."""
     proxy.cut()
-    with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "600") as child:
+    with start_recorder(roscore, proxy, keyspace, "/a", "--wait", "600", "--no-spool") as child:
         child.await_line("recording 1 topic")
         with start_client(roscore) as client:
             one.await_subscribers().publish(*map(text, range(7)))

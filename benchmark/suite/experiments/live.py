@@ -32,6 +32,7 @@ RECORDER = ROOT / ".ws/devel/lib/cassandra_ros/recorder"
 PUBLISHER = ROOT / "test/nodes/load_publisher.py"
 TOPIC = "/load"
 IMAGE_BYTES = 2_000_000
+JOURNAL = "recorder, packed, journal"
 BUFFER_MB = 256
 HELD = 0.95
 """A rate of which less could be sent was not held."""
@@ -60,7 +61,7 @@ class Recorded:
 def run(context: Context) -> None:
     """Record small messages, then images."""
     with roscore(context) as env:
-        names = ("rosbag record", *(f"recorder, {name}" for name in FORMATS))
+        names = ("rosbag record", *(f"recorder, {name}" for name in FORMATS), JOURNAL)
         for kind, size, rates in (
             ("small", 0, context.size.rates),
             ("images of 2 MB", IMAGE_BYTES, context.size.image_rates),
@@ -128,8 +129,9 @@ def _record(
     command = ["rosbag", "record", "-q", "-O", str(bag), "-b", str(BUFFER_MB), TOPIC]
     if name != "rosbag record":
         store = ["--host", server.host, "--port", str(server.port), "--keyspace", server.keyspace]
-        format = name.rpartition(" ")[2]
+        format = name.split(", ")[1]
         command = [str(RECORDER), *store, "--format", format, "-b", str(BUFFER_MB)]
+        command += ["--journal"] * (name == JOURNAL)
         command += ["-O", f"live {format} {rate}", TOPIC]
     log = context.folder / "recorder.log"
     before = server.cpu() or 0.0

@@ -25,7 +25,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Footer, Header, Schema, Statistics
+from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 from numpy.lib.stride_tricks import sliding_window_view
 
 from cassandra_ros.bag.chunk import MAX_AT_ONCE, MIN_AT_ONCE, Longs
@@ -36,8 +36,10 @@ MAGIC = b"\x89MCAP0\r\n"
 COMPRESSIONS = ("none", "lz4", "zstd")
 RECORD = Struct("<BQ")
 """Kind of a record, and number of bytes that follow."""
-_CHUNK = Struct("<QQQII")
-_MESSAGE = Struct("<BQHIQQ")
+CHUNK = Struct("<QQQII")
+"""Head of a chunk: first and last time, size, checksum, length of the name of its compression."""
+MESSAGE = Struct("<BQHIQQ")
+"""Record of a message before its bytes: kind, length, channel, sequence, log and publish time."""
 _HEAD = np.dtype(
     [
         ("kind", "u1"),
@@ -45,16 +47,17 @@ _HEAD = np.dtype(
         *(("time", "<u8"), ("sent", "<u8")),
     ]
 )
-"""The fields of _MESSAGE, for numpy."""
-_INDEX = Struct("<HI")
-_ENTRY_BYTES = 16
+"""The fields of MESSAGE, for numpy."""
+INDEX = Struct("<HI")
+"""Head of a message index: channel, and number of bytes that follow."""
+ENTRY_BYTES = 16
 _CRC_BYTES = 4
 _FOOTER_BYTES = 20
 _READ_BYTES = 1 << 20
 MAX_TEXT_BYTES = 1 << 24
 """Maximum size of a record that describes the file (header, schema, channel, statistics), bytes.
 Real ones have at most some 100 KB: the definition of a message."""
-Parsed = TypeVar("Parsed", Channel, Footer, Header, Schema, Statistics)
+Parsed = TypeVar("Parsed", Channel, Footer, Header, Metadata, Schema, Statistics)
 
 
 CUT = 0
@@ -176,12 +179,12 @@ def read_chunk_head(
         BagError: The fields are damaged.
     """
     file.seek(record.start)
-    raw = file.read(_CHUNK.size)
-    if len(raw) == _CHUNK.size:
-        start_ns, end_ns, size, crc, name_bytes = _CHUNK.unpack(raw)
+    raw = file.read(CHUNK.size)
+    if len(raw) == CHUNK.size:
+        start_ns, end_ns, size, crc, name_bytes = CHUNK.unpack(raw)
         rest = file.read(min(name_bytes, 64) + 8)
         name, length = rest[:name_bytes], int.from_bytes(rest[name_bytes:], "little")
-        start = record.start + _CHUNK.size + name_bytes + 8
+        start = record.start + CHUNK.size + name_bytes + 8
         # Later versions of the format may add fields after the last one.
         fits = (start + length >= record.stop) if cut else (start + length <= record.stop)
         if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns <= MAX_NS:
@@ -194,11 +197,11 @@ def read_chunk_head(
 def count_of_index(file: BinaryIO, record: Record, where: str) -> tuple[int, int]:
     """Return the channel id of a message index and the number of messages that it lists."""
     file.seek(record.start)
-    raw = file.read(_INDEX.size)
-    if len(raw) == _INDEX.size:
-        channel, index_bytes = _INDEX.unpack(raw)
-        if record.start + _INDEX.size + index_bytes <= record.stop:
-            return channel, index_bytes // _ENTRY_BYTES
+    raw = file.read(INDEX.size)
+    if len(raw) == INDEX.size:
+        channel, index_bytes = INDEX.unpack(raw)
+        if record.start + INDEX.size + index_bytes <= record.stop:
+            return channel, index_bytes // ENTRY_BYTES
     raise BagError(f"{where} is damaged: the message index at byte {record.start}")
 
 
@@ -280,9 +283,9 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
     found = [np.zeros(0, np.int64)]
     with suppress(BagError, ValueError, struct.error):
         for record in records_of(raw, ""):
-            _, index_bytes = _INDEX.unpack_from(raw, record.start)
-            count = index_bytes // _ENTRY_BYTES * 2
-            entries = np.frombuffer(raw, "<u8", count, record.start + _INDEX.size)
+            _, index_bytes = INDEX.unpack_from(raw, record.start)
+            count = index_bytes // ENTRY_BYTES * 2
+            entries = np.frombuffer(raw, "<u8", count, record.start + INDEX.size)
             found.append(entries[1::2].astype(np.int64))
         return np.sort(np.concatenate(found))
     return None
@@ -290,15 +293,15 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
 
 def _messages_at(content: bytes, where: str, offsets: Longs) -> Messages | None:
     """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
-    if offsets[0] < 0 or offsets[-1] > len(content) - _MESSAGE.size:
+    if offsets[0] < 0 or offsets[-1] > len(content) - MESSAGE.size:
         return None
-    rows = sliding_window_view(np.frombuffer(content, np.uint8), _MESSAGE.size)[offsets]
+    rows = sliding_window_view(np.frombuffer(content, np.uint8), MESSAGE.size)[offsets]
     heads = rows.view(_HEAD)[:, 0]
     most = max(heads["time"].max(), heads["sent"].max())
     if (heads["kind"] != Opcode.MESSAGE).any() or most > MAX_NS or heads["length"].max() > 2**32:
         return None
     stops = offsets + RECORD.size + heads["length"].astype(np.int64)
-    starts = offsets + _MESSAGE.size
+    starts = offsets + MESSAGE.size
     begins, ends = np.append(offsets, len(content)), np.insert(stops, 0, 0)
     if (stops < starts).any() or (begins < ends).any():
         return None
@@ -332,8 +335,8 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> M
         if indexed is not None:
             return indexed
     found = array("q")  # six numbers for each message
-    position, end, last = 0, len(content), len(content) - _MESSAGE.size
-    read, size = _MESSAGE.unpack_from, _MESSAGE.size
+    position, end, last = 0, len(content), len(content) - MESSAGE.size
+    read, size = MESSAGE.unpack_from, MESSAGE.size
     while position < end:
         if position > last or content[position] != Opcode.MESSAGE:
             # The caller has read schemas and channels.

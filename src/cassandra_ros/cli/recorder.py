@@ -65,6 +65,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_runs(parser.add_argument_group("runs").add_argument)
     _add_settings(parser)
     _add_limits(parser.add_argument_group("limits").add_argument)
+    _add_spool(parser)
     _add_rosbag(parser.add_argument_group("as rosbag record has them").add_argument)
     add_store_options(parser)
     return parser
@@ -190,6 +191,31 @@ def _add_limits(add: Add) -> None:
     add("--no-places", dest="places", action="store_false", help=text)
 
 
+def _add_spool(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group(
+        "spool",
+        "while the store does not answer or does not keep up, messages wait in files; what a "
+        "recorder has left there, the next one stores",
+    )
+    add = group.add_argument
+    text = "let messages wait in memory only (--buffsize)"
+    add("--no-spool", dest="spool", action="store_false", help=text)
+    text = (
+        "write every message into the spool first: a recorder that is killed loses at most its "
+        "last second, and the next one says so"
+    )
+    add("--journal", action="store_true", help=text)
+    text = "maximum size of the spool (default: 2G)"
+    add("--spool-size", metavar="SIZE", type=byte_size, default="2G", help=text)
+    text = (
+        "which messages a full spool drops; they are told as lost (default: oldest, as the buffer)"
+    )
+    choices = ("oldest", "newest")
+    add("--spool-drop", metavar="|".join(choices), choices=choices, default="oldest", help=text)
+    text = "folder of the spool (default: $ROS_HOME/cassandra_ros/spool, or in ~/.ros)"
+    add("--spool-dir", metavar="DIR", default="", help=text)
+
+
 def _add_rosbag(add: Add) -> None:
     text = "Use the TCP_NODELAY transport hint when subscribing to topics."
     add("--tcpnodelay", action="store_true", help=text)
@@ -280,6 +306,8 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
         parser.error(
             "--snapshot writes when it is asked: leave out --split, --size, --duration and --limit"
         )
+    if options.journal and not options.spool:
+        parser.error("--journal needs the spool: leave out --no-spool")
     try:
         if options.format:
             format_class(options.format)
@@ -290,7 +318,9 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
     values = same_named(RecorderOptions, options)
     values["labels"] = dict(options.labels or ())
     values.update(where=options.where or (), rate_limit=options.rate_limit or ())
-    return RecorderOptions(**values, free_space=local_space(store_place(options)[0]))
+    hosts, port = store_place(options)
+    values.update(free_space=local_space(hosts), address=f"{','.join(hosts)}:{port}")
+    return RecorderOptions(**values)
 
 
 def local_space(hosts: Sequence[str]) -> Optional[Callable[[], Optional[int]]]:
@@ -336,6 +366,12 @@ def main() -> int:
         if not problem and not is_there(store):
             problem = NO_STORE
     say(closing_table(reports, rates=not chosen.snapshot))
+    spooled, spool = sum(report.spooled for report in reports), chosen.spool_plan
+    if spooled and spool is not None:
+        say(
+            f"{spooled} messages stay in the spool {spool.folder.path}: the next recorder stores "
+            "them, or 'cassandra_bag spool drain'"
+        )
     status = _tell_problems([problem] * bool(problem) + failures(reports))
     if not store.done():
         end_now(status)

@@ -67,13 +67,16 @@ def status_text(status: RecordingStatus, rates: Rates) -> str:
     if status.held_messages:
         parts[4] = f"{status.held_messages} kept of {status.held_sec:.0f} s"
     parts.append(f"{format_bytes(status.held_bytes)} in memory")
+    if status.on_disk.messages:
+        disk = status.on_disk
+        parts.append(f"{disk.messages} in the spool, {disk.behind_sec:.0f} s behind")
     if status.paused:
         parts.append(f"{len(status.paused)} paused")
     return ", ".join(parts)
 
 
 def failures(reports: Sequence[TopicReport]) -> list[str]:
-    """Return a sentence for each reason why something was not recorded."""
+    """Return a sentence for each reason why something was not recorded or is not stored yet."""
     lost = sum(report.lost for report in reports)
     reasons = [f"{counted(lost, 'message')} {'was' if lost == 1 else 'were'} lost"] if lost else []
     for report in reports:
@@ -101,7 +104,7 @@ def closing_table(reports: Sequence[TopicReport], *, rates: bool = True) -> str:
     names = ["topic", "type", "received", "stored", "lost", "seq gaps", "bytes", "rate"]
     optional = [
         (name, [getattr(report, name.replace(" ", "_")) for report in reports])
-        for name in ("left out", "paused")
+        for name in ("left out", "paused", "spooled")
     ]
     extra = [(name, counts) for name, counts in optional if any(counts)]
     names[5:5] = [name for name, _ in extra]

@@ -49,11 +49,11 @@ class Patience:
         self._left = self._answered = 0.0
 
     def hurry(self, seconds: float) -> None:
-        """Limit all present and later requests to ``seconds`` from now; only the first call counts.
+        """Limit all present and later requests to ``seconds`` from now; a later call may cut it.
 
         A request is given up at its first failure if the store has not answered for this time.
         """
-        if self._hurried is None:
+        if self._hurried is None or seconds < self._left:
             self._left, self._hurried = seconds, time.monotonic()
 
     def answered(self) -> None:

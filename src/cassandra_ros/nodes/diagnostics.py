@@ -53,6 +53,9 @@ class Diagnostics:
         if status.state == WAITING:
             level = DiagnosticStatus.WARN
             text = f"the store does not answer yet, run {status.run} waits in memory"
+        if status.on_disk.messages:
+            behind = status.on_disk.behind_sec
+            level, text = DiagnosticStatus.WARN, f"the store is {behind:.0f} s behind"
         if fill > FULL and status.run:
             level, text = DiagnosticStatus.WARN, f"the buffer is {fill:.0%} full"
         lost = {report.topic: report.lost for report in status.topics}
@@ -66,6 +69,9 @@ class Diagnostics:
             "run": status.run,
             "waiting bytes": str(status.held_bytes),
             "buffer bytes": str(status.bound_bytes),
+            "spooled messages": str(status.on_disk.messages),
+            "spooled bytes": str(status.on_disk.nbytes),
+            "behind s": f"{status.on_disk.behind_sec:.0f}",
             "messages/s": f"{hertz:.1f}",
             "bytes/s": f"{nbytes:.0f}",
             "stored": str(sum(report.stored for report in status.topics)),

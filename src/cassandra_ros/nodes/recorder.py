@@ -23,6 +23,8 @@ from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.run_context import keep_context
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
+from cassandra_ros.recording.backlog import OnDisk
+from cassandra_ros.recording.left_runs import LeftRuns
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.recording_status import (
@@ -34,7 +36,7 @@ from cassandra_ros.recording.recording_status import (
 )
 from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.snapshot import Snapshots
-from cassandra_ros.recording.store_future import Store, then
+from cassandra_ros.recording.store_future import Store, store_future, then
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
 from cassandra_ros.tables.registry import LossKind
 
@@ -79,11 +81,15 @@ class Recorder:
     ) -> None:
         if not isinstance(options, RecorderOptions):
             options = RecorderOptions([options] if isinstance(options, str) else list(options))
+        if not options.keyspace and not isinstance(rosCas, Future):
+            options = replace(options, keyspace=str(rosCas.keyspace), address=_address_of(rosCas))
         self._options = options
         self._say: Say = _log.info if say is None else say
         self._publisher: Optional[rospy.Publisher] = None
         self._contexts: list[threading.Thread] = []
-        self._series = series = RunSeries(_catalog_of(rosCas), options, now_ns, self._begun)
+        self._store = _catalog_of(rosCas)
+        self._left_runs: Optional[LeftRuns] = None
+        self._series = series = RunSeries(self._store, options, now_ns, self._begun)
         bound = options.snapshot
         self._snapshots = (
             None
@@ -154,6 +160,9 @@ class Recorder:
         if first and self._poller is not None:
             self._poller.start()
             self._registration.start()
+            plan = self._options.spool_plan
+            if plan is not None:
+                self._left_runs = LeftRuns(store_future(self._store), plan, self._say)
         return "" if current is None else current.name
 
     def stop(self, topics: Topics = ()) -> list[TopicReport]:
@@ -233,6 +242,7 @@ class Recorder:
             sorted(subscribed if self._all_paused else self._paused),
             held,
             self._options.buffsize,
+            OnDisk() if current is None else current.on_disk,
         )
         if snapshots is None:
             return status
@@ -313,6 +323,8 @@ class Recorder:
         with self._mutex:
             self._closed = True
         self._registration.stop()
+        if self._left_runs is not None:
+            self._left_runs.stop(JOIN_SEC)
         if self._poller is not None and self._poller.is_alive():
             self._poller.join(JOIN_SEC)
         self.stop()
@@ -459,6 +471,11 @@ def _catalog_of(store: Union[RosCassandra, Future[RosCassandra]]) -> Store:
     if isinstance(store, Future):
         return then(store, lambda ros_cas: ros_cas.catalog)
     return store.catalog
+
+
+def _address_of(store: RosCassandra) -> str:
+    """Return the address of a store as the label of the spool has it."""
+    return f"{','.join(store.cassandra.hosts)}:{store.cassandra.port}"
 
 
 class _OwnMessages:

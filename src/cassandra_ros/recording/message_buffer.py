@@ -7,7 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Mapping, NamedTuple, Optional
+from typing import Mapping, NamedTuple, Optional, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
@@ -23,6 +23,8 @@ ITEM_BYTES = 300
 Without it many small messages would take much more memory than the maximum.
 """
 
+UNBOUNDED_BYTES = 512 * 1024 * 1024
+"""Memory of which half is used before the spool, where the buffer has no maximum, bytes."""
 FIRST_SEC = 1.0
 """How long a topic is observed before its table is made, s: its rate fixes the bucket length."""
 FIRST_MESSAGES = 5_000
@@ -112,13 +114,7 @@ class MessageSource:
 
     def lengths(self) -> Lengths:
         """Return the lengths of buckets and blocks for the observed rate."""
-        # Several messages give a rate from 0.1 s on; one message counts as one per second.
-        seconds = max(self._watched(), 0.1 if self._seen > 1 else 1.0)
-        rate_hz, bytes_per_sec = self._seen / seconds, self._seen_bytes / seconds
-        # Live blocks are closed by their age: a longer block would only make readers search more.
-        bucket_ns = bucket_for(rate_hz, bytes_per_sec, LONGEST_BUCKET_NS)
-        span_ns = min(span_for(rate_hz, bytes_per_sec), UNKNOWN_SPAN_NS)
-        return Lengths(bucket_ns, span_ns, self._seen_bytes > CHUNK_BYTES * self._seen)
+        return lengths_for(self._seen, self._seen_bytes, self._watched())
 
     def _watched(self) -> float:
         # Messages that waited for the store or come from a snapshot are handed on in a moment: for
@@ -146,6 +142,7 @@ class Buffer:
 
     def __init__(self, bound_bytes: int) -> None:
         self._bound = bound_bytes or 2**63
+        self._half = (bound_bytes or UNBOUNDED_BYTES) // 2
         self._items: deque[BufferedMessage] = deque()
         self.held_bytes = 0
         self._closed = False
@@ -188,10 +185,26 @@ class Buffer:
                 taken.append(item)
         return taken
 
+    def hold(self, items: Sequence[BufferedMessage]) -> None:
+        """Count messages that are in memory again after they were released."""
+        with self._changed:
+            self.held_bytes += sum(item.nbytes for item in items)
+
+    def put_back(self, items: Sequence[BufferedMessage]) -> None:
+        """Put messages back that were taken last and not released, before all others."""
+        with self._changed:
+            self._items.extendleft(reversed(items))
+            self._changed.notify()
+
     def release(self, item: BufferedMessage) -> None:
         """Subtract a taken message, which is no longer held in memory."""
         with self._changed:
             self.held_bytes -= item.nbytes
+
+    def release_all(self, items: Sequence[BufferedMessage]) -> None:
+        """Subtract taken messages, see ``release``."""
+        with self._changed:
+            self.held_bytes -= sum(item.nbytes for item in items)
 
     def wake(self) -> None:
         """Let a waiting ``take`` return at once."""
@@ -205,6 +218,16 @@ class Buffer:
             self._changed.notify_all()
 
     @property
+    def is_half_full(self) -> bool:
+        """Whether messages wait to be taken, and half of the memory is in use."""
+        return self.held_bytes > self._half and bool(self._items)
+
+    @property
+    def waits(self) -> bool:
+        """Whether messages wait to be taken."""
+        return bool(self._items)
+
+    @property
     def closed(self) -> bool:
         """Whether no further message will be put."""
         return self._closed
@@ -214,6 +237,17 @@ class Buffer:
         """Whether it is closed and all messages were taken."""
         with self._changed:
             return self._closed and not self._items
+
+
+def lengths_for(messages: int, nbytes: int, seconds: float) -> Lengths:
+    """Return the lengths of buckets and blocks for so many messages in a time, s."""
+    # Several messages give a rate from 0.1 s on; one message counts as one per second.
+    seconds = max(seconds, 0.1 if messages > 1 else 1.0)
+    rate_hz, bytes_per_sec = messages / seconds, nbytes / seconds
+    # Live blocks are closed by their age: a longer block would only make readers search more.
+    bucket_ns = bucket_for(rate_hz, bytes_per_sec, LONGEST_BUCKET_NS)
+    span_ns = min(span_for(rate_hz, bytes_per_sec), UNKNOWN_SPAN_NS)
+    return Lengths(bucket_ns, span_ns, nbytes > CHUNK_BYTES * messages)
 
 
 def starts_with_header(definition_text: str) -> bool:

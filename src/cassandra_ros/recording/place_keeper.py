@@ -218,10 +218,10 @@ class PlaceKeeper:
             return
         self._thread = thread
 
-    def close(self) -> None:
-        """Index the remaining poses, for at most END_SEC."""
+    def close(self, *, wait: bool = True) -> None:
+        """Index the remaining poses, for at most END_SEC; without ``wait`` in the background."""
         self._ending.set()
-        if self._thread is not None:
+        if self._thread is not None and wait:
             self._thread.join(END_SEC)
 
     def _run(self) -> None:

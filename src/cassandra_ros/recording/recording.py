@@ -17,12 +17,13 @@ import weakref
 from collections import Counter
 from concurrent.futures import wait
 from functools import partial
-from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
-from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.places.run_index import RobotRun
+from cassandra_ros.recording.backlog import Backlog, OnDisk, SpoolPlan
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, Feed, MessageSource
@@ -30,7 +31,8 @@ from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
 from cassandra_ros.recording.table_maker import TableMaker, connect
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
-from cassandra_ros.recording.topic_settings import Settings, TopicSettings
+from cassandra_ros.recording.topic_settings import Settings, TopicSettings, settings_as_json
+from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.tables.registry import LossKind, Run
@@ -62,6 +64,12 @@ TELL_SEC = 60.0
 """Interval at which it tells so again, s."""
 SAVE_SEC = 2.0
 """Interval at which new losses are stored, s."""
+LEAVE_SEC = 5.0
+"""Time at the end in which the store takes no message, after which they stay in the spool, s."""
+SLOW_SEC = 30.0
+"""The same time while no request to the store has failed, s: it may only be slow."""
+WORD_SEC = 30.0
+"""Maximum time that an abandoned recording with a spool waits until its messages are there, s."""
 MAX_STEP_BACK_NS = SECOND_NS
 """Step back of the clock above which a warning is logged, ns."""
 
@@ -89,6 +97,7 @@ class Recording:
         restored: Number of messages that ``restore`` will add before those that are received.
         places: Whether the places of the robot are indexed, if poses are recorded; see
             PlaceKeeper.
+        spool: How messages wait on disk while the store does not keep up; None = in memory only.
     """
 
     _refusal = ""
@@ -113,6 +122,7 @@ class Recording:
         labels: Optional[Mapping[str, str]] = None,
         restored: int = 0,
         places: bool = True,
+        spool: Optional[SpoolPlan] = None,
     ) -> None:
         self._store = store_future(store)
         self._clock = clock
@@ -128,6 +138,9 @@ class Recording:
         # Referenced by feeds, queued messages and waiting lists.
         self._sources: _Sources = weakref.WeakValueDictionary()
         self.writer_id = new_writer_id()
+        self._numbers = [self.writer_id]
+        """Writer ids of the run; more than one after 2**32 messages."""
+        self._begun_ns = time.time_ns()
         self._losses = LossLog(node, self.writer_id)
         self._places = PlaceKeeper(
             self._store, RobotRun(node, self.writer_id), self._losses, places
@@ -143,12 +156,60 @@ class Recording:
         if self._store.done():
             self._open()
         self._tables = TableMaker(self._connect, self._buffer.wake)
+        self._backlog = (
+            None
+            if spool is None
+            else Backlog(
+                self._buffer,
+                spool,
+                partial(self._label, spool),
+                self._source,
+                self._lose_some,
+                self._is_away,
+            )
+        )
+        self._queue: Union[Backlog, Buffer] = self._backlog or self._buffer
+        """Where the writing thread takes messages."""
+        self._left = False
+        """Whether messages stay in the spool at the end."""
         self._start()
 
     def _start(self) -> None:
         self._ended, self._saving = threading.Event(), threading.Lock()
+        self._closing, self._closed = threading.Lock(), threading.Event()
         self._thread = self._thread_of(self._run, "recorder-writer")
         self._thread_of(self._keep, "recorder-losses")
+
+    def _label(self, spool: SpoolPlan, generation: int) -> SpoolLabel:
+        return SpoolLabel(
+            self._number(generation),
+            self.writer_id,
+            spool.keyspace,
+            spool.address,
+            self._begun_ns,
+            node=self.node,
+            name=self.name,
+            labels=self._labels,
+            settings=settings_as_json(self._settings),
+            journal=spool.journal,
+        )
+
+    def _number(self, generation: int) -> int:
+        """Return the writer id after so many overflows of the counter."""
+        with self._lock:
+            while len(self._numbers) <= generation:
+                self._numbers.append(new_writer_id())
+            return self._numbers[generation]
+
+    def _source(self, connection: Connection) -> MessageSource:
+        with self._lock:
+            key = (connection.topic, connection.header)
+            return self._sources.setdefault(key, MessageSource(connection))
+
+    def _lose_some(
+        self, topic: str, messages: int, kind: LossKind, first: int, last: int, detail: str
+    ) -> None:
+        self._counts.lost(topic, messages, kind, first, detail, last)
 
     def _open(self) -> None:
         """Start the run in the store; raises what the store raises."""
@@ -164,6 +225,16 @@ class Recording:
     def is_held_up(self) -> bool:
         """Whether the store does not answer now."""
         return not self.opened or self._store.result().keyspace.cassandra.outage.seconds > 0
+
+    def _is_away(self) -> bool:
+        """Return whether the store does not answer, and messages are on their way to it."""
+        if not self.opened or not self._store.result().keyspace.cassandra.outage.seconds:
+            return False
+        return self._has_pending()
+
+    def _has_pending(self) -> bool:
+        """Return whether messages were written and are not acknowledged yet."""
+        return any(writer.pending_bytes for writer in list(self._writers))
 
     @staticmethod
     def _thread_of(work: Callable[[], None], name: str) -> threading.Thread:
@@ -352,18 +423,33 @@ class Recording:
         """Memory of the messages that wait for the store, bytes."""
         return self._buffer.held_bytes
 
+    @property
+    def on_disk(self) -> OnDisk:
+        """How far the store is behind: messages that wait in the spool."""
+        return OnDisk() if self._backlog is None else self._backlog.on_disk()
+
+    @property
+    def spool(self) -> str:
+        """Path of the spool; '' = messages wait in memory only."""
+        return "" if self._backlog is None else self._backlog.place
+
     def count(self, topic: str) -> int:
         """Return the number of received messages of a topic."""
         return self._counts.of(topic)
 
     def _run(self) -> None:
         why = self._await_store()
-        if why:
-            self._lose_all(why)
-        else:
+        if not why:
             while not self._step():
                 pass
-        self._tables.close()
+        elif self._backlog is None:
+            self._lose_all(why)
+        if self._backlog is not None and self._backlog.leaving:
+            for source in self._waiting:
+                self._backlog.put_aside(list(source.waiting))
+                self._buffer.release_all(list(source.waiting))
+                source.waiting.clear()
+        self._tables.close(wait=not self._left)
 
     def _await_store(self) -> str:
         """Open the run as soon as the store answers; return why it cannot be opened, else ''."""
@@ -398,6 +484,8 @@ class Recording:
         """Return whether the recording has ended and need not wait for the store any longer."""
         if not self._buffer.closed:
             return False
+        if self._backlog is not None:
+            return self._backlog.ended
         return not self._buffer.held_bytes or time.monotonic() > self._gives_up
 
     def _tell_of_waiting(self, what: str) -> str:
@@ -416,14 +504,22 @@ class Recording:
 
     def _step(self) -> bool:
         """Move some messages on; return whether the recording has ended and no message is left."""
-        for item in self._buffer.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
-            self._route(item)
+        if self._backlog is not None and self._waiting_bytes > self._most_waiting:
+            time.sleep(POLL_SEC)  # the rest waits on disk
+        else:
+            for item in self._queue.take(BATCH_ITEMS, BATCH_BYTES, POLL_SEC):
+                self._route(item)
         while self._tables.decided:
             source = self._tables.decided.popleft()
             self._waiting.remove(source)
             while source.waiting:
                 self._route(self._released(source))
-        ending = self._buffer.ended
+        if self._backlog is not None:
+            if self._backlog.leaving:
+                return True
+            if not self._waiting:
+                self._backlog.settle(self._flush)
+        ending = self._queue.ended
         for source in self._waiting:
             if not source.submitted and (ending or source.is_ripe()):
                 source.submit()
@@ -452,8 +548,14 @@ class Recording:
             self._write(item, source.handle)
         self._buffer.release(item)
 
+    def _flush(self) -> None:
+        for writer in self._writers:
+            writer.flush()
+
     def _is_over(self, source: MessageSource) -> bool:
         """Return whether the oldest message of a source that waits for its table is dropped."""
+        if self._backlog is not None:
+            return False
         return source.told and self._waiting_bytes > self._most_waiting and len(source.waiting) > 1
 
     def _released(self, source: MessageSource) -> BufferedMessage:
@@ -466,7 +568,7 @@ class Recording:
         source = item.source
         try:
             while len(self._writers) <= generation:
-                self._writers.append(self._make_writer(new_writer_id()))
+                self._writers.append(self._make_writer(self._number(len(self._writers))))
             writer = self._writers[generation]
             if generation:  # the counter overflowed: another writer with its own handles
                 handle = connect(writer, source.connection, Lengths(), self._settings)
@@ -548,9 +650,41 @@ class Recording:
             self._accepting = False
         self._gives_up = min(self._gives_up, time.monotonic() + GIVE_UP_SEC)
         self._buffer.close()
-        self._hurry()
-        self._thread.join(timeout_sec)
+        if self._backlog is None:
+            self._hurry()
+            self._thread.join(timeout_sec)
+        else:
+            self._store_or_leave(math.inf if timeout_sec is None else timeout_sec)
         return not self._thread.is_alive()
+
+    def _store_or_leave(self, timeout_sec: float) -> None:
+        """Wait until all messages are stored; leave them on disk if the store takes none."""
+        before, since = -1, time.monotonic()
+        ends = since + timeout_sec
+        while (self._thread.is_alive() or self._has_pending()) and time.monotonic() < ends:
+            self._thread.join(POLL_SEC) if self._thread.is_alive() else time.sleep(POLL_SEC)
+            settled = sum(self._stored().values()) + sum(r.lost for r in self.reports())
+            if settled != before:
+                before, since = settled, time.monotonic()
+            patience = LEAVE_SEC if self.is_held_up else SLOW_SEC
+            if time.monotonic() - since > patience and not self._left:
+                self._leave()
+            if self._left and not self._thread.is_alive():
+                break  # what is pending is given back when the writers are closed
+        if not self._left and (self.problem or not self.opened):
+            self._leave()
+
+    def _leave(self) -> None:
+        """Let what is not stored stay in the spool, with what the store gives back."""
+        with self._closing:
+            if self._backlog is None or self._left or self._closed.is_set():
+                return
+            if not any(report.waiting for report in self.reports()):
+                return
+            self._left = True
+            self._backlog.leave()
+            for generation, writer in enumerate(list(self._writers)):
+                writer.give_back(partial(self._backlog.take_back, generation))
 
     def _hurry(self) -> None:
         for writer in list(self._writers):
@@ -562,18 +696,50 @@ class Recording:
         if not self._ended.is_set():
             for writer in self._writers:
                 _try_to(writer.flush)
+            if self._left:
+                self._finish_spool()
+                return self.reports()
             self._settle()
             self._save()
             self._places.close()
         lost = {report.topic: report.lost for report in self.reports() if report.lost}
         for writer in self._writers:
             _try_to(partial(writer.close, lost))
+        if self._backlog is not None and not self._left:
+            self._backlog.close()
+        self._closed.set()
         return self.reports()
+
+    def _finish_spool(self) -> None:
+        """End a run whose messages are not all stored: the rest stays in the spool."""
+        for writer in self._writers:
+            _try_to(writer.close)
+        self._ended.set()
+        self._places.close(wait=False)
+        reports = self.reports()
+        end = RunEnd(
+            time.time_ns(),
+            {each.topic: each.stored + each.waiting for each in reports},
+            {each.topic: each.lost for each in reports if each.lost},
+            [
+                (loss.topic, loss.kind.value, loss.first_ns, loss.last_ns, loss.count)
+                for loss in self._losses.unsaved()
+            ],
+        )
+        try:
+            if self._backlog is not None:
+                self._backlog.finish(end)
+            self._counts.keep({each.topic: each.waiting for each in reports})
+        except (OSError, CassandraRosError) as exc:
+            _log.error("the end of run %s cannot be written to the spool: %s", self.name, exc)
+            self._settle()
+        self._closed.set()
 
     def waiting(self) -> tuple[int, int]:
         """Return the number of messages that wait for the store and their memory, bytes."""
         messages = sum(report.waiting for report in self.reports())
         nbytes = self._buffer.held_bytes + sum(w.pending_bytes for w in list(self._writers))
+        nbytes += self.on_disk.nbytes
         return max(messages, 0), nbytes
 
     def _waiting_for_long(self) -> str:
@@ -583,6 +749,8 @@ class Recording:
         text = f"{messages} messages ({nbytes / 1e6:.1f} MB) wait"
         if not self.is_held_up:
             return text
+        if self._backlog is not None:
+            return f"{text}; they are kept in memory and in the spool {self._backlog.place}"
         bound = f"{self._buffer_bytes >> 20} MB wait" if self._buffer_bytes else "memory is full"
         return (
             f"{text}; they are kept in memory until {bound}, then the oldest are dropped; when the "
@@ -590,7 +758,14 @@ class Recording:
         )
 
     def abandon(self) -> list[TopicReport]:
-        """Count messages that are not stored by now as lost, without waiting; return the report."""
+        """Count messages that are not stored by now as lost, without waiting; return the report.
+
+        With a spool they stay there, which may take some seconds.
+        """
+        if self._backlog is not None:
+            self._leave()
+            if self._closed.wait(WORD_SEC):
+                return self.reports()
         self._settle()
         # The losses are stored if the store answers in time; the process may end before.
         self._thread_of(self._save, "recorder-losses").join(LAST_WORD_SEC)

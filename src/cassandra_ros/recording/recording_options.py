@@ -7,11 +7,14 @@ from __future__ import annotations
 import re
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Callable, Mapping, Optional, Sequence, Tuple
 
+from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.recording import BLOCK_SEC, DEFAULT_BUFFER_BYTES
 from cassandra_ros.recording.snapshot import SnapshotBound
 from cassandra_ros.recording.topic_settings import Rule, Settings, TopicSettings
+from cassandra_ros.spool.spool_folder import DEFAULT_BYTES, SpoolFolder
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,30 @@ class RecorderOptions:
     """Minimum free space there, bytes; below it no message is stored."""
     places: bool = True
     """Whether the places of the robot are stored while it is recorded, to speed up NEAR."""
+
+    spool: bool = True
+    """Whether messages wait on disk while the store does not keep up."""
+    spool_dir: str = ""
+    """Folder of the spool; '' = spool in $ROS_HOME/cassandra_ros, ROS_HOME by default ~/.ros."""
+    spool_size: int = DEFAULT_BYTES
+    """Maximum size of the files in that folder, bytes."""
+    spool_drop: str = "oldest"
+    """Which messages a full spool drops: 'oldest' or 'newest'."""
+    journal: bool = False
+    """Whether every message goes to the spool before it is stored."""
+    keyspace: str = ""
+    """Keyspace of the store, for files of the spool; '' = that of the connected store."""
+    address: str = ""
+    """Hosts and port of the store, as 'HOST[,HOST]:PORT', for files of the spool."""
+
+    @property
+    def spool_plan(self) -> Optional[SpoolPlan]:
+        """How recordings use the spool; None = not."""
+        if not self.spool:
+            return None
+        folder = SpoolFolder(Path(self.spool_dir) if self.spool_dir else None, self.spool_size)
+        newest = self.spool_drop == "newest"
+        return SpoolPlan(folder, self.keyspace, self.address, self.journal, newest)
 
     @property
     def settings(self) -> Settings:

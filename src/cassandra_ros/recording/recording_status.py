@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from typing import Collection, Mapping, Sequence, Tuple
 
+from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.topic_counts import TopicReport
 
 RECORDING, STOPPED, SNAPSHOT, WAITING = "recording", "stopped", "snapshot", "waiting"
@@ -38,6 +39,8 @@ class RecordingStatus:
     """Memory of the messages that wait for the store or are kept for a snapshot, bytes."""
     bound_bytes: int
     """Maximum of that memory, bytes; 0 = no maximum."""
+    on_disk: OnDisk = OnDisk()
+    """How far the store is behind: messages that wait in the spool."""
     held_sec: float = 0.0
     """In a snapshot: time from the oldest to the newest message in memory, s."""
     held_messages: int = 0

@@ -176,6 +176,7 @@ class RunSeries:
             buffer_bytes=options.buffsize,
             block_sec=options.block_age,
             places=options.places,
+            spool=self._options.spool_plan,
             limit=limit,
             name=name,
             labels=labels,
@@ -322,7 +323,8 @@ class RunSeries:
         while closing.is_alive() or any(thread.is_alive() for thread in self._ending):
             closing.join(0.05) if closing.is_alive() else time.sleep(0.05)
             if give_up():
-                _log.warning("interrupted again: messages that are not stored yet are lost")
+                then = "stay in the spool" if recording.spool else "are lost"
+                _log.warning("interrupted again: messages that are not stored yet %s", then)
                 with self._mutex:
                     split = list(self._closing)
                 for run in split:
@@ -332,11 +334,15 @@ class RunSeries:
                 messages, nbytes = recording.waiting()
                 if messages and tell_at < math.inf:
                     tell_at = math.inf
+                    kept = (
+                        f"stay in the spool {recording.spool}" if recording.spool else "are dropped"
+                    )
                     _log.warning(
-                        "%d messages (%.1f MB) wait for the store; they are dropped if this is "
-                        "interrupted again (a second Ctrl-C)",
+                        "%d messages (%.1f MB) wait for the store; they %s if this is interrupted "
+                        "again (a second Ctrl-C)",
                         messages,
                         nbytes / 1e6,
+                        kept,
                     )
         # Returns or raises again what it did on that thread.
         return self._ended(recording, recording.close())

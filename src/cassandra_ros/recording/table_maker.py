@@ -69,10 +69,13 @@ class TableMaker:
         """Give up after LAST_TRIES_SEC if the store does not answer."""
         self._deadline = min(self._deadline, time.monotonic() + LAST_TRIES_SEC)
 
-    def close(self) -> None:
-        """End the thread after the last queued source."""
+    def close(self, *, wait: bool = True) -> None:
+        """End the thread after the last queued source; without ``wait`` later, by itself."""
+        if not wait:
+            self._deadline = 0.0
         self._asked.put(None)
-        self._thread.join()
+        if wait:
+            self._thread.join()
 
     def _run(self) -> None:
         for source in iter(self._asked.get, None):

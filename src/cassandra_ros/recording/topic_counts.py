@@ -63,6 +63,8 @@ class TopicReport:
     """Number of messages received while the recording of the topic was paused."""
     last: float = 0.0
     """Time of reception of the last message, monotonic clock, s; 0 = no message."""
+    spooled: int = 0
+    """Number of messages that the ended run left in the spool: a later process stores them."""
 
     @property
     def reasons(self) -> Mapping[LossKind, int]:
@@ -73,7 +75,8 @@ class TopicReport:
     def waiting(self) -> int:
         """Number of messages that are to be stored and are neither stored nor lost yet."""
         lost = sum(n for kind, n in self.reasons.items() if kind not in _NEVER_CAME)
-        return self.received - self.left_out - self.paused - self.stored - lost
+        done = self.stored + self.spooled + lost
+        return self.received - self.left_out - self.paused - done
 
     def plus(self, later: TopicReport) -> TopicReport:
         """Return the report of this and a later run together."""
@@ -98,6 +101,7 @@ class TopicReport:
             published=self.published or later.published,
             left_out=self.left_out + later.left_out,
             paused=self.paused + later.paused,
+            spooled=self.spooled + later.spooled,
             last=max(self.last, later.last),
         )
 
@@ -128,6 +132,7 @@ class _TopicCount:
     warned: float = -REPORT_SEC
     sequences: dict[str, _Sequence] = field(default_factory=dict)
     unheard: float = 0.0
+    spooled: int = 0
     past_gaps: int = 0
     """Number of missing messages of publishers that are not remembered any more."""
 
@@ -267,6 +272,12 @@ class Counts:
                 return 0
             return counted.received - counted.left_out - counted.paused
 
+    def keep(self, spooled: Mapping[str, int]) -> None:
+        """Note how many messages of topics the run has left in the spool."""
+        with self._mutex:
+            for topic, count in spooled.items():
+                self._topics[topic].spooled = max(count, 0)
+
     def settle(self, stored: Mapping[str, int], t: int) -> None:
         """Count as lost the messages that are neither stored nor lost: no request is pending."""
         for report in self.reports(stored):
@@ -300,5 +311,6 @@ class Counts:
             rate_hz=(counted.received - 1) / span if span > 0 else 0.0,
             left_out=counted.left_out,
             paused=counted.paused,
+            spooled=counted.spooled,
             last=counted.last,
         )

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
 
 import yaml
@@ -65,6 +65,27 @@ class Settings:
             matching = (values for pattern, values in rules if re.fullmatch(pattern, topic))
             settings = replace(settings, **next(matching, {}))
         return settings
+
+
+def settings_as_json(settings: Settings) -> Mapping[str, Any]:
+    """Return settings as values of JSON, of which settings_from_json makes them again."""
+    rules = [[[pattern, dict(values)] for pattern, values in each] for each in settings.rules]
+    return {"default": asdict(settings.default), "rules": rules}
+
+
+def settings_from_json(values: Mapping[str, Any]) -> Settings:
+    """Return the settings that settings_as_json returned as JSON."""
+    try:
+        rules = [[(pattern, _known(rule)) for pattern, rule in each] for each in values["rules"]]
+        return Settings(TopicSettings(**_known(values["default"])), rules)
+    except (KeyError, TypeError, ValueError, AttributeError) as exc:
+        raise InvalidOption(f"the settings {str(values)!r:.200} cannot be used: {exc!r}") from exc
+
+
+def _known(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the values of one TopicSettings; JSON has lists for tuples."""
+    names = {each.name for each in fields(TopicSettings)}.intersection(values)
+    return {n: tuple(values[n]) if isinstance(values[n], list) else values[n] for n in names}
 
 
 def read_settings(text: str, source: str = "settings") -> list[Rule]:

@@ -13,7 +13,7 @@ from typing import Callable, Sequence, Union
 
 from cassandra_ros.blocks.block_builder import Block, BlockBuilder, Builders, KeyTime, MessageAgain
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.connection.driver_errors import is_table_gone, translate
+from cassandra_ros.connection.driver_errors import is_passing, is_table_gone, translate
 from cassandra_ros.connection.flight import Flight, Outcome
 from cassandra_ros.connection.paging import Patience
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
@@ -113,6 +113,10 @@ class RowWriter:
         self._builders = Builders(limits, self.add_block, self._raise_error, self.gone)
         self._homeless: deque[tuple[RowTable, Again]] = deque()
         """Rows that these tables did not take, with the functions that write them again."""
+        self.gives_back = False
+        """Whether rows that a silent store does not take are written again, not lost.
+
+        The functions that write them again then keep them elsewhere."""
         self._moving, self._moves = threading.Lock(), 0
         self._counting = threading.Lock()
         self._error: CassandraRosError | None = None
@@ -351,14 +355,20 @@ class RowWriter:
         if isinstance(exc, TopicNotFound) or is_table_gone(exc):
             # The dropped table has none of them left, so writing them again makes no doubles.
             self.gone.add(table.name)
-            homeless = [(table, again) for again in rows if again is not None]
-            self._homeless.extend(homeless)
-            lost -= len(homeless)
+            lost -= self._write_later(table, rows)
+        elif self.gives_back and (isinstance(exc, StoreUnavailable) or is_passing(exc)):
+            lost -= self._write_later(table, rows)
         if lost:
             self._lost(table, lost, exc, times)
 
+    def _write_later(self, table: RowTable, rows: Sequence[Again | None]) -> int:
+        """Have rows written again that can be; return their number."""
+        homeless = [(table, again) for again in rows if again is not None]
+        self._homeless.extend(homeless)
+        return len(homeless)
+
     def _move_on(self) -> int:
-        """Write rows again whose table was dropped, into the table that replaced it.
+        """Write rows again whose table was dropped or which a silent store did not take.
 
         Returns:
             How often that was done so far, by any thread.
@@ -432,7 +442,9 @@ class RowWriter:
         if now - bucket.marked > REOPEN_SEC:
             try:
                 self._reopen(bucket, late=True)
-            except TopicNotFound as exc:
+            except (TopicNotFound, StoreUnavailable) as exc:
+                if isinstance(exc, StoreUnavailable) and not self.gives_back:
+                    raise
                 batch = bucket.drop()
                 self._failed(bucket.table, batch.rewriters(), batch.times, exc)
                 return
@@ -485,8 +497,11 @@ class RowWriter:
             self.flush()
         finally:
             self._closing.set()
-            self._ticker.join()
+            if not self.gives_back:  # else it may wait for the silent store
+                self._ticker.join()
             self._flight.wait()
+        if self.gives_back:
+            return  # the buckets stay open, for whoever stores what was given back
         try:
             for bucket in self._buckets.values():
                 self._close_or_leave(bucket)

@@ -94,6 +94,9 @@ class LossKind(str, Enum):
     NOT_READ = "not read from the socket"
     UNHEARD = "publisher not heard"
     AT_END = "not stored at the end"
+    SPOOL_FULL = "spool full"
+    SPOOL_DAMAGED = "spool damaged"
+    KILLED = "recorder killed"
     MISTAKE = "internal error"
 
 
@@ -197,9 +200,14 @@ class Registry:
         self._tables.delete("cr_connection", ("tbl", "conn"), mine, "removing connection headers")
 
     def put_run(self, run: Run, *, started: bool = False, ended: bool = False) -> None:
-        """Write a run; the server adds the time at which it started or ended."""
-        columns = {name: getattr(run, name) for name in _RUN if name not in ("started", "ended")}
-        now = ["started"] * started + ["ended"] * ended
+        """Write a run; the server adds the time at which it started or ended.
+
+        A time that the run itself has, because the store was away then, is written as it is.
+        """
+        columns = {name: getattr(run, name) for name in _RUN}
+        columns = {name: value for name, value in columns.items() if value is not None}
+        now = ["started"] * (started and run.started is None)
+        now += ["ended"] * (ended and run.ended is None)
         self._tables.insert("cr_run", columns, "storing the run", now=now)
 
     def runs(self) -> list[Run]:

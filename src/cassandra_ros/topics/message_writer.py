@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Mapping, Optional, Sequence
+from typing import Callable, Mapping, Optional, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +49,8 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
 
+TakeBack = Callable[["Handle", int, int, bytes], None]
+"""Keeps a message that the store did not take: its handle, time (ns), counter and bytes."""
 Longs = NDArray[np.int64]
 Wires = Sequence[bytes]
 
@@ -143,6 +145,7 @@ class MessageWriter:
         self._mutex = threading.Lock()
         self._renewing = threading.Lock()
         self._closed = False
+        self._take_back: Optional[TakeBack] = None
         self._high = writer_id << COUNTER_BITS
         if run is not None:
             keyspace.registry.put_run(run, started=True)
@@ -371,6 +374,9 @@ class MessageWriter:
                         raise
             raise AssertionError("the loop above returns or raises")
         except CassandraRosError as exc:
+            if self._take_back is not None and isinstance(exc, StoreUnavailable):
+                self._take_back(handle, t_ns, counter, wire)
+                return None
             if self._on_loss is None:
                 raise
             with self._mutex:
@@ -435,9 +441,16 @@ class MessageWriter:
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
             return None
         row = handle.table.make_row(t_ns, seq, handle.conn, wire, name)
-        again = partial(self.write, handle, t_ns, seq & MAX_COUNTER, wire, name)
+        again = partial(self._write_anew, handle, t_ns, seq, wire, name)
         self._rows.add(handle.table, handle.node, row, again)
         return row
+
+    def _write_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str = "") -> None:
+        counter = seq & MAX_COUNTER
+        if self._take_back is not None and handle.table.name not in self._rows.gone:
+            self._take_back(handle, t_ns, counter, wire)
+        else:
+            self.write(handle, t_ns, counter, wire, name)
 
     @property
     def pending_bytes(self) -> int:
@@ -458,6 +471,16 @@ class MessageWriter:
         """Limit the retries of waiting messages to ``seconds`` from now, or from an answer."""
         self._rows.patience.hurry(seconds)
 
+    def give_back(self, take_back: TakeBack) -> None:
+        """Stop trying: what a silent store has not taken by now goes to ``take_back``.
+
+        It is called on any thread, for messages that were written before and for those that are
+        written from now on. ``close`` then leaves the buckets open and the run without an end.
+        """
+        self._take_back = take_back
+        self._rows.gives_back = True
+        self._rows.patience.hurry(0.0)
+
     def flush(self) -> None:
         """Return when every message is acknowledged or counted as lost; raises like close."""
         self._rows.flush()
@@ -476,7 +499,7 @@ class MessageWriter:
             return
         self._closed = True
         self._rows.close()
-        if self._run is not None:
+        if self._run is not None and self._take_back is None:
             stats = self.stats()
             stored = {topic: part.stored for topic, part in stats.items()}
             if lost is None:

@@ -1,0 +1,229 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""List, store, export or delete the messages that recorders have left in the spool.
+
+  cassandra_bag spool list
+  cassandra_bag spool drain
+  cassandra_bag spool export 1398090783 rest.mcap
+  cassandra_bag spool drop 1398090783
+
+A recorder keeps messages in files while the store does not answer. Those that it could not store
+before it ended, the next recorder stores, or drain: all of the keyspace and the address, or those
+that you name, into any store. RUN is an id as list prints it. What a running recorder uses is left
+alone. export writes the messages into an MCAP or a bag, by the name of FILE; they also stay in the
+spool.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Iterator, NamedTuple, Sequence
+
+from cassandra_ros.cli.confirmation import add_yes_option, confirm
+from cassandra_ros.cli.json_answer import add_json_option, print_json
+from cassandra_ros.cli.options import add_store_options, open_store, store_place
+from cassandra_ros.cli.terminal_text import (
+    MessageBar,
+    counted,
+    format_bytes,
+    format_table,
+    format_time,
+)
+from cassandra_ros.errors import SpoolError
+from cassandra_ros.printable import shown
+
+if TYPE_CHECKING:
+    from cassandra_ros.recording.spool_drain import LeftRun
+    from cassandra_ros.spool.spool_folder import SpoolFolder
+
+_ACTIONS = ("list", "drain", "export", "drop")
+
+
+class _ListedRun(NamedTuple):
+    id: str
+    run: str
+    robot: str
+    keyspace: str
+    address: str
+    messages: int
+    nbytes: int
+    first_ns: int
+    last_ns: int
+    state: str
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what is to be done, the runs, and the store."""
+    add = parser.add_argument
+    add("action", metavar="|".join(_ACTIONS), choices=_ACTIONS, help="what to do")
+    add("runs", metavar="RUN", nargs="*", help="ids of runs (default: all; export: needed)")
+    text = "folder of the spool (default: $ROS_HOME/cassandra_ros/spool, or in ~/.ros)"
+    add("--spool-dir", metavar="DIR", default="", help=text)
+    add_yes_option(parser)
+    add("-q", "--quiet", action="store_true", help="print errors only")
+    add_json_option(parser)
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Do what the action says."""
+    from cassandra_ros.spool.spool_folder import SpoolFolder
+
+    folder = SpoolFolder(Path(options.spool_dir) if options.spool_dir else None)
+    if options.action == "export":
+        return _export(options, folder)
+    return {"list": _list, "drain": _drain, "drop": _drop}[options.action](options, folder)
+
+
+def _chosen(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
+    """Yield the runs without a process with these ids, or all, locked one after the other."""
+    from cassandra_ros.recording.spool_drain import read_left
+
+    there = {path.name for path in folder.runs()}
+    for name in ids:
+        if name not in there:
+            known = ", ".join(sorted(there)) or "none"
+            raise SpoolError(f"the spool {folder.path} has no run {name}; it has {known}")
+    found = set()
+    for left in folder.left():
+        try:
+            if not ids or left.path.name in ids:
+                found.add(left.path.name)
+                yield read_left(left)
+        finally:
+            left.release()
+    for name in ids:
+        if name not in found:
+            raise SpoolError(f"run {name} is being recorded: end its recorder first")
+
+
+def _listed(path: Path, state: str) -> _ListedRun:
+    from cassandra_ros.errors import CassandraRosError
+    from cassandra_ros.spool.segment_reader import SegmentReader, TopicTotal
+    from cassandra_ros.spool.spool_folder import run_bytes, run_files
+
+    total, label = TopicTotal(), None
+    for file in run_files(path):
+        try:
+            reader = SegmentReader(file)
+            label = label or reader.label()
+            for each in reader.totals().values():
+                total.add(each.count, each.first_ns, each.last_ns)
+        except CassandraRosError as exc:
+            state = str(exc)
+    first = total.first_ns if total.count else 0
+    named = (
+        ("", "", "", "")
+        if label is None
+        else (label.name, label.node, label.keyspace, label.address)
+    )
+    return _ListedRun(path.name, *named, total.count, run_bytes(path), first, total.last_ns, state)
+
+
+def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
+    left = set()
+    for each in folder.left():
+        left.add(each.path.name)
+        each.release()
+    paths = [p for p in folder.runs() if not options.runs or p.name in options.runs]
+    found = [_listed(p, "left" if p.name in left else "recording") for p in paths]
+    if options.json:
+        print_json([each._asdict() for each in found])
+    elif not options.quiet:
+        names = ("id", "run", "robot", "keyspace", "store", "messages", "size", "start", "end")
+        rows = [
+            (
+                each.id,
+                shown(each.run) or "-",
+                shown(each.robot) or "-",
+                shown(each.keyspace) or "-",
+                shown(each.address) or "-",
+                str(each.messages),
+                format_bytes(each.nbytes),
+                format_time(each.first_ns) if each.messages else "-",
+                format_time(each.last_ns) if each.messages else "-",
+                shown(each.state, None),
+            )
+            for each in found
+        ]
+        print(format_table((*names, "state"), rows) if rows else "the spool is empty")
+    return 0
+
+
+def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
+    from cassandra_ros.recording.left_runs import lines_of
+    from cassandra_ros.recording.spool_drain import Drain
+
+    hosts, port = store_place(options)
+    mine = options.keyspace, f"{','.join(hosts)}:{port}"
+    answer, failed = [], False
+    with open_store(options, make=True) as ros_cas:
+        for left in _chosen(folder, options.runs):
+            label = left.label
+            if label is None or not (options.runs or (label.keyspace, label.address) == mine):
+                where = (
+                    "" if label is None else f"it belongs to {label.keyspace} at {label.address}"
+                )
+                text = f"run {left.name} ({left.folder.path.name}) stays: {left.problem or where}"
+                print(text, file=sys.stderr)
+                failed = failed or label is None
+                continue
+            with MessageBar(f"storing {left.name}") as bar:
+                done = Drain(ros_cas.catalog, left).run(bar.add)
+            answer.append({"run": left.name, "messages": done.messages, "lost": dict(done.lost)})
+            failed = failed or bool(done.lost)
+            if not (options.quiet or options.json):
+                print("\n".join(map(shown, [*lines_of(done), *[done.gap][: bool(done.gap)]])))
+    if options.json:
+        print_json(answer)
+    return int(failed)
+
+
+def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
+    chosen = options.runs or [path.name for path in folder.runs()]
+    if not options.yes:
+        listed = [_listed(folder.path / name, "left") for name in chosen]
+        messages = sum(each.messages for each in listed)
+        confirm(f"Delete {counted(messages, 'message')} of the spool?", "\n".join(chosen))
+    dropped = []
+    for left in _chosen(folder, options.runs):
+        left.folder.remove()
+        dropped.append(left.folder.path.name)
+        if not (options.quiet or options.json):
+            print(f"run {shown(left.name)} is deleted from the spool")
+    if options.json:
+        print_json(dropped)
+    return 0
+
+
+def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
+    from cassandra_ros.bag.bag_writer import BagWriter
+    from cassandra_ros.bag.mcap_writer import McapWriter
+    from cassandra_ros.messages.connection_header import Connection
+    from cassandra_ros.spool.segment_reader import SegmentReader
+
+    if len(options.runs) < 2:
+        options.parser.error("export needs RUN and FILE: spool export 1398090783 rest.mcap")
+    *ids, target = options.runs
+    made = BagWriter(target) if target.endswith(".bag") else McapWriter(target)
+    messages, damaged = 0, []
+    with made as writer:
+        numbers: dict[Connection, int] = {}
+        for left in _chosen(folder, ids):
+            for path in left.folder.files():
+                for part in SegmentReader(path).parts():
+                    damaged += [part.damage] * bool(part.damage)
+                    for connection, t_ns, _, wire in part.messages:
+                        if connection not in numbers:
+                            numbers[connection] = writer.connection(connection)
+                        writer.write(numbers[connection], t_ns, wire)
+                        messages += 1
+    for text in damaged:
+        print(text, file=sys.stderr)
+    if options.json:
+        print_json({"messages": messages, "damaged": damaged})
+    elif not options.quiet:
+        print(f"{counted(messages, 'message')} written to {shown(target)}")
+    return int(bool(damaged))

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What other processes have left in the spool: taken up by a recorder."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from concurrent.futures import Future, wait
+from pathlib import Path
+from typing import Callable, Optional
+
+from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.recording.backlog import SpoolPlan
+from cassandra_ros.recording.spool_drain import Drain, Drained, LeftRun, read_left
+from cassandra_ros.recording.store_future import is_there
+from cassandra_ros.spool.spool_folder import RunFolder
+from cassandra_ros.topics.catalog import Catalog
+
+_log = logging.getLogger(__name__)
+
+POLL_SEC = 0.2
+"""Interval at which it is checked whether the store is there, or the recorder ends, s."""
+LOOK_SEC = 10.0
+"""Interval at which it is checked whether another process has left a run, s."""
+RETRY_SEC = 5.0
+"""Pause after a drain has failed, s."""
+MAX_TRIES = 3
+"""Maximum number of times that a drain that fails is tried."""
+
+
+class LeftRuns:
+    """Drains the runs in the spool that belong to a keyspace and have no process, on a thread.
+
+    Args:
+        store: The store, or a future of it.
+        plan: The spool, and the keyspace.
+        say: Prints a line for the user.
+    """
+
+    def __init__(self, store: Future[Catalog], plan: SpoolPlan, say: Callable[[str], None]) -> None:
+        self._store, self._plan, self._say = store, plan, say
+        self._stopped = threading.Event()
+        self._drain: Optional[Drain] = None
+        self._told: set[Path] = set()
+        """Runs that stay, of which it was logged why."""
+        self._thread = threading.Thread(target=self._run, name="recorder-left", daemon=True)
+        self._thread.start()
+
+    def stop(self, timeout_sec: float) -> None:
+        """End it; what is not stored by then stays in the spool."""
+        self._stopped.set()
+        drain = self._drain
+        if drain is not None:
+            drain.stop()
+        self._thread.join(timeout_sec)
+
+    def _run(self) -> None:
+        try:
+            while not self._stopped.is_set():
+                for folder in self._plan.folder.left():
+                    try:
+                        self._take_up(folder)
+                    finally:
+                        folder.release()
+                    if self._stopped.is_set():
+                        return
+                self._stopped.wait(LOOK_SEC)
+        except Exception:  # noqa: BLE001 - our mistake: the recording goes on, and the files stay
+            _log.exception("the spool %s could not be drained", self._plan.folder.path)
+
+    def _take_up(self, folder: RunFolder) -> None:
+        if folder.path in self._told:
+            return
+        if not folder.files():
+            folder.remove()  # killed before its first message
+            return
+        left = read_left(folder)
+        problem = left.problem or self._foreign(left)
+        if problem:
+            _log.warning("run %s stays in the spool %s: %s", left.name, folder.path, problem)
+            self._told.add(folder.path)
+            return
+        while not self._stopped.is_set() and not self._store.done():
+            wait([self._store], POLL_SEC)
+        for _ in range(MAX_TRIES):
+            if self._stopped.is_set() or not is_there(self._store):
+                return
+            try:
+                drain = self._drain = Drain(self._store.result(), left)
+                self._tell(left, drain.run())
+                return
+            except CassandraRosError as exc:
+                _log.warning("run %s stays in the spool for now: %s", left.name, exc)
+                self._stopped.wait(RETRY_SEC)
+
+    def _foreign(self, left: LeftRun) -> str:
+        """Return why a run is not drained into this store; '' = it is."""
+        label, plan = left.label, self._plan
+        if label is None or (label.keyspace, label.address) == (plan.keyspace, plan.address):
+            return ""
+        return (
+            f"it belongs to keyspace {label.keyspace or '?'} at {label.address or '?'}; store it "
+            f"with: rosrun cassandra_ros cassandra_bag spool drain {left.folder.path.name}, or "
+            "delete it with: spool drop"
+        )
+
+    def _tell(self, left: LeftRun, done: Drained) -> None:
+        for text in lines_of(done):
+            self._say(text)
+        if done.gap:
+            _log.warning("%s", done.gap)
+
+
+def lines_of(done: Drained) -> list[str]:
+    """Return what a drain did, as lines for the user."""
+    lines = [f"run {done.run}: {done.messages} messages of the spool are stored"]
+    lost = sum(done.lost.values())
+    if lost or done.lost:
+        lines.append(f"run {done.run}: {lost or 'some'} messages of the spool are lost")
+    if not done.complete:
+        lines.append(f"run {done.run}: the rest stays in the spool")
+    return lines

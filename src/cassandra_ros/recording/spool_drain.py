@@ -1,0 +1,363 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Store what runs have left in the spool: their messages, losses, and their end.
+
+Rows get the writer id, counters, times and connection headers that they would have had. Repeated
+rows replace themselves; a message that a block holds already is left out. So a drain may be
+interrupted at any time, and be done again.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections import Counter
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Callable, Mapping, Optional
+
+from cassandra_ros.errors import CassandraRosError, SpoolError, StoreUnavailable
+from cassandra_ros.keys import COUNTER_BITS, MAX_NS, SECOND_NS
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.recording.message_buffer import lengths_for
+from cassandra_ros.recording.table_maker import connect
+from cassandra_ros.recording.topic_settings import Settings, settings_from_json
+from cassandra_ros.spool.segment_reader import SegmentReader, TopicTotal
+from cassandra_ros.spool.spool_folder import RunFolder
+from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
+from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.message_writer import Handle, MessageWriter
+
+_log = logging.getLogger(__name__)
+
+GAP_NS = SECOND_NS
+"""Maximum time after the last sign of life of a killed recorder in which messages are missing, ns.
+"""
+POLL_SEC = 0.1
+"""Interval at which a drain that waits for the store checks whether it is to end, s."""
+
+Progress = Callable[[int], object]
+"""Called with the number of messages that were stored since the last call."""
+
+
+@dataclass(frozen=True)
+class LeftRun:
+    """A run that a process has left in the spool."""
+
+    folder: RunFolder
+    label: Optional[SpoolLabel]
+    """Its label; None = it is damaged in all files."""
+    end: Optional[RunEnd]
+    """Its end; None = the process was killed."""
+    problem: str = ""
+    """Why it cannot be read; '' = it can."""
+
+    @property
+    def name(self) -> str:
+        """Name of the run, or else its writer id."""
+        return (self.label.name if self.label else "") or self.folder.path.name
+
+    def alive_ns(self) -> int:
+        """Return the last sign of life of its process, wall clock, ns."""
+        times = []
+        for path in self.folder.files():
+            with suppress(OSError):
+                times.append(path.stat().st_mtime_ns)
+        return max(times, default=0)
+
+
+def read_left(folder: RunFolder) -> LeftRun:
+    """Read label and end of a run that was left."""
+    label, end, problem = None, None, ""
+    files = folder.files()
+    for path in files:
+        try:
+            if label is None or path == files[-1]:
+                reader = SegmentReader(path)
+                label = label or reader.label()
+                end = reader.end()
+        except CassandraRosError as exc:
+            problem = problem or str(exc)
+    if label is None and not problem:
+        problem = f"no file in {folder.path} has a label"
+    return LeftRun(folder, label, end, "" if label is not None else problem)
+
+
+@dataclass
+class Drained:
+    """What a drain did."""
+
+    run: str
+    messages: int = 0
+    """Number of messages that are stored now."""
+    lost: Counter[str] = field(default_factory=Counter)
+    """Number of messages by topic that could not be read or stored."""
+    complete: bool = False
+    """Whether nothing of the run is left in the spool."""
+    gap: str = ""
+    """What may be missing because the recorder was killed, in words; '' = nothing."""
+
+
+class Drain:
+    """The drain of one run. ``stop`` may be called by any thread.
+
+    Args:
+        catalog: The store.
+        left: The run.
+    """
+
+    def __init__(self, catalog: Catalog, left: LeftRun) -> None:
+        if left.label is None:
+            raise SpoolError(f"the spool of run {left.name} cannot be drained: {left.problem}")
+        self._space, self._left, self._label = catalog.keyspace, left, left.label
+        self._settings: Settings = settings_from_json(left.label.settings)
+        self._writers: dict[int, MessageWriter] = {}
+        self._handles: dict[tuple[int, Connection], Handle] = {}
+        self._totals: dict[str, TopicTotal] = {}
+        self._losses: list[Loss] = []
+        self._done = Drained(left.name)
+        self._silent = False
+        self._stopped = threading.Event()
+        self._last_counter = -1
+
+    def stop(self) -> None:
+        """End the drain soon; what is not stored by then stays in the spool."""
+        self._stopped.set()
+        for writer in list(self._writers.values()):
+            writer.hurry(0.0)
+
+    def run(self, progress: Progress = lambda messages: None) -> Drained:
+        """Store everything; return what was done.
+
+        Raises:
+            CassandraRosError: The store does not answer, or refuses the run; what is not stored
+                stays in the spool.
+        """
+        self._begin()
+        try:
+            for path in self._left.folder.files():
+                if self._stopped.is_set():
+                    return self._done
+                self._store(path, progress)
+                if self._silent or self._stopped.is_set():
+                    return self._done
+                self._remember()
+            self._end()
+        finally:
+            for writer in self._writers.values():
+                with suppress(StoreUnavailable):
+                    writer.close()
+        self._left.folder.remove()
+        self._done.complete = True
+        return self._done
+
+    def _begin(self) -> None:
+        """Make the entry of the run, if it never reached the store."""
+        label = self._label
+        if all(run.writer != label.run for run in self._space.registry.runs()):
+            self._space.side_tables.make()
+            self._space.registry.put_run(replace(self._run(), started=_time(label.begun_ns)))
+
+    def _run(self) -> Run:
+        label = self._label
+        return Run(
+            label.node,
+            label.run,
+            "recording",
+            name=label.name,
+            format=self._settings.default.format or "",
+            labels=dict(label.labels),
+        )
+
+    def _store(self, path: Path, progress: Progress) -> None:
+        """Store the messages of one file, and delete it when they are acknowledged."""
+        reader = SegmentReader(path)
+        writer = self._writer((reader.label() or self._label).writer)
+        totals, known = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
+        handles: dict[int, Optional[Handle]] = {}
+        number = 0
+        for part in reader.parts():
+            for each in part.missing:
+                self._miss(each.topic, each.messages, each.first_ns, each.last_ns, part.damage)
+            if part.damage:
+                _log.warning("%s: what is missing of run %s is lost", part.damage, self._left.name)
+            for connection, t_ns, counter, wire in part.messages:
+                if id(connection) not in handles:
+                    handles[id(connection)] = self._handle(writer, connection, reader, totals, wire)
+                handle = handles[id(connection)]
+                self._totals.setdefault(connection.topic, TopicTotal()).add(1, t_ns, t_ns)
+                self._last_counter = max(self._last_counter, counter)
+                number += 1
+                if handle is None:
+                    self._miss(connection.topic, 1, t_ns, t_ns, "", LossKind.NO_TABLE)
+                elif not known.has(handle, t_ns, counter, totals):
+                    writer.write(handle, t_ns, counter, wire)
+            if self._silent or self._stopped.is_set():
+                return
+            progress(len(part.messages))
+        writer.flush()
+        if not self._silent:
+            self._done.messages += number
+            with suppress(OSError):
+                path.unlink()
+
+    def _writer(self, number: int) -> MessageWriter:
+        writer = self._writers.get(number)
+        if writer is None:
+            writer = self._writers[number] = MessageWriter(
+                self._space,
+                number,
+                format=self._settings.default.format,
+                node=self._label.node,
+                ttl=self._settings.default.ttl,
+                give_up_after_sec=math.inf,
+                on_loss=self._refused,
+            )
+        return writer
+
+    def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
+        cause = error.__cause__
+        if self._stopped.is_set() or isinstance(cause, StoreUnavailable):
+            self._silent = True
+            return
+        first = getattr(error, "first_ns", 0) or self._label.begun_ns
+        last = getattr(error, "last_ns", 0) or first
+        self._miss(topic, messages, first, last, str(error), LossKind.REFUSED)
+
+    def _handle(
+        self,
+        writer: MessageWriter,
+        connection: Connection,
+        reader: SegmentReader,
+        totals: Mapping[int, TopicTotal],
+        wire: bytes,
+    ) -> Optional[Handle]:
+        key = (writer.writer_id, connection)
+        if key not in self._handles:
+            mine = [n for n, each in reader.connections.items() if each == connection]
+            total = next((totals[n] for n in mine if n in totals), TopicTotal(1, 0, 0))
+            seconds = (total.last_ns - total.first_ns) / SECOND_NS
+            lengths = lengths_for(total.count, total.count * len(wire), seconds)
+            try:
+                self._handles[key] = connect(writer, connection, lengths, self._settings)
+            except StoreUnavailable:
+                raise
+            except CassandraRosError as exc:
+                _log.error("topic %s cannot be stored: %s", connection.topic, exc)
+                return None
+        return self._handles[key]
+
+    def _miss(
+        self,
+        topic: str,
+        messages: int,
+        first_ns: int,
+        last_ns: int,
+        why: str,
+        kind: LossKind = LossKind.SPOOL_DAMAGED,
+    ) -> None:
+        """Count messages that cannot be stored."""
+        self._done.lost[topic] += messages
+        if topic:
+            label = self._label
+            loss = Loss(topic, label.node, label.run, kind, first_ns, last_ns, messages)
+            self._losses.append(loss)
+
+    def _remember(self) -> None:
+        """Store the losses found so far: the file that tells them is deleted."""
+        for loss in _joined(self._losses):
+            self._space.registry.put_loss(loss)
+        self._losses.clear()
+
+    def _end(self) -> None:
+        """Store how the run ended."""
+        end, registry, label = self._left.end, self._space.registry, self._label
+        if end is None:
+            self._note_gap()
+            registry.put_heartbeat(label.run, label.node, interrupted=True)
+            return
+        for topic, kind, first, last, count in end.losses:
+            loss = Loss(topic, label.node, label.run, LossKind(kind), first, last, count)
+            registry.put_loss(loss)
+        missing = self._done.lost
+        stored = {t: max(n - missing[t], 0) for t, n in end.stored.items() if n}
+        lost = Counter(end.lost) + missing
+        del lost[""]
+        ended = _time(end.ended_ns)
+        registry.put_run(replace(self._run(), stored=stored, lost=dict(lost), ended=ended))
+
+    def _note_gap(self) -> None:
+        """Tell what may be missing after the last message of a killed recorder."""
+        label, alive = self._label, self._left.alive_ns()
+        ends = [total.last_ns for total in self._totals.values()]
+        last = max(ends, default=label.begun_ns)
+        until = max(last, alive) + GAP_NS
+        for topic, total in self._totals.items():
+            low = min(total.last_ns, MAX_NS)
+            loss = Loss(topic, label.node, label.run, LossKind.KILLED, low, until, 0)
+            self._space.registry.put_loss(loss)
+        self._done.gap = (
+            f"run {self._left.name} was not ended: its last sign of life was at "
+            f"{_time(max(last, alive)):%Y-%m-%dT%H:%M:%S.%fZ}, the last message in the spool has "
+            f"number {self._last_counter} of the run; what came within a second after it is missing"
+        )
+
+
+class _StoredBlocks:
+    """Which messages of a writer are in stored blocks.
+
+    A row that is written again replaces itself. A block does not, if it begins with another message
+    than before.
+    """
+
+    def __init__(self, space: Keyspace, writer: int) -> None:
+        self._space, self._writer = space, writer
+        self._seqs: dict[str, set[int]] = {}
+
+    def has(
+        self, handle: Handle, t_ns: int, counter: int, totals: Mapping[int, TopicTotal]
+    ) -> bool:
+        """Return whether a message is stored; note that it is from now on."""
+        if not handle.table.packed:
+            return False
+        seqs = self._seqs.get(handle.table.name)
+        if seqs is None:
+            seqs = self._seqs[handle.table.name] = self._read(handle, totals)
+        seq = self._writer << COUNTER_BITS | counter
+        if seq in seqs:
+            return True
+        seqs.add(seq)
+        return False
+
+    def _read(self, handle: Handle, totals: Mapping[int, TopicTotal]) -> set[int]:
+        first = min((total.first_ns for total in totals.values()), default=0)
+        last = max((total.last_ns for total in totals.values()), default=MAX_NS)
+        whose = Whose.of(handle.node, frozenset([self._writer]))
+        own = handle.table.metadata.own_time  # the key is no time of reception
+        asked = TimeRange() if own else TimeRange(first, last)
+        read = Read(asked, whose, columns=lambda table: ())
+        return {row.position.seq for row in self._space.rows.read([handle.table], read)}
+
+
+def _joined(losses: list[Loss]) -> list[Loss]:
+    """Join losses of one topic and kind into one each: a loss is a row."""
+    found: dict[tuple[str, LossKind], Loss] = {}
+    for loss in losses:
+        key = (loss.topic, loss.kind)
+        old = found.get(key)
+        if old is not None:
+            first, last = min(old.first_ns, loss.first_ns), max(old.last_ns, loss.last_ns)
+            count = old.count + loss.count
+            loss = replace(old, first_ns=first, last_ns=last, count=count)
+        found[key] = loss
+    return list(found.values())
+
+
+def _time(ns: int) -> datetime:
+    return datetime.fromtimestamp(ns / SECOND_NS, timezone.utc)

@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Read a file of the spool chunk by chunk; what is damaged is told, and the rest is read.
+
+A file may end anywhere (the process was killed, the power was cut) and may be damaged anywhere.
+Each chunk has a checksum. After a damaged one reading goes on with the next record that is
+complete, and the message indexes say which messages are missing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Iterator, NamedTuple, Optional, Sequence
+
+from cassandra_ros.bag import mcap_records
+from cassandra_ros.bag.mcap_format import MAGIC, RECORD, find_messages
+from cassandra_ros.errors import BagError, SpoolError
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.spool.segment_writer import SpooledMessage
+from cassandra_ros.spool.spool_label import END, LABEL, RunEnd, SpoolLabel, from_metadata
+from cassandra_ros.tables.checksum import crc32
+
+_LOOK_BYTES = 64
+_RECORD = re.compile(rb"[\x06\x07\x0c\x0f].{4}\x00{4}", re.DOTALL)
+"""The first bytes of the kinds of records that a file has, of less than 4 GB."""
+
+
+class Missing(NamedTuple):
+    """Messages of one topic that cannot be read."""
+
+    topic: str
+    """'' = not known."""
+    messages: int
+    """Number of messages; 0 = not known."""
+    first_ns: int
+    """Time of reception of the first of them, ns; 0 = not known."""
+    last_ns: int
+
+
+@dataclass
+class SegmentPart:
+    """The messages of one chunk, or what is missing instead of them."""
+
+    messages: Sequence[SpooledMessage] = ()
+    damage: str = ""
+    """What is damaged, in words; '' = nothing."""
+    missing: Sequence[Missing] = ()
+
+
+@dataclass
+class TopicTotal:
+    """The messages of a topic in one or more files."""
+
+    count: int = 0
+    first_ns: int = 2**63
+    last_ns: int = 0
+
+    def add(self, count: int, first_ns: int, last_ns: int) -> None:
+        """Count further messages."""
+        self.count += count
+        self.first_ns = min(self.first_ns, first_ns)
+        self.last_ns = max(self.last_ns, last_ns)
+
+
+@dataclass
+class _Damage:
+    """Damage after which nothing was read yet."""
+
+    at: int
+    indexes: list[mcap_records.IndexedMessages] = field(default_factory=list)
+    to: int = 0
+
+
+class _Record(NamedTuple):
+    kind: int
+    start: int
+    stop: int
+
+
+class SegmentReader:
+    """A file of the spool, read into memory: it has some 16 MB.
+
+    Args:
+        path: The file. It may still be written: what is complete when it is opened is read.
+
+    Raises:
+        SpoolError: The file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.connections: dict[int, Connection] = {}
+        """Connections that were read so far, by channel id."""
+        try:
+            # The whole file, for a mapped one ends the process when its disk is removed.
+            self._data = path.read_bytes()
+        except OSError as exc:
+            raise SpoolError(f"{path} cannot be read: {exc.strerror}") from exc
+        self.nbytes = len(self._data)
+
+    def label(self) -> Optional[SpoolLabel]:
+        """Return the label of the run; None = it is not in the file, or damaged.
+
+        Raises:
+            SpoolError: It is of a newer release.
+        """
+        for record in self._records():
+            if record.kind == mcap_records.METADATA_KIND:
+                name, values = self._metadata(record)
+                if name == LABEL and values:
+                    return from_metadata(SpoolLabel, values, str(self.path))
+            elif record.kind == mcap_records.CHUNK_KIND:
+                break
+        return None
+
+    def end(self) -> Optional[RunEnd]:
+        """Return the end of the run; None = it is not in this file."""
+        for record in self._records():
+            if record.kind == mcap_records.METADATA_KIND:
+                name, values = self._metadata(record)
+                if name == END and values:
+                    return from_metadata(RunEnd, values, str(self.path))
+        return None
+
+    def totals(self) -> dict[int, TopicTotal]:
+        """Count the messages by channel id, by the message indexes alone."""
+        found: defaultdict[int, TopicTotal] = defaultdict(TopicTotal)
+        for record in self._records():
+            if record.kind == mcap_records.INDEX_KIND:
+                listed = mcap_records.read_index(self._bytes(record))
+                if listed.times:
+                    times = listed.times
+                    found[listed.channel].add(len(times), min(times), max(times))
+        return dict(found)
+
+    def parts(self) -> Iterator[SegmentPart]:
+        """Yield the messages chunk by chunk, and what is missing where the file is damaged."""
+        damage: Optional[_Damage] = None
+        at = len(MAGIC)
+        for record in self._records():
+            if record.start - RECORD.size > at:
+                damage = damage or _Damage(at)
+                damage.to = record.start - RECORD.size
+            at = record.stop
+            if record.kind == mcap_records.INDEX_KIND and damage is not None:
+                damage.indexes.append(mcap_records.read_index(self._bytes(record)))
+            elif record.kind == mcap_records.CHUNK_KIND:
+                messages = self._messages(record)
+                if damage is not None:
+                    yield self._told(damage)
+                damage = None
+                if messages is None:
+                    damage = _Damage(record.start - RECORD.size, to=record.stop)
+                else:
+                    yield SegmentPart(messages)
+            elif record.kind == mcap_records.END_KIND:
+                at = self.nbytes
+        if damage is not None:
+            yield self._told(damage)
+        if at < self.nbytes:
+            why = f"{self.path} is cut short at byte {at} of {self.nbytes}"
+            yield SegmentPart(damage=why, missing=[Missing("", 0, 0, 0)])
+
+    def _told(self, damage: _Damage) -> SegmentPart:
+        totals: defaultdict[str, TopicTotal] = defaultdict(TopicTotal)
+        for listed in damage.indexes:
+            known = self.connections.get(listed.channel)
+            topic = "" if known is None else known.topic
+            totals[topic].add(len(listed.times), min(listed.times), max(listed.times))
+        missing = [Missing(t, n.count, n.first_ns, n.last_ns) for t, n in totals.items()]
+        why = f"{self.path} is damaged from byte {damage.at} to {damage.to}"
+        return SegmentPart(damage=why, missing=missing or [Missing("", 0, 0, 0)])
+
+    def _messages(self, record: _Record) -> Optional[Sequence[SpooledMessage]]:
+        """Return the messages of a chunk; None = its checksum is wrong."""
+        raw = self._bytes(record)
+        content, crc = mcap_records.chunk_content(raw)
+        if crc32(content) != crc:
+            return None
+        where = f"{self.path}: the chunk at byte {record.start}"
+        try:
+            self.connections.update(mcap_records.read_channels(content, where))
+            found = find_messages(content, where)
+            columns = (each.tolist() for each in found)
+            return [
+                (self.connections[channel], t_ns, counter, content[start:stop])
+                for channel, counter, t_ns, _, start, stop in zip(*columns)
+            ]
+        except (BagError, KeyError):  # right checksum, but not written by us, or without channel
+            return None
+
+    def _metadata(self, record: _Record) -> tuple[str, dict[str, str]]:
+        try:
+            name, values = mcap_records.read_metadata(self._bytes(record), str(self.path))
+            return name, dict(values)
+        except BagError:
+            return "", {}
+
+    def _bytes(self, record: _Record) -> bytes:
+        return self._data[record.start : record.stop]
+
+    def _records(self) -> Iterator[_Record]:
+        """Yield the complete records up to the end of the data; damaged bytes are passed over."""
+        at, data = len(MAGIC), self._data
+        while at + RECORD.size <= self.nbytes:
+            kind, length = RECORD.unpack(data[at : at + RECORD.size])
+            start = at + RECORD.size
+            stop = start + length
+            head = data[start : start + _LOOK_BYTES]
+            after = self.nbytes - stop
+            if after < 0 or not mcap_records.is_plausible(kind, length, head, after):
+                following = _RECORD.search(data, at + 1)
+                if following is None:
+                    return
+                at = following.start()
+                continue
+            yield _Record(kind, start, stop)
+            if kind == mcap_records.END_KIND:
+                return
+            at = stop

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The folder of the spool: one folder for each run, with a lock and numbered files.
+
+Several recorders may use one folder. Each run has its own folder in it, whose lock (flock) its
+process holds: the system lets it go when the process ends, however it ends. A folder without a
+living process is what an earlier one has left, and belongs to the first that locks it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+from typing import Iterator, Optional
+
+from cassandra_ros.errors import SpoolError
+from cassandra_ros.installation import home_folder
+
+_log = logging.getLogger(__name__)
+
+DEFAULT_BYTES = 2 << 30
+"""Default maximum size of all files in the folder, bytes."""
+_LOCK = "lock"
+_SUFFIX = ".mcap"
+
+
+def default_folder() -> Path:
+    """Return the folder of the spool in the ROS home."""
+    return home_folder() / "spool"
+
+
+class RunFolder:
+    """The files of one run, locked by this process until ``release`` or ``remove``."""
+
+    def __init__(self, path: Path, lock: int) -> None:
+        self.path = path
+        self._lock = lock
+        self._next = 1 + max((int(each.stem) for each in self.files()), default=0)
+
+    def files(self) -> list[Path]:
+        """Return the files with messages, in the order in which they were written."""
+        return run_files(self.path)
+
+    def new_file(self) -> Path:
+        """Return the path of the next file."""
+        self._next += 1
+        return self.path / f"{self._next - 1:06d}{_SUFFIX}"
+
+    def release(self) -> None:
+        """Let other processes have it. A second call does nothing."""
+        lock, self._lock = self._lock, -1
+        if lock >= 0:
+            os.close(lock)
+
+    def remove(self) -> None:
+        """Delete it with all files."""
+        shutil.rmtree(self.path, ignore_errors=True)
+        self.release()
+
+
+class SpoolFolder:
+    """The folder of all recorders of a user on this machine.
+
+    Args:
+        path: The folder; it is made when it is first needed. None = that of the ROS home.
+        max_bytes: Maximum size of all files in it, bytes.
+    """
+
+    def __init__(self, path: Optional[Path] = None, max_bytes: int = DEFAULT_BYTES) -> None:
+        self.path = path or default_folder()
+        self.max_bytes = max_bytes
+
+    def begin(self, writer: int) -> RunFolder:
+        """Make and lock the folder of a run.
+
+        Raises:
+            SpoolError: The folder cannot be made.
+        """
+        hidden, path = self.path / f".{writer}", self.path / str(writer)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self.path.mkdir(mode=0o700, exist_ok=True)
+            if self.path.stat().st_mode & 0o077:
+                self.path.chmod(0o700)
+            hidden.mkdir(mode=0o700)
+            lock = _locked(hidden)
+            # Under its name only when it is locked: else others would take it for left.
+            hidden.rename(path)
+        except OSError as exc:
+            raise SpoolError(f"the spool {self.path} cannot be used: {exc}") from exc
+        if lock is None:
+            raise SpoolError(f"the spool {self.path} cannot be locked: its disk has no flock")
+        return RunFolder(path, lock)
+
+    def left(self) -> Iterator[RunFolder]:
+        """Yield the folders of runs whose process has ended, locked; oldest first."""
+        for path in self.runs():
+            lock = None
+            with suppress(OSError):
+                lock = _locked(path)
+            if lock is not None:
+                yield RunFolder(path, lock)
+
+    def runs(self) -> list[Path]:
+        """Return the folders of all runs, also of those that are recorded now; oldest first."""
+        try:
+            found = [each for each in self.path.iterdir() if each.name.isdigit()]
+            return sorted(found, key=lambda path: path.stat().st_ctime)
+        except OSError:
+            return []
+
+    def nbytes(self) -> int:
+        """Return the size of all files in it, bytes."""
+        return sum(run_bytes(path) for path in self.runs())
+
+
+def run_bytes(path: Path) -> int:
+    """Return the size of the files of a run, bytes."""
+    total = 0
+    for each in run_files(path):
+        with suppress(OSError):
+            total += each.stat().st_size
+    return total
+
+
+def run_files(path: Path) -> list[Path]:
+    """Return the files of a run with messages, in the order in which they were written."""
+    try:
+        found = [e for e in path.iterdir() if e.suffix == _SUFFIX and e.stem.isdigit()]
+    except OSError:
+        return []
+    return sorted(found, key=lambda each: int(each.stem))
+
+
+def _locked(path: Path) -> Optional[int]:
+    """Lock a folder; return the file descriptor of the lock, None if another process holds it."""
+    descriptor = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        # Another process may have removed it meanwhile.
+        if (path / _LOCK).stat().st_ino == os.fstat(descriptor).st_ino:
+            return descriptor
+    except OSError:
+        pass
+    os.close(descriptor)
+    return None

@@ -1,0 +1,82 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What a file of the spool says of its run: where the messages belong, and how the run ended."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, Mapping, Sequence, Tuple, Type, TypeVar
+
+from cassandra_ros.errors import SpoolError
+
+VERSION = 1
+"""Version of the labels that this release writes, and the newest that it reads."""
+LABEL, END = "cassandra_ros.spool", "cassandra_ros.end"
+"""Names of the metadata records with a SpoolLabel and a RunEnd."""
+_T = TypeVar("_T", "SpoolLabel", "RunEnd")
+
+
+@dataclass(frozen=True)
+class SpoolLabel:
+    """The run of the messages in a file, as far as a drain must know it."""
+
+    writer: int
+    """Writer id of the messages."""
+    run: int
+    """Writer id of the run; another one only after 2**32 messages."""
+    keyspace: str
+    address: str
+    """Hosts and port of the store, 'HOST[,HOST]:PORT'; '' = not known."""
+    begun_ns: int
+    """Time at which the run began, wall clock, ns."""
+    node: str = ""
+    """nodeID of the recorded robot."""
+    name: str = ""
+    """Name of the run."""
+    labels: Mapping[str, str] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of the topics, see recording/topic_settings.py."""
+    journal: bool = False
+    """Whether all messages of the run go through the spool."""
+    version: int = VERSION
+
+
+@dataclass(frozen=True)
+class RunEnd:
+    """The end of a run whose messages are not all stored."""
+
+    ended_ns: int
+    """Time of the end, wall clock, ns."""
+    stored: Mapping[str, int]
+    """Number of messages by topic that are stored when the spool is drained."""
+    lost: Mapping[str, int]
+    """Number of lost messages by topic."""
+    losses: Sequence[Tuple[str, str, int, int, int]] = ()
+    """Losses that are not stored yet: topic, kind, first and last time, ns, number of messages."""
+    version: int = VERSION
+
+
+def as_metadata(record: SpoolLabel | RunEnd) -> Mapping[str, str]:
+    """Return a label or an end as the fields of a metadata record."""
+    text = json.dumps(asdict(record), sort_keys=True)
+    return {"text": text, "crc": f"{zlib.crc32(text.encode()):08x}"}
+
+
+def from_metadata(kind: Type[_T], metadata: Mapping[str, str], where: str) -> _T:
+    """Return the label or the end in a metadata record.
+
+    Raises:
+        SpoolError: It is damaged, or of a newer release.
+    """
+    text = metadata.get("text", "")
+    if metadata.get("crc") != f"{zlib.crc32(text.encode()):08x}":
+        raise SpoolError(f"{where} is damaged: the checksum of its label is wrong")
+    values = json.loads(text)
+    if values.get("version", 0) > VERSION:
+        raise SpoolError(
+            f"{where} has version {values['version']}; this release of cassandra_ros reads "
+            f"versions up to {VERSION}: install a newer one to store its messages"
+        )
+    return kind(**{each.name: values[each.name] for each in fields(kind) if each.name in values})

@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cassandra_bag spool: what recorders have left is listed, stored, exported, deleted."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from nodes.raw_publisher import header_of, message
+from std_msgs.msg import String
+
+from cassandra_ros.bag.mcap_reader import McapReader
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.recording.topic_settings import Settings, settings_as_json
+from cassandra_ros.spool.segment_writer import SegmentWriter
+from cassandra_ros.spool.spool_folder import SpoolFolder
+from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
+
+T0 = 1_400_000_000 * 10**9
+
+
+def text(n):
+    return message(String(str(n)))
+
+
+@pytest.fixture
+def leave(cassandra, keyspace, tmp_path):
+    """Leave a run of ten messages in a spool."""
+
+    def write(writer, keyspace=keyspace):
+        folder = SpoolFolder(tmp_path / "spool").begin(writer)
+        address = f"{cassandra.host}:{cassandra.port}"
+        settings = settings_as_json(Settings())
+        label = SpoolLabel(
+            writer, writer, keyspace, address, T0, name=f"run{writer}", settings=settings
+        )
+        segment = SegmentWriter(folder.new_file(), label)
+        connection = live_connection("/text", header_of(String))
+        segment.append([(connection, T0 + n, n, text(n)) for n in range(10)])
+        segment.finish(RunEnd(T0 + 10**9, {"/text": 10}, {}))
+        segment.close()
+        folder.release()
+
+    return write
+
+
+@pytest.fixture
+def spool(call, tmp_path):
+    return lambda *words: call("spool", *words, "--spool-dir", tmp_path / "spool")
+
+
+def test_list_and_drain(leave, spool, rosCas):
+    assert spool("list")[:2] == (0, "the spool is empty\n")
+    leave(7)
+    leave(8, keyspace="elsewhere")
+    status, out, _ = spool("list")
+    assert status == 0
+    assert [line.split()[0] for line in out.splitlines()] == ["id", "7", "8"]
+    listed = json.loads(spool("list", "--json")[1])
+    assert [(each["run"], each["messages"], each["state"]) for each in listed] == [
+        ("run7", 10, "left"),
+        ("run8", 10, "left"),
+    ]
+    status, out, err = spool("drain")
+    assert (status, out) == (0, "run run7: 10 messages of the spool are stored\n")
+    assert "run run8 (8) stays: it belongs to elsewhere at " in err
+    assert [row.wire for row in rosCas.getTopic("/text").rows()] == [text(n) for n in range(10)]
+    assert spool("drain", "8")[0] == 0
+    assert {run.name for run in rosCas.runs()} == {"run7", "run8"}
+    assert rosCas.getTopic("/text").countTopicData() == 20
+    status, _, err = spool("drain", "9")
+    assert status == 1
+    assert "has no run 9" in err
+
+
+def test_export_and_drop(leave, spool, tmp_path):
+    leave(7)
+    target = tmp_path / "rest.mcap"
+    assert spool("export", "7", target)[:2] == (0, f"10 messages written to {target}\n")
+    with McapReader(target) as reader:
+        assert [each.data for each in reader.messages()] == [text(n) for n in range(10)]
+    assert spool("export", "7")[0] == 2
+    status, _, err = spool("drop", "7")  # not confirmed
+    assert status == 1
+    assert "--yes" in err
+    assert spool("drop", "7", "--yes")[:2] == (0, "run run7 is deleted from the spool\n")
+    assert spool("list")[1] == "the spool is empty\n"
+
+
+def test_a_run_that_is_recorded_is_left_alone(leave, spool, tmp_path):
+    leave(7)
+    (held,) = SpoolFolder(tmp_path / "spool").left()
+    assert "recording" in spool("list")[1]
+    status, _, err = spool("drop", "7", "--yes")
+    assert status == 1
+    assert "run 7 is being recorded" in err
+    held.release()

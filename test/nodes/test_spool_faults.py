@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Recorders with a spool that are killed, or whose store is away: at most 1 s is lost, and told."""
+
+from __future__ import annotations
+
+import os
+import random
+import struct
+import threading
+import time
+
+import pytest
+from campaign import LENGTH
+from nodes.children import await_true, start_recorder
+from nodes.raw_publisher import RawPublisher, header_of
+from proxy import Proxy
+from std_msgs.msg import UInt64
+
+from cassandra_ros.tables.registry import LossKind
+
+MOMENTS = 20 if LENGTH else 3
+"""Number of moments at which the recorder is killed."""
+RATE_HZ = 400
+
+
+class Numbers:
+    """A publisher of numbers at a rate, which notes when it has sent each."""
+
+    def __init__(self, publisher):
+        self._publisher = publisher
+        self.sent = []
+        """Monotonic time at which each number was sent, s."""
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self):
+        while not self._stopped.wait(1 / RATE_HZ):
+            number = len(self.sent)
+            self.sent.append(time.monotonic())
+            self._publisher.publish(struct.pack("<Q", number))
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc_info):
+        self._stopped.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def one(roscore):
+    with RawPublisher(roscore.uri, "/n", header_of(UInt64)) as publisher:
+        yield publisher
+
+
+def by_run(rosCas):
+    """The stored numbers by writer id, in the order of the rows."""
+    found = {}
+    for row in rosCas.getTopic("/n").rows():
+        found.setdefault(row.seq >> 32, []).append(struct.unpack("<Q", row.wire)[0])
+    return found
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("format", ["ros", "packed"])
+def test_a_recorder_that_is_killed(roscore, cassandra, keyspace, rosCas, one, tmp_path, format):
+    """With --journal at most 1 s is lost, nothing is doubled, and the next start says so."""
+    chance = random.Random(os.urandom(8))
+    spool = tmp_path / "spool"
+    words = ("/n", "--journal", "--spool-dir", spool, "--format", format)
+    killed, output = {}, ""
+    with Numbers(one) as numbers:
+        for _ in range(MOMENTS):
+            with start_recorder(roscore, cassandra, keyspace, *words) as child:
+                child.await_line("recording 1 topic")
+                one.await_subscribers()
+                time.sleep(chance.uniform(0.3, 2.5))
+                child.process.kill()
+                at = time.monotonic()
+                child.wait()
+            output += child.output
+            (left,) = [each for each in os.listdir(spool) if int(each) not in killed]
+            killed[int(left)] = at
+            one.hang_up()
+        with start_recorder(roscore, cassandra, keyspace, *words) as child:
+            await_true(lambda: not set(os.listdir(spool)).intersection(map(str, killed)))
+            assert child.end() == 0, child.output
+        output += child.output
+    stored = by_run(rosCas)
+    for writer, at in killed.items():
+        mine = stored.get(writer, [])
+        assert mine == list(range(mine[0], mine[0] + len(mine)))
+        missing = [n for n, t in enumerate(numbers.sent) if n > mine[-1] and t < at]
+        assert not missing or at - numbers.sent[missing[0]] < 1.0
+        (loss,) = [each for each in rosCas.losses() if each.writer == writer]
+        assert (loss.kind, loss.topic, loss.count) == (LossKind.KILLED, "/n", 0)
+        assert f"run {run_of(rosCas, writer).name} was not ended" in output
+        assert run_of(rosCas, writer).state == "interrupted"
+    assert os.listdir(spool) == []
+
+
+def run_of(rosCas, writer):
+    return next(run for run in rosCas.runs() if run.writer == writer)
+
+
+@pytest.mark.fault
+def test_a_robot_whose_store_never_came(roscore, cassandra, keyspace, rosCas, one, tmp_path):
+    """It records from its first second; the next recorder stores everything."""
+    spool = tmp_path / "spool"
+    words = ("/n", "--spool-dir", spool, "--wait", "600", "-O", "alone")
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        proxy.cut()
+        with start_recorder(roscore, proxy, keyspace, *words) as child:
+            child.await_line("recording 1 topic")
+            one.await_subscribers()
+            one.publish(*(struct.pack("<Q", n) for n in range(3000)))
+            child.await_line("messages (")
+            assert child.end() == 0, child.output
+        assert "3000 messages stay in the spool" in child.output
+        one.hang_up()
+        proxy.mend()
+        with start_recorder(roscore, proxy, keyspace, *words[:3]) as child:
+            child.await_line("run alone: 3000 messages of the spool are stored")
+            assert child.end() == 0, child.output
+    ((_, numbers),) = by_run(rosCas).items()
+    assert numbers == list(range(3000))
+    (run,) = [each for each in rosCas.runs() if each.name == "alone"]
+    assert (run.state, run.stored, run.lost) == ("ended", {"/n": 3000}, {})
+    assert rosCas.losses() == []
+
+
+def test_what_belongs_to_another_keyspace_is_told(
+    roscore, cassandra, keyspace, rosCas, one, tmp_path
+):
+    spool = tmp_path / "spool"
+    words = ("/n", "--spool-dir", spool)
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        proxy.cut()
+        with start_recorder(roscore, proxy, "elsewhere", *words, "--wait", "600") as child:
+            child.await_line("recording 1 topic")
+            one.await_subscribers().publish(struct.pack("<Q", 7))
+            child.await_line("1 messages (")
+            assert child.end() == 0, child.output
+    one.hang_up()
+    with start_recorder(roscore, cassandra, keyspace, *words) as child:
+        line = child.await_line("stays in the spool")
+        assert "it belongs to keyspace elsewhere at 127.0.0.1:" in line
+        assert child.end() == 0, child.output
+    assert len(os.listdir(spool)) == 1

@@ -1,0 +1,250 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A recording whose store is away: what comes is kept on disk, and ends in the same rows."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import time
+from concurrent.futures import Future
+
+import pytest
+from campaign import sparing
+from nodes.children import await_true
+from nodes.raw_publisher import header_of, message
+from proxy import Proxy
+from std_msgs.msg import String
+
+from cassandra_ros import RosCassandra
+from cassandra_ros.recording.backlog import SpoolPlan
+from cassandra_ros.recording.recording import Recording
+from cassandra_ros.recording.spool_drain import Drain, read_left
+from cassandra_ros.spool.segment_writer import SegmentWriter
+from cassandra_ros.spool.spool_folder import SpoolFolder
+from cassandra_ros.tables.registry import LossKind
+
+FORMATS = ("ros", "binary", "packed")
+
+
+def text(n):
+    return message(String(str(n)))
+
+
+@pytest.fixture
+def proxy(cassandra):
+    with Proxy(cassandra.host, cassandra.port) as running:
+        yield running
+
+
+@pytest.fixture
+def store(proxy, keyspace):
+    with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as connected:
+        yield connected
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return SpoolFolder(tmp_path / "spool")
+
+
+def send(recorder, numbers, topic="/text", header=None):
+    header = header or header_of(String)
+    for n in numbers:
+        recorder.received(topic, header, text(n))
+
+
+def rows_of(rosCas, topic="/text"):
+    return [row.wire for row in rosCas.getTopic(topic).rows()]
+
+
+def drain(rosCas, folder):
+    done = []
+    for left in folder.left():
+        done.append(Drain(rosCas.catalog, read_left(left)).run())
+    return done
+
+
+@pytest.mark.parametrize("journal", [False, True])
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_store_that_goes_away_and_comes_back(proxy, store, rosCas, folder, format, journal):
+    recorder = Recording(store.catalog, format=format, spool=SpoolPlan(folder, journal=journal))
+    header = header_of(String)
+    send(recorder, range(100), header=header)
+    await_true(lambda: recorder.reports()[0].stored == 100, 60)
+    proxy.cut()
+    send(recorder, range(100, 3000), header=header)
+    await_true(lambda: recorder.is_held_up)
+    send(recorder, range(3000, 5000), header=header)
+    await_true(lambda: recorder.on_disk.messages > 0 or journal, 30)
+    proxy.mend()
+    send(recorder, range(5000, 5100), header=header)
+    await_true(lambda: recorder.reports()[0].stored == 5100, 60)
+    send(recorder, range(5100, 5200), header=header)
+    (report,) = recorder.close()
+    assert (report.received, report.stored, report.lost, report.spooled) == (5200, 5200, 0, 0)
+    assert rows_of(rosCas) == [text(n) for n in range(5200)]
+    assert folder.runs() == []
+    assert rosCas.losses() == []
+
+
+@pytest.mark.parametrize("journal", [False, True])
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_store_that_is_away_at_the_end(proxy, store, rosCas, folder, format, journal):
+    recorder = Recording(
+        store.catalog, format=format, node="husky", spool=SpoolPlan(folder, journal=journal)
+    )
+    send(recorder, range(100))
+    await_true(lambda: recorder.reports()[0].stored == 100, 60)
+    send(recorder, range(100, 200))
+    proxy.cut()
+    send(recorder, range(200, 3000))
+    (report,) = recorder.close()
+    assert report.lost == 0
+    assert report.stored + report.spooled == 3000
+    assert report.spooled > 2000
+    for _ in range(2):
+        for done in drain(rosCas, folder):
+            assert done.complete and not done.lost and not done.gap
+    assert folder.runs() == []
+    assert rows_of(rosCas) == [text(n) for n in range(3000)]
+    assert [row.seq & 0xFFFFFFFF for row in rosCas.getTopic("/text").rows()] == [*range(3000)]
+    (run,) = rosCas.runs()
+    assert (run.state, run.stored, run.lost) == ("ended", {"/text": 3000}, {})
+    assert rosCas.getTopic("/text").countTopicData() == 3000
+
+
+def left_behind(proxy, store, folder, numbers, **options):
+    """Record numbers of which the last ones stay in the spool; return the report."""
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder), **options)
+    send(recorder, [0])
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(recorder, numbers)
+    (report,) = recorder.close()
+    assert report.spooled == len(numbers)
+    return report
+
+
+@pytest.mark.parametrize("format", sparing(FORMATS, kept=["packed"]))
+def test_what_is_drained_twice_ends_in_the_same_rows(
+    proxy, store, rosCas, folder, tmp_path, format
+):
+    """The second drain stands for one after a drain that was killed just before its end."""
+    left_behind(proxy, store, folder, range(1, 2000), format=format)
+    shutil.copytree(folder.path, tmp_path / "copy")
+    (done,) = drain(rosCas, folder)
+    rows = [(row.position, row.wire) for row in rosCas.getTopic("/text").rows()]
+    assert [wire for _, wire in rows] == [text(n) for n in range(2000)]
+    drain(rosCas, SpoolFolder(tmp_path / "copy"))
+    assert [(row.position, row.wire) for row in rosCas.getTopic("/text").rows()] == rows
+    assert rosCas.getTopic("/text").countTopicData() == 2000
+    (run,) = rosCas.runs()
+    assert run.stored == {"/text": 2000}
+
+
+def test_a_damaged_file_costs_what_it_hits(proxy, store, rosCas, folder):
+    left_behind(proxy, store, folder, range(1, 9001))
+    (run_folder,) = folder.runs()
+    path = max(run_folder.glob("*.mcap"), key=lambda path: path.stat().st_size)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    path.write_bytes(content)
+    (done,) = drain(rosCas, folder)
+    stored = rows_of(rosCas)
+    lost = 9001 - len(stored)
+    assert 0 < lost < 5000
+    assert done.lost == {"/text": lost}
+    (loss,) = rosCas.losses()
+    assert (loss.topic, loss.kind, loss.count) == ("/text", LossKind.SPOOL_DAMAGED, lost)
+    (run,) = rosCas.runs()
+    assert (run.stored, run.lost) == ({"/text": 9001 - lost}, {"/text": lost})
+    assert folder.runs() == []
+
+
+@pytest.mark.parametrize("newest", [False, True])
+def test_a_full_spool_tells_what_it_drops(proxy, store, rosCas, tmp_path, newest):
+    folder = SpoolFolder(tmp_path / "spool", max_bytes=100_000)
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder, drops_newest=newest))
+    send(recorder, [0])
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(recorder, range(1, 100))
+    await_true(lambda: recorder.is_held_up)
+    for first in range(100, 10_000, 100):  # some a time, or all would be one chunk
+        send(recorder, range(first, first + 100))
+        time.sleep(0.02)
+    await_true(lambda: recorder.reports()[0].lost > 1000, 30)
+    assert folder.nbytes() < 110_000
+    proxy.mend()
+    await_true(lambda: not recorder.reports()[0].waiting, 60)
+    send(recorder, [10_000])
+    (report,) = recorder.close()
+    assert (report.received, report.stored + report.lost) == (10_001, 10_001)
+    assert report.reasons == {LossKind.SPOOL_FULL: report.lost}
+    assert sum(loss.count for loss in rosCas.losses()) == report.lost
+    stored = [int(wire[4:]) for wire in rows_of(rosCas)]
+    assert stored[-1] == 10_000
+    assert len(stored) == report.stored
+    assert (9999 in stored) == (not newest)
+
+
+def test_a_disk_that_is_removed_is_told_and_costs_no_more(proxy, store, rosCas, folder, caplog):
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder))
+    send(recorder, [0])
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(recorder, range(1, 100))
+    await_true(lambda: recorder.is_held_up)
+    send(recorder, range(100, 3000))
+    await_true(lambda: recorder.on_disk.messages, 30)
+    shutil.rmtree(folder.path)
+    proxy.mend()
+    await_true(lambda: not recorder.reports()[0].waiting, 60)
+    send(recorder, range(3000, 3100))
+    (report,) = recorder.close()
+    assert (report.received, report.stored + report.lost) == (3100, 3100)
+    assert report.reasons == {LossKind.SPOOL_DAMAGED: report.lost}
+    assert (
+        "cannot be read: No such file or directory" in report.losses[LossKind.SPOOL_DAMAGED].detail
+    )
+    assert rows_of(rosCas)[-100:] == [text(n) for n in range(3000, 3100)]
+
+
+@pytest.mark.parametrize("journal", [False, True])
+def test_a_full_disk_is_told_and_memory_is_used(
+    proxy, store, rosCas, folder, monkeypatch, caplog, journal
+):
+    def refuse(self, messages):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(SegmentWriter, "append", refuse)
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder, journal=journal))
+    send(recorder, [0])
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(recorder, range(1, 100))
+    await_true(lambda: recorder.is_held_up)
+    send(recorder, range(100, 3000))
+    await_true(lambda: "cannot be written: No space left on device" in caplog.text, 30)
+    proxy.mend()
+    (report,) = recorder.close()
+    assert (report.received, report.stored, report.lost) == (3000, 3000, 0)
+    assert rows_of(rosCas) == [text(n) for n in range(3000)]
+
+
+def test_a_store_that_comes_late(proxy, keyspace, rosCas, folder):
+    """What came before it is on disk; tables and the run are made when it is there."""
+    late: Future = Future()
+    recorder = Recording(late, format="packed", name="early", spool=SpoolPlan(folder))
+    send(recorder, range(2000))
+    await_true(lambda: recorder.on_disk.messages == 2000, 30)
+    assert recorder.waiting()[0] == 2000
+    late.set_result(rosCas.catalog)
+    await_true(lambda: recorder.reports()[0].stored == 2000, 60)
+    (report,) = recorder.close()
+    assert (report.stored, report.lost) == (2000, 0)
+    assert rows_of(rosCas) == [text(n) for n in range(2000)]
+    (run,) = rosCas.runs()
+    assert (run.name, run.state) == ("early", "ended")
