@@ -418,10 +418,10 @@ class MessageWriter:
         return taken
 
     def _block_message_anew(self, handle: Handle, t_ns: int, seq: int, wire: bytes) -> None:
-        self.write(self.ready(handle), t_ns, seq & MAX_COUNTER, wire)
+        self._write_anew(self.ready(handle), t_ns, seq, wire)
 
     def _row_anew(self, handle: Handle, row: NewRow) -> None:
-        self.write(handle, row.t, row.seq & MAX_COUNTER, row.wire)
+        self._write_anew(handle, row.t, row.seq, row.wire)
 
     def _current(self, handle: Handle) -> Handle:
         """Return the current handle; wait for a silent store as long as for a row."""
