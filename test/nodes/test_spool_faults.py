@@ -118,7 +118,7 @@ def test_a_robot_whose_store_never_came(roscore, cassandra, keyspace, rosCas, on
             one.publish(*(struct.pack("<Q", n) for n in range(3000)))
             child.await_line("messages (")
             assert child.end() == 0, child.output
-        assert "3000 messages stay in the spool" in child.output
+        assert "3000 messages in the spool" in child.output
         one.hang_up()
         proxy.mend()
         with start_recorder(roscore, proxy, keyspace, *words[:3]) as child:

@@ -34,6 +34,7 @@ from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
 from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
 from cassandra_ros.cli.script import end_now
+from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.local_server.jars import default_directory
@@ -363,14 +364,15 @@ def main() -> int:
     with awaited_store(options) as store:
         show = line.show if line.shows else None
         reports, problem = record(store, chosen, place, say, show)
-        if not problem and not is_there(store):
+        spooled = sum(report.spooled for report in reports)
+        if not (problem or spooled or is_there(store)):
             problem = NO_STORE
     say(closing_table(reports, rates=not chosen.snapshot))
-    spooled, spool = sum(report.spooled for report in reports), chosen.spool_plan
+    spool = chosen.spool_plan
     if spooled and spool is not None:
         say(
-            f"{spooled} messages stay in the spool {spool.folder.path}: the next recorder stores "
-            "them, or 'cassandra_bag spool drain'"
+            f"{counted(spooled, 'message')} in the spool {spool.folder.path}: the next recorder "
+            "stores them, or 'cassandra_bag spool drain'"
         )
     status = _tell_problems([problem] * bool(problem) + failures(reports))
     if not store.done():
