@@ -50,6 +50,8 @@ SYNC_SEC = 0.8
 """Interval at which files are synced, s: with CHUNK_SEC a power cut costs less than 1 s."""
 CHUNK_BYTES = 1 << 20
 """Size of messages that are written at once, bytes."""
+MESSAGE_BYTES = 64
+"""Size of a message in a file in addition to its bytes, about, bytes."""
 CHUNK_MESSAGES = 4096
 """Maximum number of messages that are written at once."""
 SEGMENT_BYTES = 16 << 20
@@ -360,7 +362,9 @@ class Backlog:
     def _keep(self, items: Sequence[BufferedMessage], handed: bool) -> None:
         nbytes = sum(len(item.wire) for item in items)
         generation = items[0].counter >> COUNTER_BITS
-        if self._retry_at > time.monotonic() or not self._make_room(nbytes):
+        if self._retry_at > time.monotonic() or not self._make_room(
+            nbytes + MESSAGE_BYTES * len(items)
+        ):
             self._do_without(items, handed)
             return
         try:
