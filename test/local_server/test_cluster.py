@@ -9,6 +9,7 @@ import functools
 import itertools
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -27,6 +28,7 @@ from std_msgs.msg import String
 from topics.by_index import await_built
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.cli import local_cassandra
 from cassandra_ros.errors import ServerError, StoreUnavailable
 from cassandra_ros.local_server import LocalCluster, free_port, preflight, processes
 from cassandra_ros.local_server import cluster as cluster_module
@@ -127,6 +129,8 @@ def test_other_options_while_it_runs_are_refused(folder):
         make(folder, port=free_port()).start()
     with pytest.raises(ServerError, match=r"1 node\(s\), not 2.*clear --yes"):
         make(folder, nodes=2).start()
+    with pytest.raises(ServerError, match="only several nodes have copies to compare"):
+        make(folder).repair()
 
 
 def test_it_is_not_cleared_while_it_runs(folder):
@@ -309,6 +313,9 @@ def test_three_nodes(tmp_path, monkeypatch, caplog):
     cluster = make(tmp_path, nodes=3, host="127.0.0.11", port=free_port(), heap="256M")
     try:
         assert cluster.start(die_with_us=True)
+        assert (
+            "starting 3 nodes with a Java heap of 256 MiB each: about 2118 MiB" in cluster.said[0]
+        )
         # Nothing less than all three will do, and at once.
         ask(
             cluster,
@@ -375,7 +382,7 @@ def count_on(cluster, number, table):
 
 
 @pytest.mark.long
-def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch):
+def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)
     cluster = make(tmp_path, nodes=3, host="127.0.0.21", port=free_port(), heap="256M")
@@ -411,6 +418,24 @@ def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch):
         with connect(cluster) as rosCas:
             assert nodes_asked(rosCas) == 3
             assert [m.data for _, m in rosCas.getTopic("/t").items()] == [str(n) for n in range(20)]
+        # Where only a keyspace is lost, the node starts, and repair sends it what it lacks.
+        pid = cluster.status()[1].pid
+        os.kill(pid, signal.SIGKILL)
+        while processes.command_line(pid):
+            time.sleep(0.01)
+        with pytest.raises(ServerError, match="node 2 does not answer"):
+            cluster.repair()
+        shutil.rmtree(tmp_path / "node2" / "data" / "robot")
+        shutil.rmtree(tmp_path / "node2" / "commitlog")
+        assert cluster.start(die_with_us=True)
+        await_answers(cluster)
+        assert count_on(cluster, 2, table) == 0
+        cluster.repair()
+        assert count_on(cluster, 2, table) == 20
+        assert local_cassandra.main(["status", "--dir", str(tmp_path)]) == 0
+        out = capsys.readouterr().out
+        assert len(re.findall(r"node \d .* answers, pid \d+, [\d.]+ MB of memory, ", out)) == 3
+        assert len(re.findall(r"  keyspaces: robot [\d.]+ [kKM]?B", out)) == 3
         # Its door for commands is closed again.
         pid = cluster.status()[1].pid
         assert "jmx.local.port" not in " ".join(processes.command_line(pid))

@@ -10,7 +10,6 @@ import shutil
 import signal
 import sys
 import time
-from pathlib import Path
 from typing import Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
@@ -21,7 +20,9 @@ from cassandra_ros.cli.terminal_text import format_bytes
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
 from cassandra_ros.local_server.disk import full_disk
 from cassandra_ros.local_server.jars import cassandra_version, jars_directory
+from cassandra_ros.local_server.nodes import Node, size_of
 from cassandra_ros.local_server.ports import count_clients
+from cassandra_ros.printable import shown
 
 EXIT_NOT_RUNNING = 3
 # roslaunch sends SIGINT to all its programs at once, and SIGTERM 15 s later. Before that the
@@ -53,11 +54,19 @@ def start(options: argparse.Namespace) -> int:
     begun = time.monotonic()
     if cluster.start():
         say(f"Cassandra answers at {where(cluster)} after {time.monotonic() - begun:.0f} s")
+        _say_memory(cluster)
         say(f"data and logs: {cluster.directory}")
         _say_login(cluster)
     else:
         say(f"Cassandra runs already at {where(cluster)}")
     return 0
+
+
+def _say_memory(cluster: LocalCluster) -> None:
+    taken = [status.memory_bytes for status in cluster.status()]
+    if len(taken) > 1:
+        each = ", ".join(map(format_bytes, taken))
+        say(f"the {len(taken)} nodes take {format_bytes(sum(taken))} of memory now ({each})")
 
 
 def _say_login(cluster: LocalCluster) -> None:
@@ -95,8 +104,9 @@ def status(options: argparse.Namespace) -> int:
     if not nodes:
         say(f"no Cassandra was ever started in {cluster.directory}")
         return EXIT_NOT_RUNNING
-    for node in nodes:
-        say(_describe(node))
+    for each in nodes:
+        say(_describe(each))
+        _say_holdings(each.node)
     free = shutil.disk_usage(cluster.directory).free
     heap = f"heap {cluster.settings.java_heap_mb}M a node"
     say(f"directory {cluster.directory}, {format_bytes(free)} free, {heap}")
@@ -116,19 +126,18 @@ def _describe(status: NodeStatus) -> str:
         state = f"runs and does not answer, pid {status.pid}, log {node.log}"
     else:
         state = "does not run"
-    size = _disk_bytes(node.directory) / 1e6
-    return f"node {node.number} {node.address}:{node.settings.port} {state}, {size:.1f} MB on disk"
+    memory = f", {format_bytes(status.memory_bytes)} of memory" if status.pid else ""
+    size = format_bytes(size_of(node.directory))
+    return f"node {node.number} {node.address}:{node.settings.port} {state}{memory}, {size} on disk"
 
 
-def _disk_bytes(directory: Path) -> int:
-    """Return the size of all files below a directory, bytes. Files may be deleted meanwhile."""
-    total = 0
-    for path in directory.rglob("*"):
-        try:
-            total += path.stat().st_size if path.is_file() else 0
-        except OSError:
-            continue
-    return total
+def _say_holdings(node: Node) -> None:
+    """Say what a node has: the size of each keyspace, and the writes that wait for other nodes."""
+    sizes = [f"{shown(name)} {format_bytes(size)}" for name, size in node.keyspace_bytes().items()]
+    if sizes:
+        say(f"  keyspaces: {', '.join(sizes)}")
+    if waiting := node.hint_bytes():
+        say(f"  {format_bytes(waiting)} of writes wait here for nodes that were away")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -182,7 +191,7 @@ def clear(options: argparse.Namespace) -> int:
         say(f"there is nothing to clear in {cluster.directory}")
         return 0
     if not options.yes:
-        size = sum(_disk_bytes(node.directory) for node in cluster.nodes) / 1e6
+        size = sum(size_of(node.directory) for node in cluster.nodes) / 1e6
         confirm(f"Delete all data in {cluster.directory} ({size:.0f} MB)?")
     cluster.clear()
     say(f"cleared {cluster.directory}")
@@ -199,10 +208,29 @@ def replace(options: argparse.Namespace) -> int:
     begun = time.monotonic()
     cluster.replace(options.number)
     say(f"node {options.number} has its data again after {time.monotonic() - begun:.0f} s")
+    _say_holdings(cluster.nodes[options.number - 1])
     return 0
 
 
-VERBS = {verb.__name__: verb for verb in (install, start, stop, status, run, replace, clear)}
+def repair(options: argparse.Namespace) -> int:
+    """Compare the copies of all nodes, which must be running, and send each node what it lacks.
+
+    Do so if a node was away for more than three hours, or after the number of copies of a keyspace
+    was raised. Shorter absences repair themselves: the other nodes keep the writes.
+    """
+    cluster = open_cluster(options)
+    begun = time.monotonic()
+    cluster.repair()
+    say(f"all copies are equal after {time.monotonic() - begun:.0f} s")
+    for status in cluster.status():
+        say(_describe(status))
+        _say_holdings(status.node)
+    return 0
+
+
+VERBS = {
+    verb.__name__: verb for verb in (install, start, stop, status, run, replace, repair, clear)
+}
 
 
 def _add_arguments(name: str, parser: argparse.ArgumentParser) -> None:

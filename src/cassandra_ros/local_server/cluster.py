@@ -15,9 +15,12 @@ from typing import Callable
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import preflight, processes
 from cassandra_ros.local_server.cluster_settings import (
+    MIN_HEAP_MB,
     SETTINGS_FILE,
     change_settings,
+    free_memory_mb,
     load_settings,
+    needed_memory_mb,
     new_settings,
     save_settings,
 )
@@ -28,8 +31,8 @@ from cassandra_ros.local_server.jars import (
     install_jars,
     jars_directory,
 )
+from cassandra_ros.local_server.node_tool import run_node_tool
 from cassandra_ros.local_server.nodes import Node, NodeStatus, with_visible_root
-from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.preflight import explain_failure, log_since, log_size
 from cassandra_ros.local_server.processes import locked
 from cassandra_ros.local_server.server_security import Security
@@ -106,7 +109,8 @@ class LocalCluster:
         for node in self.nodes:
             pid = self._pid(node)
             answers = bool(pid) and node.lets_in()
-            statuses.append(NodeStatus(node, pid, answers))
+            memory = processes.resident_bytes(pid) if pid else 0
+            statuses.append(NodeStatus(node, pid, answers, memory))
         return statuses
 
     def start(self, *, die_with_us: bool = False) -> bool:
@@ -136,6 +140,7 @@ class LocalCluster:
                 running = len(asleep) < self.settings.nodes
                 preflight.check_change(self.directory, self._stored, self.settings, running)
             if asleep:
+                self._tell_memory(len(asleep))
                 self._start_nodes(asleep, die_with_us)
             for node in self.nodes:
                 self._await_answer(node, offsets[node.number])
@@ -180,7 +185,7 @@ class LocalCluster:
                 f"there is no node {number} that others could give its data: the cluster in "
                 f"{self.directory} has {self.settings.nodes if self.exists else 0} nodes"
             )
-        node = replace(self.nodes[number - 1], jmx_port=free_port())
+        node = replace(self.nodes[number - 1], replaced=True)
         with locked(self.directory / "lock"):
             self._check_replaceable(node)
             for name in ("data", "commitlog", "hints", "saved_caches"):
@@ -190,16 +195,37 @@ class LocalCluster:
             self._start_node(node, java, die_with_us)
             self._await_answer(node, offset)
             self._await_neighbours([number], {n.number: 0 for n in self.nodes})
-            self._say(f"comparing the data of node {number} with the other copies")
             self._repair(node, java)
-            # Start it again with its normal configuration, without a JMX port.
-            pid = self._pid(node)
-            processes.terminate(pid)
-            self._await_end(node, pid)
-            offset = log_size(node)
-            self._start_node(self.nodes[number - 1], java, die_with_us)
-            self._await_answer(self.nodes[number - 1], offset)
-            self._await_neighbours([number], {n.number: offset for n in self.nodes})
+
+    def repair(self) -> None:
+        """Compare the copies of all data of all nodes, and send each node what it lacks.
+
+        Raises:
+            ServerError: A node does not answer, there is only one node, or the comparison fails.
+        """
+        if not self.exists or self.settings.nodes < 2:
+            raise ServerError(
+                f"the cluster in {self.directory} has {self.settings.nodes if self.exists else 0} "
+                "node(s): only several nodes have copies to compare"
+            )
+        with locked(self.directory / "lock"):
+            self._load()
+            silent = [node for node in self.nodes if not node.answers()]
+            if silent:
+                raise ServerError(
+                    f"Cassandra node {silent[0].number} does not answer: its copies cannot be "
+                    "compared; start it with local_cassandra start, or local_cassandra replace if "
+                    "its data are lost"
+                )
+            java = find_java()
+            for node in self.nodes:
+                # Of each node its own part of the ring: together they are all data once.
+                self._repair(node, java, "--partitioner-range")
+
+    def _repair(self, node: Node, java: str, *options: str) -> None:
+        self._say(f"comparing the data of node {node.number} with the other copies")
+        words = ["repair", "--full", *options]
+        run_node_tool(node, self._pid(node), java, jars_directory(), words)
 
     def _check_replaceable(self, node: Node) -> None:
         if pid := self._pid(node):
@@ -217,16 +243,6 @@ class LocalCluster:
             raise ServerError(
                 f"Cassandra node {silent[0].number} does not answer: all the others are needed; "
                 "start them with local_cassandra start, which ends at the node without data"
-            )
-
-    def _repair(self, node: Node, java: str) -> None:
-        command = node.repair_command(java, jars_directory())
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            lines = (done.stdout + done.stderr).strip().splitlines()[-5:]
-            raise ServerError(
-                f"Cassandra node {node.number} has its data and runs, but they could not be "
-                "compared with the other copies:\n" + "\n".join(lines)
             )
 
     def clear(self) -> bool:
@@ -284,6 +300,22 @@ class LocalCluster:
         if remembered and processes.is_server(remembered, node.config):
             return remembered
         return processes.find_server(node.config)
+
+    def _tell_memory(self, nodes: int) -> None:
+        """Say how much memory several nodes will take."""
+        if self.settings.nodes < 2:
+            return
+        needed = nodes * needed_memory_mb(self.settings.java_heap_mb)
+        free = free_memory_mb()
+        self._say(
+            f"starting {nodes} nodes with a Java heap of {self.settings.java_heap_mb} MiB each: "
+            f"about {needed} MiB of memory together; {free} MiB are free"
+        )
+        if needed > free:
+            self._say(
+                "warning: this is more than what is free: choose a smaller --heap "
+                f"({MIN_HEAP_MB}M or more), or fewer nodes"
+            )
 
     def _check(self, asleep: list[Node]) -> str:
         """Check Java and ports, and download missing jars; return the path of Java."""

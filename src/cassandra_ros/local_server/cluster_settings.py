@@ -12,12 +12,16 @@ import uuid
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
+import psutil
+
 from cassandra_ros.errors import ServerError
 
 MAX_NODES = 3
 MIN_HEAP_MB = 256
 OWN_HEAP_MB = 512, 4096
 """Default heap sizes, MiB: minimum of one node, and maximum of all nodes together."""
+BESIDE_HEAP_MB = 450
+"""Memory of a node in addition to its heap, MiB: code, threads, buffers and memtables."""
 _MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")
 SETTINGS_FILE = "cluster.json"
 _DRAFT = "cluster.draft"
@@ -66,6 +70,16 @@ def own_heap_mb(nodes: int, memory_bytes: int | None = None) -> int:
     least, most = OWN_HEAP_MB
     memory = _memory_bytes() if memory_bytes is None else memory_bytes
     return max(least, min(most, memory // 4 >> 20) // nodes)
+
+
+def needed_memory_mb(heap_mb: int) -> int:
+    """Return the memory that a node with a full heap takes, MiB: the heap, and Java beside it."""
+    return heap_mb + BESIDE_HEAP_MB
+
+
+def free_memory_mb() -> int:
+    """Return the memory that is free on this machine for new processes, MiB."""
+    return int(psutil.virtual_memory().available) >> 20
 
 
 def _memory_bytes() -> int:

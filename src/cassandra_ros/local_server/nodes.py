@@ -23,6 +23,8 @@ _RING = 1 << 64
 _JVM_FLAGS = (
     "-Xss256k -XX:+UseThreadPriorities "
     "-XX:+PerfDisableSharedMem -XX:+ExitOnOutOfMemoryError -Djava.net.preferIPv4Stack=true "
+    # Where nodetool finds the JMX port that is open while it runs; see node_tool.py.
+    "-Djava.rmi.server.hostname=127.0.0.1 "
     "-Dchronicle.analytics.disable=true -Djdk.attach.allowAttachSelf=true "
     "-Dio.netty.tryReflectionSetAccessible=true -Dio.netty.allocator.useCacheForAllThreads=true "
     "-Dio.netty.allocator.maxOrder=11 -Dcassandra-foreground=yes "
@@ -55,8 +57,8 @@ class Node:
     """Directory of the node: absolute and without symbolic links, so that its process can be
     identified by the command line."""
     settings: Settings
-    jmx_port: int = 0
-    """JMX port of a node whose lost data are restored; 0 = JMX is off."""
+    replaced: bool = False
+    """Whether this start copies the data that the node has lost from the other nodes."""
 
     @property
     def address(self) -> str:
@@ -100,6 +102,18 @@ class Node:
         """Path of the file with the pid of the last start."""
         return self.directory / "pid"
 
+    def keyspace_bytes(self) -> dict[str, int]:
+        """Return the size on disk of each keyspace of users, bytes, by name.
+
+        What was written last is missing: it is only in the commit log and in memory.
+        """
+        folders = sorted((self.directory / "data").glob("*/"))
+        return {each.name: size_of(each) for each in folders if not each.name.startswith("system")}
+
+    def hint_bytes(self) -> int:
+        """Return the size of the writes that wait on this node for nodes that were away, bytes."""
+        return size_of(self.directory / "hints")
+
     def write_config(self) -> None:
         """Make the node's directory, readable by its owner only, and write its configuration."""
         self.directory.parent.mkdir(parents=True, exist_ok=True)
@@ -116,7 +130,7 @@ class Node:
         """Return the text of the node's cassandra.yaml: the common part and the node's values."""
         settings = self.settings
         numbers = set(range(1, settings.nodes + 1))
-        if self.jmx_port:  # a seed would not copy data from other nodes
+        if self.replaced:  # a seed would not copy data from other nodes
             numbers.remove(self.number)
         seeds = ",".join(f"{settings.address(n)}:{settings.storage_port}" for n in sorted(numbers))
         seed_provider = "org.apache.cassandra.locator.SimpleSeedProvider"
@@ -131,7 +145,7 @@ class Node:
             "memtable_heap_space": f"{settings.java_heap_mb * 3 // 16}MiB",
             "memtable_offheap_space": f"{max(128, settings.java_heap_mb // 4)}MiB",
         }
-        if self.jmx_port:
+        if self.replaced:
             own["auto_bootstrap"] = True
         if settings.secure:
             own.update(self.security.yaml())
@@ -151,9 +165,8 @@ class Node:
         arguments.append(f"-XX:MaxDirectMemorySize={max(512, heap // 2)}M")
         arguments.append("-XX:+UseParallelGC" if heap <= _SMALL_HEAP_MB else "-XX:+UseG1GC")
         arguments += _JVM_FLAGS.split() + _LOCAL_FLAGS.split()
-        if self.jmx_port:
+        if self.replaced:
             arguments.append(f"-Dcassandra.replace_address_first_boot={self.address}")
-            arguments.append(f"-Dcassandra.jmx.local.port={self.jmx_port}")
         arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
         arguments += module_options()
         return [
@@ -169,12 +182,6 @@ class Node:
             "org.apache.cassandra.service.CassandraDaemon",
         ]
 
-    def repair_command(self, java: str, jars: Path) -> list[str]:
-        """Return the command line that compares all data of the node with the other copies."""
-        words = [java, "-Xmx128M", f"-Duser.home={self.directory / 'tmp'}", "-cp", str(jars / "*")]
-        words += [*module_options(), "org.apache.cassandra.tools.NodeTool", "-h", "127.0.0.1"]
-        return [*words, "-p", str(self.jmx_port), "repair", "-full"]
-
 
 @dataclass(frozen=True)
 class NodeStatus:
@@ -185,6 +192,19 @@ class NodeStatus:
     """Pid of the server; 0 = it is not running."""
     answers: bool
     """Whether programs can use the node: it answers CQL and accepts their login, if any."""
+    memory_bytes: int = 0
+    """Resident memory of the server, bytes; 0 = it is not running."""
+
+
+def size_of(directory: Path) -> int:
+    """Return the size of all files below a directory, bytes. Files may be deleted meanwhile."""
+    total = 0
+    for path in directory.rglob("*"):
+        try:
+            total += path.stat().st_size if path.is_file() else 0
+        except OSError:
+            continue
+    return total
 
 
 # $0 is a mount point over which / is mounted. The mount is private: other processes do not see it.

@@ -37,6 +37,14 @@ def command_line(pid: int) -> list[str]:
         return []
 
 
+def resident_bytes(pid: int) -> int:
+    """Return the resident memory of a process, bytes; 0 = it has ended."""
+    try:
+        return int(psutil.Process(pid).memory_info().rss)
+    except psutil.Error:
+        return 0
+
+
 def is_server(pid: int, config: Path) -> bool:
     """Return whether a process is the server with this configuration file."""
     return config_argument(config) in command_line(pid)

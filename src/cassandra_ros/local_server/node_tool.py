@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Cassandra's nodetool on a running node of the local cluster.
+
+nodetool needs a JMX port, which the nodes do not have. Java opens one while a command runs: it
+takes that request over a socket that only the user of the process can use, and the port then wants
+a password, which stands in a file that only this user can read.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import signal
+import socket
+import subprocess
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Iterator, Sequence
+
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server.java_programs import module_options
+from cassandra_ros.local_server.nodes import Node
+from cassandra_ros.local_server.ports import free_port
+
+_LOOPBACK = "127.0.0.1"
+_USER = "cassandra_ros"
+_ATTACH_SEC = 30.0
+_POLL_SEC = 0.05
+
+
+def run_node_tool(node: Node, pid: int, java: str, jars: Path, words: Sequence[str]) -> str:
+    """Run nodetool on a node; return what it prints.
+
+    Args:
+        node: The node.
+        pid: Pid of its server, which must run as our user.
+        java: Path of Java.
+        jars: Directory of Cassandra's jars.
+        words: The command of nodetool and its arguments.
+
+    Raises:
+        ServerError: The server does not open the port, or the command fails.
+    """
+    with tempfile.TemporaryDirectory(prefix="jmx_", dir=node.directory) as name:
+        folder = Path(name)
+        with _jmx_port(node, pid, folder) as port:
+            command = [java, "-Xmx128M", "-XX:TieredStopAtLevel=1", *module_options()]
+            command += [f"-Duser.home={folder}", "-cp", str(jars / "*")]
+            command += ["org.apache.cassandra.tools.NodeTool", "-h", _LOOPBACK, "-p", str(port)]
+            command += ["-u", _USER, "-pwf", str(folder / "password"), *words]
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        lines = (done.stdout + done.stderr).strip().splitlines()[-5:]
+        raise ServerError(
+            f"Cassandra node {node.number} failed in nodetool {' '.join(words)}:\n"
+            + "\n".join(lines)
+        )
+    return done.stdout
+
+
+@contextmanager
+def _jmx_port(node: Node, pid: int, folder: Path) -> Iterator[int]:
+    """Open the JMX port of a server for the time of a block; yield its number."""
+    port = free_port()
+    _write_private(folder / "password", f"{_USER} {secrets.token_urlsafe(24)}\n")
+    _write_private(folder / "access", f"{_USER} readwrite\n")
+    options = {
+        "port": port,
+        "rmi.port": port,
+        "host": _LOOPBACK,
+        "ssl": "false",
+        "authenticate": "true",
+        "password.file": folder / "password",
+        "access.file": folder / "access",
+    }
+    words = " ".join(f"jmxremote.{name}={value}" for name, value in options.items())
+    _ask_java(node, pid, f"ManagementAgent.start {words}")
+    try:
+        yield port
+    finally:
+        _ask_java(node, pid, "ManagementAgent.stop")
+
+
+def _write_private(path: Path, text: str) -> None:
+    number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with open(number, "w", encoding="ascii") as file:
+        file.write(text)
+
+
+def _ask_java(node: Node, pid: int, command: str) -> None:
+    """Have a Java process run one of its diagnostic commands, as the program jcmd does."""
+    try:
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(_ATTACH_SEC)
+            connection.connect(str(_attach_socket(pid)))
+            connection.sendall(b"".join(f"{word}\0".encode() for word in ("1", "jcmd", command)))
+            connection.sendall(b"\0\0")
+            with connection.makefile("rb") as stream:
+                answer = stream.read().decode("utf-8", "replace")
+    except OSError as exc:
+        raise ServerError(
+            f"Cassandra node {node.number} (pid {pid}) takes no command of Java: {exc}; was it "
+            "started by another user?"
+        ) from exc
+    status, _, text = answer.partition("\n")
+    if status != "0":
+        raise ServerError(f"Cassandra node {node.number} refuses a command of Java: {text.strip()}")
+
+
+def _attach_socket(pid: int) -> Path:
+    """Return the path of the socket on which a Java process takes commands; have it make one."""
+    folder = Path(f"/proc/{pid}/root/tmp")
+    path = folder / f".java_pid{pid}"
+    if path.is_socket():
+        return path
+    request = folder / f".attach_pid{pid}"
+    request.touch()
+    try:
+        os.kill(pid, signal.SIGQUIT)
+        deadline = time.monotonic() + _ATTACH_SEC
+        while not path.is_socket():
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"no socket {path} after {_ATTACH_SEC:.0f} s")
+            time.sleep(_POLL_SEC)
+    finally:
+        request.unlink()
+    return path
