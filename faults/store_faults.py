@@ -37,8 +37,8 @@ def store_frozen(trial: Trial) -> None:
 
 
 def store_away_longer_than_the_buffer(trial: Trial) -> None:
-    """Cassandra cannot be reached until the buffer of the recorder has overflowed."""
-    _away(trial, "--buffsize", "1")
+    """Cassandra cannot be reached until the buffer of a recorder without spool has overflowed."""
+    _away(trial, "--buffsize", "1", "--no-spool")
 
 
 def store_away_with_a_spool(trial: Trial) -> None:

@@ -26,13 +26,12 @@ def world(tmp_path_factory, ros_env):
         yield made
 
 
-def kept_short(names):
+def fault_parameters(names):
     """The three nodes of a cluster are left to the campaign."""
     return [pytest.param(n, marks=[pytest.mark.long] * (n in CLUSTER)) for n in names]
 
 
-@pytest.mark.fault
-@pytest.mark.parametrize("name", kept_short(FAULTS))
+@pytest.mark.parametrize("name", fault_parameters(FAULTS))
 def test_every_message_is_accounted_for(world, name):
     result = try_fault(world, name, *SHORT, short=True)
     if result.skipped:
