@@ -15,7 +15,7 @@ from cassandra_ros.cli import player, recorder
 
 ROOT = Path(__file__).resolve().parents[1]
 PARSERS = {"play": player.make_parser, "record": recorder.make_parser}
-# Of other programs of rosbag than its front end in this version: see doc/record.md.
+# Options of programs of rosbag other than its front end in this version: see doc/record.md.
 LATER = {"-L", "--min-space", "-s", "--snapshot"}
 KINDS = {"keep", "adapt", "drop", "ours"}
 OPTION = re.compile(r"(?<![\w-])(--?[A-Za-z][\w-]*)")

@@ -61,7 +61,7 @@ def test_rates_and_topics_are_those_given(capsys):
         assert set(each["bytes_a_day"]) == set(FORMATS)
         for name, size in each["bytes_a_message"].items():
             assert each["bytes_a_day"][name] == pytest.approx(size * each["rate_hz"] * DAY)
-    # Of /tf at 100 Hz a block holds 50 messages.
+    # A block of /tf at 100 Hz holds 50 messages.
     assert tf["bytes_a_message"]["packed"] < tf["bytes_a_message"]["ros"] / 2
     assert tf["stored_format"] == "" and tf["measured"] is None
 
