@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from cassandra_ros.blocks import block_queue as needed
 from cassandra_ros.blocks import block_stream as streams
 from cassandra_ros.blocks.block_stream import stream
-from cassandra_ros.blocks.bucket_read import BucketRead
+from cassandra_ros.blocks.bucket_read import BucketRead, WaitingRows
 from cassandra_ros.keys import Position, writer_of
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store import bucket_walk as walk
@@ -284,6 +284,26 @@ def test_blocks_that_overlap_are_read_newest_first(crowded, wanted):
     table, every = crowded
     rows = stream(BucketRead(table, "", table.bucket_of(T0), reverse=True, wanted=wanted))
     assert [(r.t, r.seq) for r in rows] == [m[:2] for m in reversed(every)]
+
+
+def test_rows_of_three_blocks_are_sorted_if_only_two_overlap():
+    held = WaitingRows()
+    for times in ([0, 10], [5, 6], [20]):
+        held.add([(t,) for t in times])
+    assert held.rest() == [(0,), (5,), (6,), (10,), (20,)]
+
+
+def test_the_first_of_equal_stamps_may_be_in_a_later_block(rosCas):
+    table, conn = make_table(rosCas)
+    late, early = 7 << 32, 1 << 32
+    blocks = [
+        [(T0, late, b"a"), (T0 + 5, late + 1, b"b")],
+        [(T0 + 1, early, b"c"), (T0 + 5, early + 1, b"d")],
+    ]
+    for block in blocks:
+        put_block(rosCas, table, "", conn, block)
+    list_blocks(rosCas, table, "", blocks)
+    assert rosCas.getTopic("/p").getRow(T0 + 5).seq == early + 1
 
 
 def test_a_message_is_found_under_more_blocks_than_are_kept(crowded):
