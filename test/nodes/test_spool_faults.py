@@ -12,7 +12,7 @@ import time
 
 import pytest
 from campaign import LENGTH
-from nodes.children import await_true, start_recorder
+from nodes.children import await_true, start_client, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of
 from proxy import Proxy
 from std_msgs.msg import UInt64
@@ -117,6 +117,9 @@ def test_a_robot_whose_store_never_came(roscore, cassandra, keyspace, rosCas, on
             one.await_subscribers()
             one.publish(*(struct.pack("<Q", n) for n in range(3000)))
             child.await_line("messages (")
+            with start_client(roscore) as client:
+                await_true(lambda: client.call("/recorder/status")["spooled_messages"] == 3000, 60)
+                assert client.call("/recorder/status")["behind_seconds"] > 0
             assert child.end() == 0, child.output
         assert "3000 messages in the spool" in child.output
         one.hang_up()

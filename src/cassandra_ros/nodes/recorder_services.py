@@ -85,6 +85,9 @@ class _Services:
             response.state, response.run, response.writer = status.state, status.run, status.writer
             response.topics = [_packed(report, status) for report in status.topics]
             response.held_bytes, response.bound_bytes = status.held_bytes, status.bound_bytes
+            disk = status.on_disk
+            response.spooled_messages, response.spooled_bytes = disk.messages, disk.nbytes
+            response.behind_seconds = disk.behind_sec
             response.held_seconds = status.held_sec
             response.held_messages = status.held_messages
 
