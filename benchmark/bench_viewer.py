@@ -56,7 +56,7 @@ def say(text: str) -> None:
 @contextlib.contextmanager
 def running_viewer(server: Server, folder: Path) -> Iterator[Tuple[str, int]]:
     """Start the program; yield its address and port."""
-    command = [sys.executable, str(ROOT / "scripts/viewer"), "--port", "0", "--spool", str(folder)]
+    command = [sys.executable, str(ROOT / "scripts/viewer"), "--port", "0", "--cache", str(folder)]
     command += ["--store-host", server.host, "--store-port", str(server.port)]
     command += ["--keyspace", server.keyspace]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
@@ -172,7 +172,7 @@ def main() -> int:
         server = Server(Path(name) / "server", address)
         try:
             server.start()
-            results = run(args, Path(name) / "spool", server)
+            results = run(args, Path(name) / "cache", server)
         finally:
             server.end()
     results.save(args.results)

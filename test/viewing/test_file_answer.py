@@ -10,7 +10,7 @@ import contextlib
 import pytest
 from aiohttp import ClientSession, web
 
-from cassandra_ros.viewing.answers import SpooledFile
+from cassandra_ros.viewing.answers import CachedFile
 from cassandra_ros.viewing.file_answer import send_file
 
 CONTENT = bytes(range(100))
@@ -21,7 +21,7 @@ WHOLE = (200, CONTENT)
 async def served(path, tag):
     """Serve one file on a free port; yields its address."""
     application = web.Application()
-    file = SpooledFile(path, "a.bag", "application/x-rosbag", tag)
+    file = CachedFile(path, "a.bag", "application/x-rosbag", tag)
 
     async def answer(request):
         return await send_file(request, file)

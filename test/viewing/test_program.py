@@ -118,9 +118,9 @@ def test_options_become_settings(monkeypatch):
     assert usual == ViewerSettings()
     assert (usual.host, usual.port, usual.token) == ("127.0.0.1", 8080, "")
     origins = ("--allow-origin", "https://a.b/", "--allow-origin", "http://localhost:3000")
-    found = settings_of(*origins, "--port", "9000", "--spool", "/x", "--spool-size", "2G")
+    found = settings_of(*origins, "--port", "9000", "--cache", "/x", "--cache-size", "2G")
     assert found.allow_origin == ("https://a.b", "http://localhost:3000")
-    assert (found.port, str(found.spool), found.spool_bytes) == (9000, "/x", 2 << 30)
+    assert (found.port, str(found.cache), found.cache_bytes) == (9000, "/x", 2 << 30)
     assert settings_of("--token", "t").token == "t"  # noqa: S105
     assert settings_of("--host", "::1").token == ""
     first, second = (settings_of("--host", "10.0.0.1").token for _ in range(2))
@@ -129,7 +129,7 @@ def test_options_become_settings(monkeypatch):
     assert settings_of("--host", "10.0.0.1").token == settings_of().token == "kept"  # noqa: S105
     options = make_parser().parse_args(["--store-host", "a,b", "--store-port", "9999"])
     assert (options.host, options.port) == ("a,b", 9999)
-    for wrong in (("--port", "65536"), ("--port", "-1"), ("--spool-size", "much")):
+    for wrong in (("--port", "65536"), ("--port", "-1"), ("--cache-size", "much")):
         with pytest.raises(SystemExit):
             make_parser().parse_args(wrong)
 

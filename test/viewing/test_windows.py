@@ -40,7 +40,7 @@ def store(fresh):
 
 @pytest.fixture(scope="module")
 def viewer(store, tmp_path_factory):
-    with running_viewer(store, spool=tmp_path_factory.mktemp("spool")) as viewer:
+    with running_viewer(store, cache=tmp_path_factory.mktemp("cache")) as viewer:
         yield viewer
 
 
@@ -218,7 +218,7 @@ def test_who_leaves_ends_the_writing_and_nothing_is_left(store, tmp_path, monkey
             ended.set()
 
     monkeypatch.setattr(window_routes, "export_bag", endless)
-    with running_viewer(store, spool=tmp_path) as viewer:
+    with running_viewer(store, cache=tmp_path) as viewer:
         connection = viewer.connect()
         connection.request("GET", "/window.bag")
         assert begun.wait(180)

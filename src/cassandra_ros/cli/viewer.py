@@ -40,9 +40,9 @@ from cassandra_ros.errors import KeyspaceNotFound, MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.viewing.studio import studio_folder
 from cassandra_ros.viewing.viewer_settings import (
+    DEFAULT_CACHE_BYTES,
     DEFAULT_HOST,
     DEFAULT_PORT,
-    DEFAULT_SPOOL_BYTES,
     ViewerSettings,
 )
 
@@ -85,12 +85,12 @@ def make_parser() -> argparse.ArgumentParser:
     add("--install-studio", action="store_true", help=text)
     add("--open", action="store_true", help="open it in the browser of this machine")
     add(
-        "--spool",
+        "--cache",
         metavar="DIR",
         help="folder for bags that are being sent (default: a new folder for temporary files)",
     )
-    text = f"maximum size of this folder, for example 500M or 20G (default: {DEFAULT_SPOOL_BYTES})"
-    add("--spool-size", metavar="SIZE", type=byte_size, default=DEFAULT_SPOOL_BYTES, help=text)
+    text = f"maximum size of this folder, for example 500M or 20G (default: {DEFAULT_CACHE_BYTES})"
+    add("--cache-size", metavar="SIZE", type=byte_size, default=DEFAULT_CACHE_BYTES, help=text)
     add_store_options(parser, prefix="store-")
     return parser
 
@@ -111,8 +111,8 @@ def read_settings(options: argparse.Namespace) -> ViewerSettings:
         port=options.listen_port,
         token=token,
         allow_origin=tuple(origin.rstrip("/") for origin in options.allow_origin),
-        spool=Path(options.spool) if options.spool else None,
-        spool_bytes=options.spool_size,
+        cache=Path(options.cache) if options.cache else None,
+        cache_bytes=options.cache_size,
     )
 
 

@@ -43,7 +43,7 @@ class Stream:
 
 
 @dataclass(frozen=True)
-class SpooledFile:
+class CachedFile:
     """A finished file on disk; a client may request parts of it (Range, If-Range, HEAD)."""
 
     path: Path
@@ -54,7 +54,7 @@ class SpooledFile:
     """Tag of the content, without quotes."""
 
 
-Answer = Union[Json, Bytes, Stream, SpooledFile]
+Answer = Union[Json, Bytes, Stream, CachedFile]
 
 
 def json_bytes(answer: Json) -> bytes:

@@ -17,12 +17,12 @@ from typing import IO
 from aiohttp import ETag, web
 
 from cassandra_ros.errors import StoreUnavailable
-from cassandra_ros.viewing.answers import SpooledFile
+from cassandra_ros.viewing.answers import CachedFile
 
 _CHUNK_BYTES = 1 << 18
 
 
-async def send_file(request: web.Request, file: SpooledFile) -> web.StreamResponse:
+async def send_file(request: web.Request, file: CachedFile) -> web.StreamResponse:
     """Send a finished file, or the part of it that Range asks for.
 
     Raises:
@@ -71,7 +71,7 @@ def _names(tags: tuple[ETag, ...], etag: str) -> bool:
     return any(tag.value in ("*", etag) for tag in tags)
 
 
-def _response(file: SpooledFile, offsets: range | None, size: int) -> web.StreamResponse:
+def _response(file: CachedFile, offsets: range | None, size: int) -> web.StreamResponse:
     """Make the answer, with all of its headers, before anything is sent."""
     response = web.StreamResponse()
     response.content_type = file.content_type

@@ -20,7 +20,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
-from cassandra_ros.viewing.answers import Bytes, SpooledFile, Stream, json_bytes
+from cassandra_ros.viewing.answers import Bytes, CachedFile, Stream, json_bytes
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.file_answer import send_file
 from cassandra_ros.viewing.route import Route
@@ -60,7 +60,7 @@ class HandlerThreads:
                 body = await self._run(partial(_work, route, call))
                 if isinstance(body, _Chunks):
                     return await self._send_stream(request, call, body)
-                if isinstance(body, SpooledFile):
+                if isinstance(body, CachedFile):
                     return await send_file(request, body)
                 return await self._send_bytes(request, body)
             finally:
@@ -182,10 +182,10 @@ class _Chunks:
                 close()
 
 
-def _work(route: Route, call: ApiCall) -> Union[Bytes, SpooledFile, _Chunks]:
+def _work(route: Route, call: ApiCall) -> Union[Bytes, CachedFile, _Chunks]:
     """Answer a call; JSON is written here, on the handler's thread."""
     answer = route.answer(call)
-    if isinstance(answer, (Bytes, SpooledFile)):
+    if isinstance(answer, (Bytes, CachedFile)):
         return answer
     if isinstance(answer, Stream):
         chunks = _Chunks(answer)

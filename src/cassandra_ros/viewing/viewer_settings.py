@@ -12,8 +12,8 @@ from cassandra_ros.viewing.studio import studio_folder
 
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 8080
-DEFAULT_SPOOL_BYTES = 4 * 10**9
-"""Default maximum size of all spooled files, bytes."""
+DEFAULT_CACHE_BYTES = 4 * 10**9
+"""Default maximum size of all cached files, bytes."""
 DEFAULT_THREADS = 16
 """Default number of handler threads."""
 
@@ -53,10 +53,10 @@ class ViewerSettings:
     """Secret that each client must send; '' = none."""
     allow_origin: tuple[str, ...] = ()
     """Other sites whose pages may read the answers, as 'https://app.foxglove.dev'."""
-    spool: Path | None = None
+    cache: Path | None = None
     """Folder for files that are being sent; None = a new one in the temporary folder. The viewer
     deletes its files when it ends."""
-    spool_bytes: int = DEFAULT_SPOOL_BYTES
+    cache_bytes: int = DEFAULT_CACHE_BYTES
     """Maximum size of all files in it, bytes."""
     threads: int = DEFAULT_THREADS
     """Maximum number of requests that are answered at the same time; further ones wait."""

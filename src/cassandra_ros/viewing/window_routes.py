@@ -25,11 +25,11 @@ from cassandra_ros.overview.content_version import content_version
 from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.read import Read
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.viewing.answers import Answer, SpooledFile, Stream
+from cassandra_ros.viewing.answers import Answer, CachedFile, Stream
 from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.download_cache import DownloadCache
 from cassandra_ros.viewing.message_selection import SELECTION, MessageSelection, read_selection
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.spool import Spool
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 _CONTENT_TYPES = {"bag": "application/x-rosbag", "mcap": "application/x-mcap"}
@@ -42,26 +42,26 @@ _STREAM = Parameter(
 )
 
 
-def make_spool(settings: ViewerSettings) -> Spool:
-    """Return the spool of a viewer; at most half of the handler threads may wait for files."""
-    return Spool(settings.spool, settings.spool_bytes, max(1, settings.threads // 2))
+def make_cache(settings: ViewerSettings) -> DownloadCache:
+    """Return the cache of a viewer; at most half of the handler threads may wait for files."""
+    return DownloadCache(settings.cache, settings.cache_bytes, max(1, settings.threads // 2))
 
 
 def _answer(call: ApiCall, ending: str) -> Answer:
     selection, compression = read_selection(call), _compression(call, ending)
     latched, streamed = call.flag("latched"), ending == "mcap" and call.flag("stream")
-    spool, name = call.cached_by_viewer(make_spool), _name(call.catalog, selection, ending)
+    cache, name = call.cached_by_viewer(make_cache), _name(call.catalog, selection, ending)
     request = _digest(repr((ending, selection, compression, latched, call.catalog.keyspace.name)))
     headers = call.headers
     if "range" in headers and not {"if-range", "if-match"}.intersection(headers):
-        known = spool.latest(request)
+        known = cache.latest(request)
         if known is not None:
-            return SpooledFile(known.path, name, _CONTENT_TYPES[ending], known.key)
+            return CachedFile(known.path, name, _CONTENT_TYPES[ending], known.key)
     key = _digest(request + _version(call.catalog, selection, latched))
     write = partial(_write, call.store, selection, compression, latched)
 
     def chunks() -> Iterator[bytes]:
-        with spool.lease(key, request, name, write) as lease:
+        with cache.lease(key, request, name, write) as lease:
             yield from lease.follow(call.gone)
 
     if streamed:
@@ -71,8 +71,8 @@ def _answer(call: ApiCall, ending: str) -> Answer:
             _CONTENT_TYPES[ending],
             {"Content-Disposition": disposition, "ETag": f'"{key}"'},
         )
-    with spool.lease(key, request, name, write) as lease:
-        return SpooledFile(lease.wait(call.gone), name, _CONTENT_TYPES[ending], key)
+    with cache.lease(key, request, name, write) as lease:
+        return CachedFile(lease.wait(call.gone), name, _CONTENT_TYPES[ending], key)
 
 
 def _compression(call: ApiCall, ending: str) -> str | None:

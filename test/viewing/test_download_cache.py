@@ -12,15 +12,15 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from cassandra_ros.errors import BagError, InvalidOption, StoreUnavailable
-from cassandra_ros.viewing import spool as module
-from cassandra_ros.viewing.spool import Spool
+from cassandra_ros.viewing import download_cache as module
+from cassandra_ros.viewing.download_cache import DownloadCache
 
 PATIENCE_SEC = 180
 
 
 @pytest.fixture
-def spool(tmp_path):
-    made = Spool(tmp_path, 1000, 8)
+def cache(tmp_path):
+    made = DownloadCache(tmp_path, 1000, 8)
     yield made
     made.close()
     assert list(tmp_path.iterdir()) == []
@@ -55,36 +55,36 @@ class Writing:
         self.go.release(len(self.content) if count is None else count)
 
 
-def get(spool, writing, key="k", request="r", gone=None):
-    with spool.lease(key, request, "a.bag", writing) as lease:
+def get(cache, writing, key="k", request="r", gone=None):
+    with cache.lease(key, request, "a.bag", writing) as lease:
         return lease.wait(gone or threading.Event()).read_bytes()
 
 
-def test_all_who_wait_get_one_file(spool):
+def test_all_who_wait_get_one_file(cache):
     writing = Writing(b"content")
     with ThreadPoolExecutor(4) as pool:
-        asked = [pool.submit(get, spool, writing) for _ in range(4)]
+        asked = [pool.submit(get, cache, writing) for _ in range(4)]
         assert writing.begun.wait(PATIENCE_SEC)
         writing.let()
         assert [each.result(PATIENCE_SEC) for each in asked] == [b"content"] * 4
-    assert get(spool, writing) == b"content"
+    assert get(cache, writing) == b"content"
     assert writing.count == 1
-    assert spool.latest("r").path.read_bytes() == b"content"
-    assert spool.latest("other") is None
+    assert cache.latest("r").path.read_bytes() == b"content"
+    assert cache.latest("other") is None
 
 
-def test_the_newest_file_of_a_request_is_the_one_that_was_opened_last(spool):
+def test_the_newest_file_of_a_request_is_the_one_that_was_opened_last(cache):
     for key in ("a", "b"):
         writing = Writing(key.encode())
         writing.let()
-        get(spool, writing, key)
-    assert spool.latest("r").key == "b"
+        get(cache, writing, key)
+    assert cache.latest("r").key == "b"
 
 
-def test_a_file_without_a_waiting_client_is_not_written_to_its_end(spool):
+def test_a_file_without_a_waiting_client_is_not_written_to_its_end(cache):
     writing, first, second = Writing(), threading.Event(), threading.Event()
     with ThreadPoolExecutor(2) as pool:
-        asked = [pool.submit(get, spool, writing, gone=gone) for gone in (first, second)]
+        asked = [pool.submit(get, cache, writing, gone=gone) for gone in (first, second)]
         assert writing.begun.wait(PATIENCE_SEC)
         writing.let(1)
         first.set()
@@ -99,7 +99,7 @@ def test_a_file_without_a_waiting_client_is_not_written_to_its_end(spool):
     assert writing.ended.wait(PATIENCE_SEC)
     again = Writing(b"again")
     again.let()
-    assert get(spool, again) == b"again"
+    assert get(cache, again) == b"again"
 
 
 class Closing:
@@ -114,65 +114,65 @@ class Closing:
         assert self.go.wait(PATIENCE_SEC)
 
 
-def test_who_leaves_when_all_is_written_leaves_it_to_the_next(spool):
+def test_who_leaves_when_all_is_written_leaves_it_to_the_next(cache):
     closing = Closing()
-    with spool.lease("k", "r", "a.bag", closing) as lease:
+    with cache.lease("k", "r", "a.bag", closing) as lease:
         assert closing.begun.wait(PATIENCE_SEC)
     closing.go.set()
     assert lease.entry.done.wait(PATIENCE_SEC)
     never = Writing()
-    assert get(spool, never) == b"whole"
+    assert get(cache, never) == b"whole"
     assert never.count == 0
 
 
-def test_what_is_written_anew_meanwhile_does_not_stay_twice(spool):
+def test_what_is_written_anew_meanwhile_does_not_stay_twice(cache):
     closing, second = Closing(), Writing(b"own")
-    with spool.lease("k", "r", "a.bag", closing) as lease:
+    with cache.lease("k", "r", "a.bag", closing) as lease:
         assert closing.begun.wait(PATIENCE_SEC)
     second.let()
-    assert get(spool, second) == b"own"
+    assert get(cache, second) == b"own"
     closing.go.set()
     assert lease.entry.done.wait(PATIENCE_SEC)
-    assert [path.read_bytes() for path in spool._folder.glob("*/a.bag")] == [b"own"]
-    assert get(spool, Writing()) == b"own"
+    assert [path.read_bytes() for path in cache._folder.glob("*/a.bag")] == [b"own"]
+    assert get(cache, Writing()) == b"own"
 
 
-def test_a_folder_that_was_cleaned_up_is_made_again(spool):
-    shutil.rmtree(spool._folder)
+def test_a_folder_that_was_cleaned_up_is_made_again(cache):
+    shutil.rmtree(cache._folder)
     writing = Writing(b"a")
     writing.let()
-    assert get(spool, writing) == b"a"
-    shutil.rmtree(spool._folder)
-    spool._folder.touch()
+    assert get(cache, writing) == b"a"
+    shutil.rmtree(cache._folder)
+    cache._folder.touch()
     with pytest.raises(StoreUnavailable, match="no file can be kept in"):
-        get(spool, writing, "other")
-    spool._folder.unlink()
+        get(cache, writing, "other")
+    cache._folder.unlink()
 
 
-def test_who_follows_gets_what_is_written_while_it_is(spool):
+def test_who_follows_gets_what_is_written_while_it_is(cache):
     writing = Writing(b"ab")
-    with spool.lease("k", "r", "a.mcap", writing) as lease:
+    with cache.lease("k", "r", "a.mcap", writing) as lease:
         chunks = lease.follow(threading.Event())
         writing.let(1)
         assert next(chunks) == b"a"
         writing.let(1)
         assert list(chunks) == [b"b"]
-    with spool.lease("k", "r", "a.mcap", writing) as lease:
+    with cache.lease("k", "r", "a.mcap", writing) as lease:
         assert b"".join(lease.follow(threading.Event())) == b"ab"
 
 
-def test_who_follows_is_told_what_failed_and_may_leave(spool):
+def test_who_follows_is_told_what_failed_and_may_leave(cache):
     writing = Writing(b"ab", BagError("the disk is full"))
-    with spool.lease("k", "r", "a.mcap", writing) as lease:
+    with cache.lease("k", "r", "a.mcap", writing) as lease:
         chunks = lease.follow(threading.Event())
         writing.let()
         with pytest.raises(BagError, match="disk is full"):
             list(chunks)
     writing.let()
     with pytest.raises(BagError, match="disk is full"):
-        get(spool, writing)
+        get(cache, writing)
     other, gone = Writing(), threading.Event()
-    with spool.lease("l", "r", "a.mcap", other) as lease:
+    with cache.lease("l", "r", "a.mcap", other) as lease:
         chunks = lease.follow(gone)
         other.let(1)
         assert next(chunks) == b"x"
@@ -182,71 +182,71 @@ def test_who_follows_is_told_what_failed_and_may_leave(spool):
     assert other.ended.wait(PATIENCE_SEC)
 
 
-def test_what_takes_too_much_room_goes_the_oldest_first(spool, monkeypatch):
+def test_what_takes_too_much_room_goes_the_oldest_first(cache, monkeypatch):
     monkeypatch.setattr(module, "_KEPT_SEC", -1.0)
     for key in "abc":
         writing = Writing(key.encode() * 400)
         writing.let()
-        get(spool, writing, key, request=key)
+        get(cache, writing, key, request=key)
         if key == "b":
-            assert spool.latest("a") is not None  # asked for again: younger than b now
-    assert spool.latest("b") is None
-    assert {key for key in "abc" if spool.latest(key)} == {"a", "c"}
+            assert cache.latest("a") is not None  # asked for again: younger than b now
+    assert cache.latest("b") is None
+    assert {key for key in "abc" if cache.latest(key)} == {"a", "c"}
     large = Writing(b"l" * 1001)
     large.let()
-    with pytest.raises(InvalidOption, match="larger than the 1000 bytes.*--spool-size"):
-        get(spool, large, "l")
-    assert spool.latest("l") is None
+    with pytest.raises(InvalidOption, match="larger than the 1000 bytes.*--cache-size"):
+        get(cache, large, "l")
+    assert cache.latest("l") is None
 
 
-def test_what_is_in_use_does_not_go(spool):
+def test_what_is_in_use_does_not_go(cache):
     first, second = Writing(b"1" * 600), Writing(b"2" * 600)
     first.let()
     second.let()
-    get(spool, first, "a")
+    get(cache, first, "a")
     with pytest.raises(StoreUnavailable, match="use all of their space on disk: ask again later"):
-        get(spool, second, "b")
-    assert get(spool, first, "a") == b"1" * 600
+        get(cache, second, "b")
+    assert get(cache, first, "a") == b"1" * 600
 
 
-def test_what_took_long_to_write_is_opened_before_it_goes(spool):
+def test_what_took_long_to_write_is_opened_before_it_goes(cache):
     first, second = Writing(b"1" * 600), Writing(b"2" * 600)
     first.let()
     second.let()
-    with spool.lease("a", "a", "a.bag", first) as lease:
+    with cache.lease("a", "a", "a.bag", first) as lease:
         path = lease.wait(threading.Event())
         lease.entry.used -= 2 * module._KEPT_SEC
     with pytest.raises(StoreUnavailable, match="use all of their space"):
-        get(spool, second, "b")
+        get(cache, second, "b")
     assert path.read_bytes() == b"1" * 600
 
 
 def test_no_more_than_some_may_wait(tmp_path):
-    spool, gone = Spool(tmp_path, 1000, 1), threading.Event()
+    cache, gone = DownloadCache(tmp_path, 1000, 1), threading.Event()
     writing = Writing()
     with ThreadPoolExecutor(1) as pool:
-        asked = pool.submit(get, spool, writing, gone=gone)
+        asked = pool.submit(get, cache, writing, gone=gone)
         assert writing.begun.wait(PATIENCE_SEC)
         with pytest.raises(StoreUnavailable, match="1 requests wait for files already"):
-            get(spool, Writing(), "other")
+            get(cache, Writing(), "other")
         gone.set()
         with pytest.raises(StoreUnavailable, match="the client does not wait"):
             asked.result(PATIENCE_SEC)
     writing.let(1)
-    spool.close()
-    spool.close()
+    cache.close()
+    cache.close()
 
 
 def test_the_end_does_not_wait_for_what_finds_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_PATIENCE_SEC", 0.01)
-    spool, writing, gone = Spool(tmp_path, 1000, 1), Writing(), threading.Event()
+    cache, writing, gone = DownloadCache(tmp_path, 1000, 1), Writing(), threading.Event()
     with ThreadPoolExecutor(1) as pool:
-        asked = pool.submit(get, spool, writing, gone=gone)
+        asked = pool.submit(get, cache, writing, gone=gone)
         assert writing.begun.wait(PATIENCE_SEC)
         gone.set()
         with pytest.raises(StoreUnavailable):
             asked.result(PATIENCE_SEC)
-    spool.close()
+    cache.close()
     assert not writing.ended.is_set()
     assert list(tmp_path.iterdir()) == []
     writing.let(1)
@@ -254,17 +254,17 @@ def test_the_end_does_not_wait_for_what_finds_nothing(tmp_path, monkeypatch):
 
 
 def test_folders_of_viewers_that_were_killed_are_removed(tmp_path, monkeypatch):
-    alive = Spool(tmp_path, 1000, 1)
+    alive = DownloadCache(tmp_path, 1000, 1)
     dead = tmp_path / f"{module._PREFIX}dead"
     dead.mkdir()
     (dead / module._LOCK).touch()
     (dead / "large.bag").touch()
     (tmp_path / f"{module._PREFIX}young").mkdir()
     monkeypatch.setattr(module, "_ORPHAN_SEC", -1.0)
-    Spool(tmp_path, 1000, 1).close()
+    DownloadCache(tmp_path, 1000, 1).close()
     left = {path.name for path in tmp_path.iterdir()}
     assert left == {alive._folder.name, f"{module._PREFIX}young"}
     alive.close()
     (tmp_path / "file").touch()
     with pytest.raises(InvalidOption, match="no files can be kept in .*file/below: "):
-        Spool(tmp_path / "file" / "below", 1000, 1)
+        DownloadCache(tmp_path / "file" / "below", 1000, 1)

@@ -46,12 +46,12 @@ class _AbandonedError(Exception):
     """No request waits for the file any more."""
 
 
-class SpoolEntry:
+class CacheEntry:
     """A file that exists or is being written.
 
     Attributes:
         path: Path of the file.
-        key, request: Identity of content and request, see Spool.lease.
+        key, request: Identity of content and request, see DownloadCache.lease.
     """
 
     def __init__(self, path: Path, key: str, request: str) -> None:
@@ -80,15 +80,15 @@ class SpoolEntry:
 class Lease:
     """One request's use of a file; a context manager, at whose end the request stops waiting."""
 
-    def __init__(self, spool: Spool, entry: SpoolEntry) -> None:
-        self._spool = spool
+    def __init__(self, cache: DownloadCache, entry: CacheEntry) -> None:
+        self._cache = cache
         self.entry = entry
 
     def __enter__(self) -> Lease:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self._spool.release(self.entry)
+        self._cache.release(self.entry)
 
     def wait(self, gone: threading.Event) -> Path:
         """Wait until the file is complete; return its path.
@@ -132,7 +132,7 @@ class Lease:
                 stream.close()
 
 
-class Spool:
+class DownloadCache:
     """Keeps the files of one viewer; see above. Safe between threads.
 
     Args:
@@ -153,12 +153,12 @@ class Spool:
             raise InvalidOption(f"no files can be kept in {base}: {exc.strerror}") from exc
         self._most_bytes = most_bytes
         self._most_waiting = most_waiting
-        self._entries: dict[str, SpoolEntry] = {}
+        self._entries: dict[str, CacheEntry] = {}
         self._mutex = threading.Lock()
         self._turns = threading.Semaphore(_AT_ONCE)
         self._threads: set[threading.Thread] = set()
 
-    def latest(self, request: str) -> SpoolEntry | None:
+    def latest(self, request: str) -> CacheEntry | None:
         """Return the newest complete file of a request, even if its content is old; or None."""
         with self._mutex:
             entries = [e for e in self._entries.values() if e.request == request and e.ready]
@@ -192,7 +192,7 @@ class Spool:
             entry.used = time.monotonic()
         return Lease(self, entry)
 
-    def _begin(self, key: str, request: str, name: str, write: Write) -> SpoolEntry:
+    def _begin(self, key: str, request: str, name: str, write: Write) -> CacheEntry:
         try:
             # A cleaner of temporary files may have removed it.
             self._folder.mkdir(0o700, exist_ok=True)
@@ -201,15 +201,15 @@ class Spool:
             raise StoreUnavailable(
                 f"no file can be kept in {self._folder}: {exc.strerror}"
             ) from exc
-        entry = self._entries[key] = SpoolEntry(folder / name, key, request)
+        entry = self._entries[key] = CacheEntry(folder / name, key, request)
         thread = threading.Thread(
-            target=self._write, args=(entry, write), name=f"spool {name}", daemon=True
+            target=self._write, args=(entry, write), name=f"cache {name}", daemon=True
         )
         self._threads.add(thread)
         thread.start()
         return entry
 
-    def release(self, entry: SpoolEntry) -> None:
+    def release(self, entry: CacheEntry) -> None:
         """End a request's use of a file."""
         with self._mutex:
             entry.waiting -= 1
@@ -217,7 +217,7 @@ class Spool:
             if not entry.waiting and not entry.done.is_set():
                 entry.abandoned = True
 
-    def _write(self, entry: SpoolEntry, write: Write) -> None:
+    def _write(self, entry: CacheEntry, write: Write) -> None:
         looked = 0
 
         def progress(messages: int, size: int) -> None:
@@ -249,14 +249,14 @@ class Spool:
                 self._threads.discard(threading.current_thread())
                 entry.done.set()
 
-    def _make_room(self, entry: SpoolEntry) -> None:
+    def _make_room(self, entry: CacheEntry) -> None:
         """Remove old files until this one fits into the maximum size."""
         own = entry.measure()
         if own > self._most_bytes:
             raise InvalidOption(
                 f"the file is larger than the {self._most_bytes} bytes that the viewer keeps on "
                 "disk: ask for less time or fewer topics, or start the viewer with a larger "
-                "--spool-size"
+                "--cache-size"
             )
         with self._mutex:
             others = [e for e in self._entries.values() if e is not entry]
@@ -272,7 +272,7 @@ class Spool:
                 "the viewer's files use all of their space on disk: ask again later"
             )
 
-    def _drop(self, entry: SpoolEntry) -> None:
+    def _drop(self, entry: CacheEntry) -> None:
         if self._entries.get(entry.key) is entry:
             del self._entries[entry.key]
         shutil.rmtree(entry.path.parent, ignore_errors=True)
