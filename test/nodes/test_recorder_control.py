@@ -352,7 +352,7 @@ def test_a_recorder_in_a_process_of_ones_own(roscore, cassandra, keyspace, rosCa
 @pytest.mark.long
 def test_losses_of_a_killed_recorder_are_told(roscore, recorder, rosCas):
     """They are stored while it records, before anything is closed."""
-    child = recorder("/a", "-b", "1")
+    child = recorder("/a", "-b", "1", "--no-spool")
     with publisher(roscore, "/a") as a:
         a.await_subscribers()
         big = message(String("x" * 900_000))

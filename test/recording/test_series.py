@@ -38,7 +38,9 @@ def text(n):
 def series_of(rosCas, **options):
     ticks = itertools.count(T0, SEC)
     begun = []
-    made = RunSeries(rosCas.catalog, RecorderOptions(**options), lambda: next(ticks), begun.append)
+    made = RunSeries(
+        rosCas.catalog, RecorderOptions(spool=False, **options), lambda: next(ticks), begun.append
+    )
     return made, begun
 
 
@@ -244,7 +246,9 @@ def test_a_ring_stays_within_its_bytes(bound):
 
 def snapshots_of(rosCas, seconds=5.0, **options):
     now = [T0]
-    series = RunSeries(rosCas.catalog, RecorderOptions(**options), lambda: now[0], lambda run: None)
+    series = RunSeries(
+        rosCas.catalog, RecorderOptions(spool=False, **options), lambda: now[0], lambda run: None
+    )
     bound = SnapshotBound(seconds=seconds)
     return Snapshots(bound, 0, lambda: now[0], series.filters, series.single), now
 
