@@ -186,6 +186,7 @@ def keyspace_dropped(trial: Trial) -> None:
 FAULTS = (
     recorder_killed,
     recorder_killed_packed,
+    recorder_killed_with_journal,
     clock_set_back,
     clock_set_forward,
     simulated_clock_set_back,

@@ -149,6 +149,7 @@ FAULTS = (
     store_killed,
     store_frozen,
     store_away_longer_than_the_buffer,
+    store_away_with_a_spool,
     store_slow,
     connections_silent,
     store_comes_late,
