@@ -28,7 +28,7 @@ from std_msgs.msg import String
 from topics.by_index import await_built
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.cli import local_cassandra
+from cassandra_ros.cli import cassandra_bag, local_cassandra
 from cassandra_ros.errors import ServerError, StoreUnavailable
 from cassandra_ros.local_server import LocalCluster, free_port, preflight, processes
 from cassandra_ros.local_server import cluster as cluster_module
@@ -297,8 +297,10 @@ def test_one_that_is_cleared_is_new(folder):
     assert make(folder).stop() is False
 
 
-def connect(cluster):
-    return RosCassandra(cluster.settings.address(3), cluster.settings.port, keyspace="robot")
+def connect(cluster, **options):
+    return RosCassandra(
+        cluster.settings.address(3), cluster.settings.port, keyspace="robot", **options
+    )
 
 
 def nodes_asked(rosCas):
@@ -307,7 +309,7 @@ def nodes_asked(rosCas):
 
 
 @pytest.mark.long
-def test_three_nodes(tmp_path, monkeypatch, caplog):
+def test_three_nodes(tmp_path, monkeypatch, caplog, capsys):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)
     cluster = make(tmp_path, nodes=3, host="127.0.0.11", port=free_port(), heap="256M")
@@ -357,6 +359,15 @@ def test_three_nodes(tmp_path, monkeypatch, caplog):
         assert "no Cassandra node answers" not in text
         assert "of 3 nodes 127.0.0.13 answers and 127.0.0.11, 127.0.0.12 does not" in text
         assert "LOCAL_QUORUM needs more than half of the copies of a row" in text
+        assert "read with consistency='ONE' (programs: --consistency ONE)" in text
+        with connect(cluster, consistency="ONE") as rosCas:
+            assert [m.data for _, m in rosCas.getTopic("/t").items()] == [
+                str(n % 5) for n in range(20)
+            ]
+        where = ["--host", cluster.settings.address(3), "--port", str(cluster.settings.port)]
+        where += ["--keyspace", "robot"]
+        assert cassandra_bag.main(["list", *where, "--consistency", "ONE"]) == 0
+        assert "/t" in capsys.readouterr().out
         assert make(tmp_path).start(die_with_us=True)
         await_answers(make(tmp_path))
         ask(cluster, insert)

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
     from cassandra_ros.connection.outage import Outage
     from cassandra_ros.messages.stamps import Stamp
 
+DEFAULT_CONSISTENCY = "LOCAL_QUORUM"
+CONSISTENCY_LEVELS = ("ONE", "TWO", "QUORUM", DEFAULT_CONSISTENCY, "ALL")
+"""Values of --consistency."""
 RETRY_SEC = 1.0
 """Interval between two attempts to connect during --wait, s."""
 _MOST_TABLES = 5
@@ -105,6 +108,15 @@ def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None
         help="the keyspace that holds the topics (default: %(default)s)",
     )
 
+    group.add_argument(
+        "--consistency",
+        metavar="LEVEL",
+        type=str.upper,
+        choices=CONSISTENCY_LEVELS,
+        default=DEFAULT_CONSISTENCY,
+        help="how many copies of a row must answer: ONE, TWO, QUORUM, LOCAL_QUORUM or ALL; ONE "
+        "reads what the nodes that answer have (default: %(default)s)",
+    )
     group.add_argument(
         "--wait",
         metavar="SECONDS",
@@ -243,6 +255,7 @@ def _connect(options: argparse.Namespace) -> RosCassandra:
                 keyspace=options.keyspace,
                 cqlshrc=options.cqlshrc,
                 credentials=options.credentials,
+                consistency=options.consistency,
             )
         except TlsMismatch as exc:
             raise TlsMismatch(f"{exc}{_own_login(_local_directories(options))}") from exc

@@ -70,6 +70,13 @@ _NEEDS = {
     "ALL": "all copies of a row",
 }
 
+_LEAST = ("ANY", "ONE", "LOCAL_ONE")
+_READ_ANYWAY = (
+    ", or read with consistency='ONE' (programs: --consistency ONE) the rows of which a node that "
+    "answers has a copy; with a copy on each node these are all, but for the last that it missed"
+)
+"""Remedy of a read for which too few nodes answer."""
+
 CqlRow = Tuple[Any, ...]
 """Decoded values of a row."""
 
@@ -450,6 +457,7 @@ class Cassandra:
         return (
             f"of {len(every)} nodes {', '.join(up)} answers and {', '.join(down)} does not; "
             f"{level} needs {_NEEDS.get(level, 'more copies of a row')}: start the others again"
+            f"{'' if level in _LEAST else _READ_ANYWAY}"
         )
 
     def live_nodes(self) -> int:
