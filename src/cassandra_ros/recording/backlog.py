@@ -468,12 +468,12 @@ class Backlog:
         )
 
     def _sync(self) -> None:
+        with self._changed:
+            opened, ended = self._open, len(self._unsynced)
         # Without the lock: a slow disk must not hold up the writing thread.
-        opened = self._open
         try:
-            while self._unsynced:
-                writer = self._unsynced.popleft()
-                writer.close()
+            for _ in range(ended):
+                self._unsynced.popleft().close()
             if opened is not None:
                 opened.writer.sync()
         except OSError as exc:
