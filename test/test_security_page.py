@@ -14,6 +14,7 @@ from cassandra_ros.nodes import history_subscriber, query_node, subscription
 from cassandra_ros.query.rows import answer_bound
 from cassandra_ros.query.tree import parse
 from cassandra_ros.recording import place_keeper, recording, topic_settings
+from cassandra_ros.spool import spool_folder
 from cassandra_ros.viewing import viewer_settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,6 +29,7 @@ def mib(nbytes):
 
 FIGURES = [
     mib(recording.DEFAULT_BUFFER_BYTES),
+    f"{spool_folder.DEFAULT_BYTES >> 30} GiB",
     mib(place_keeper.MAX_HELD_BYTES),
     mib(subscription.MAX_HEADER_BYTES),
     mib(history_subscriber.DEFAULT_BUFFER_BYTES),
@@ -43,7 +45,7 @@ FIGURES = [
     str(LIMITS.clients),
     str(viewer_settings.DEFAULT_THREADS),
     mib(LIMITS.answers_bytes),
-    f"{viewer_settings.DEFAULT_SPOOL_BYTES // 10**9} GB",
+    f"{viewer_settings.DEFAULT_CACHE_BYTES // 10**9} GB",
     mib(topic_settings.MAX_CONFIG_BYTES),
 ]
 
