@@ -21,7 +21,8 @@ IN_WORKSPACE := source .ws/devel/setup.bash &&
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
 	@echo "make demo           record, ask and export a real robot's topics, end to end"
-	@echo "                    (ARGS=--view: and let the viewer run, to look at it in a browser)"
+	@echo "                    (ARGS=--view: and let the viewer run, to look at it in a browser;"
+	@echo "                    ARGS=--nodes=3: on three nodes, of which one is killed; ARGS=--secure)"
 	@echo "make viewer         fetch the Studio for the viewer's page Look, and say how to start it"
 	@echo "make screenshots    take the README's pictures of the viewer anew"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"

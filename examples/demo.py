@@ -20,13 +20,15 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import urllib.parse
 import urllib.request
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Iterator
 
-from cassandra_ros.local_server import LocalCluster, free_port
+from cassandra_ros.local_server import LocalCluster, NodeStatus, free_port
 
 HERE = Path(__file__).resolve().parent
 BAG = HERE / "data" / "husky_gps_data.bag"
@@ -37,14 +39,21 @@ PREFIX = "/husky"
 RENAMED = {topic: PREFIX + topic for topic in ("/rosout", "/rosout_agg")}
 LIVE, COPY, AGAIN = "husky_live", "husky_import", "husky_again"
 RUN = ["rosrun", "cassandra_ros"]
+SMALL_HEAP = "400M"
+"""Java heap of each of several nodes on one machine."""
+STOP_SEC = 180
+"""Maximum time for a program to end, s. A recorder stores first what still waits in its buffer."""
+DRIVE_SEC = 10.0
+"""Time in which the bag is played at four times its speed, about, s."""
 
 
 class Demo:
     """The steps, the processes that they started, and what they found out."""
 
-    def __init__(self, out: Path, stack: ExitStack, secure: bool = False) -> None:
+    def __init__(self, out: Path, stack: ExitStack, secure: bool = False, nodes: int = 1) -> None:
         self.out = out
         self.secure = secure
+        self.nodes = nodes
         self.stack = stack
         self.env = dict(os.environ, PYTHONUNBUFFERED="1")
         self.findings: list[tuple[str, str]] = []
@@ -87,14 +96,23 @@ class Demo:
     def servers(self) -> None:
         self.say("A Cassandra and a roscore of our own")
         port = _port_or(9042)
-        cluster = LocalCluster(self.home / "cassandra", port=port, secure=self.secure, say=print)
+        heap = SMALL_HEAP if self.nodes > 1 else None
+        cluster = LocalCluster(
+            self.home / "cassandra",
+            nodes=self.nodes,
+            port=port,
+            heap=heap,
+            secure=self.secure,
+            say=print,
+        )
+        self.cluster = cluster
         self.stack.callback(cluster.stop)
         start = time.monotonic()
         cluster.start(die_with_us=True)
         self.note("Cassandra ready after", f"{time.monotonic() - start:.1f} s")
         master = _port_or(11311)
         self.env.update(
-            CASSANDRA_ROS_HOST="127.0.0.1",
+            CASSANDRA_ROS_HOST=",".join(node.address for node in cluster.nodes),
             CASSANDRA_ROS_PORT=str(port),
             CASSANDRA_ROS_KEYSPACE=LIVE,
             CASSANDRA_ROS_CQLSHRC=str(cluster.security.cqlshrc) if self.secure else "",
@@ -119,7 +137,8 @@ class Demo:
         )
         self.stack.callback(logs.stop)
         print(f"$ {_shell(logs.command)} &", flush=True)
-        self.run(*play, "--topics", *(topic for topic in _topics() if topic not in RENAMED))
+        with self.one_node_killed():
+            self.run(*play, "--topics", *(topic for topic in _topics() if topic not in RENAMED))
         if logs.process.wait(60):
             raise SystemExit(f"demo: rosbag failed:\n{logs.text()}")
         time.sleep(1.0)
@@ -130,6 +149,29 @@ class Demo:
         renames = [word for a, b in RENAMED.items() for word in ("--map", f"{a}:={b}")]
         text = self.run(*RUN, "cassandra_bag", "verify", BAG, "--content", *renames)
         self.note("recorded live, equal in content", _equal(text))
+
+    @contextmanager
+    def one_node_killed(self) -> Iterator[None]:
+        """Kill one of several nodes in the middle of the drive, and start it again afterwards."""
+        if self.nodes < 2:
+            yield
+            return
+        victim = self.cluster.status()[1]
+        killer = threading.Timer(DRIVE_SEC / 2, self.kill, (victim,))
+        killer.start()
+        try:
+            yield
+        finally:
+            killer.cancel()
+            killer.join()
+        print(f"$ local_cassandra start    # node {victim.node.number} again", flush=True)
+        self.cluster.start(die_with_us=True)
+        self.note("recorded with", f"node {victim.node.number} of {self.nodes} killed and back")
+
+    def kill(self, victim: NodeStatus) -> None:
+        """Kill the server of a node."""
+        print(f"$ kill -9 {victim.pid}    # node {victim.node.number}", flush=True)
+        os.kill(victim.pid, signal.SIGKILL)
 
     def ask(self) -> None:
         self.say("Ask the past over services")
@@ -219,6 +261,12 @@ class Demo:
 
     def table(self) -> None:
         self.say("What was recorded, asked and verified")
+        taken = sum(status.memory_bytes for status in self.cluster.status())
+        heap = self.cluster.settings.java_heap_mb
+        self.note(
+            "memory of Cassandra at the end",
+            f"{taken / 2**20:.0f} MiB on {self.nodes} node(s), each with a heap of {heap} MiB",
+        )
         width = max(len(what) for what, _ in self.findings)
         for what, figure in self.findings:
             print(f"{what:{width}}  {figure}")
@@ -260,7 +308,7 @@ class Node:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         try:
-            return self.process.wait(60)
+            return self.process.wait(STOP_SEC)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()
@@ -304,6 +352,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=HERE.parent / "demo-output")
     parser.add_argument("--view", action="store_true", help="let the viewer run until Ctrl-C")
     parser.add_argument("--secure", action="store_true", help="log in with a password, over TLS")
+    text = "number of Cassandra nodes; of three one is killed meanwhile (default: 1)"
+    parser.add_argument("--nodes", type=int, choices=(1, 3), default=1, help=text)
     args = parser.parse_args()
     if shutil.which("rosrun") is None:
         sys.exit("demo: rosrun is not on the path; run: make demo")
@@ -313,7 +363,7 @@ def main() -> int:
         signal.signal(number, signal.default_int_handler)
     args.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        demo = Demo(args.out.resolve(), stack, args.secure)
+        demo = Demo(args.out.resolve(), stack, args.secure, args.nodes)
         for step in (
             demo.servers,
             demo.record,
