@@ -13,6 +13,7 @@ from campaign import campaign
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cassandra_ros.bag.mcap_format import MAGIC
 from cassandra_ros.bag.mcap_reader import McapReader
 from cassandra_ros.errors import SpoolError
 from cassandra_ros.messages.connection_header import live_connection
@@ -103,6 +104,19 @@ def test_a_damaged_byte_costs_one_chunk_and_is_told(written, tmp_path_factory, d
         assert missing == EACH
         assert any("is damaged from byte" in part.damage for part in parts)
         assert {each.topic for part in parts for each in part.missing} == {"/t0", "/t1", "/t2"}
+
+
+def test_damage_before_the_first_chunk_costs_no_message(written, tmp_path):
+    """A length that a damaged byte makes larger does not take the records after it along."""
+    path, messages, _ = written
+    content, broken = path.read_bytes(), tmp_path / "000001.mcap"
+    first_chunk = content.index(b"\x06", content.index(b"cassandra_ros."))
+    for at in range(len(MAGIC), first_chunk):
+        damaged = bytearray(content)
+        damaged[at] ^= 1 << 4
+        broken.write_bytes(damaged)
+        found, _ = read(broken)
+        assert found == messages, f"byte {at}"
 
 
 @campaign(100)

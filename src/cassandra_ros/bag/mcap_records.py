@@ -34,6 +34,8 @@ CHUNK_KIND, INDEX_KIND = int(Opcode.CHUNK), int(Opcode.MESSAGE_INDEX)
 METADATA_KIND, END_KIND = int(Opcode.METADATA), int(Opcode.DATA_END)
 _HEAD_BYTES = MESSAGE.size - RECORD.size
 _SIZE_BYTES = 8
+_LENGTH_BYTES = 4
+"""Size of the length of a text or of a map, bytes."""
 _END_BYTES = 4
 _OWN = b"cassandra_ros."
 """First bytes of the names of our metadata records."""
@@ -151,10 +153,20 @@ def is_plausible(kind: int, length: int, raw: bytes, after: int) -> bool:
         nbytes = INDEX.unpack_from(raw)[1]
         return bool(nbytes == length - INDEX.size and nbytes % ENTRY_BYTES == 0)
     if kind == Opcode.METADATA:
-        return raw[4:].startswith(_OWN) and length <= MAX_METADATA_BYTES
+        return (
+            raw[4:].startswith(_OWN) and length <= MAX_METADATA_BYTES and length == _two_parts(raw)
+        )
     if kind == Opcode.DATA_END:
         return length == _END_BYTES and after == len(end_file()) - RECORD.size - _END_BYTES
-    return kind == Opcode.HEADER and raw[4:].startswith(Profile.ROS1.encode())
+    is_ours = kind == Opcode.HEADER and raw[4:].startswith(Profile.ROS1.encode())
+    return is_ours and length == _two_parts(raw)
+
+
+def _two_parts(raw: bytes) -> int:
+    """Return the length of a record of two parts, by the sizes before them; 0 = out of reach."""
+    first = int.from_bytes(raw[:_LENGTH_BYTES], "little")
+    second = raw[_LENGTH_BYTES + first :][:_LENGTH_BYTES]
+    return 2 * _LENGTH_BYTES + first + int.from_bytes(second, "little") if second else 0
 
 
 def _pack(record: McapRecord) -> bytes:
