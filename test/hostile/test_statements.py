@@ -88,10 +88,15 @@ def test_statements_run(give, rosCas):
     topic = rosCas.addTopic("/cmd_vel", format="packed")
     real = [text for text in statements() if text.lower().startswith("select")]
 
+    def store_messages():
+        for n in range(5):
+            topic.addData(Twist(), key=1_400_000_000 * 10**9 + n)
+
+    store_messages()  # from here on the client has its writing thread
+
     def attempt(chance):
         if not topic.countTopicData():
-            for n in range(5):
-                topic.addData(Twist(), key=1_400_000_000 * 10**9 + n)
+            store_messages()
         text = changed_text(chance, chance.choice(real), WORDS)
         params = chance.choices(PARAMETERS, k=chance.choice((0, 0, 0, 1)))
         rows = rosCas.executeCQL(text, params)
