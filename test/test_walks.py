@@ -10,7 +10,7 @@ starts, except OTHERS. What these threads call while there is nothing to do is n
 Files are counted by one rule. The ground (modules beside the rooms, known to all) is not counted. A
 file that goes on, because a function in it calls another file, is a stop. A file that only answers
 is a tool: its functions call no other file of a room. Changes of room are those from stop to stop,
-in the order in which the stops are first entered.
+in the order in which the stops are first entered, one thread after the other.
 
 The map shows all of it in a table. If a walk has changed, the test that compares it prints the
 table as it should be.
@@ -69,26 +69,33 @@ class Calls:
     @contextmanager
     def noted(self):
         """Note the calls of the followed threads and of this one; yield their list."""
-        self._noted = calls = []
+        self._noted = by_thread = {threading.current_thread().name: []}
+        calls = []
         sys.setprofile(self._note)
         try:
             yield calls
         finally:
             sys.setprofile(None)
             self._noted = None
+            own, *others = by_thread
+            # Threads take turns as they like: one after the other they are the same each time.
+            for name in (own, *sorted(others)):
+                calls += by_thread[name]
 
     def _note(self, frame, event, _):
         noted = self._noted
         if noted is None or event != "call" or not frame.f_code.co_filename.startswith(PREFIX):
             return
-        if threading.current_thread().name in OTHERS:
+        thread = threading.current_thread().name
+        if thread in OTHERS:
             return
         caller = frame.f_back
         while caller is not None and not caller.f_code.co_filename.startswith(PREFIX):
             caller = caller.f_back
         own = frame.f_locals.get("self")
         inherited = caller is not None and own is not None and caller.f_locals.get("self") is own
-        noted.append((frame.f_code, None if caller is None else caller.f_code, inherited))
+        calls = noted.setdefault(thread, [])
+        calls.append((frame.f_code, None if caller is None else caller.f_code, inherited))
 
 
 def file_of(code):

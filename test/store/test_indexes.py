@@ -640,10 +640,10 @@ def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
     assert noted == [500 + 7200]
     (bucket, _) = writer._rows._buckets.values()
     clock[0] += 3599
-    writer._rows._mark(bucket)
+    writer._rows._put(bucket, None)
     assert len(noted) == 1
     clock[0] += 2
-    writer._rows._mark(bucket)  # the heartbeat of a bucket that is written all the time
+    writer._rows._put(bucket, None)  # the heartbeat of a bucket that is written all the time
     assert len(noted) == 2
     clock[0] += 3601
     writer._rows._reopen(bucket)  # a bucket that lay idle
