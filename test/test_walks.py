@@ -280,7 +280,6 @@ def test_the_map_shows_the_walks_as_they_are(walks):
 NOT_MEASURED = {
     "nodes/subscription.py": "it calls Recording.received, with which the test begins",
     "cli/verbs/import_.py": "it calls import_bag, with which the test begins",
-    "query/tree/tree_builder.py": "the tree of a statement that was asked before is cached",
     "query/tree/expressions.py": "only for what is computed",
     "query/rows/result_groups.py": "only for groups, distinct rows and another order",
     "blocks/block_lookup.py": "only for single messages",

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.rows.aggregates import Aggregation
+from cassandra_ros.query.rows.result_groups import Aggregation
 from cassandra_ros.query.tree.parse import parse_select
 
 NAMES = ("count", "min", "max", "sum", "avg")

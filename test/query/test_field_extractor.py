@@ -12,8 +12,7 @@ from campaign import sparing
 from query.rows import attribute, row_of, table_of
 
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.query.rows.field_extractor import Extractor
-from cassandra_ros.query.rows.projection import Projection
+from cassandra_ros.query.rows.projection import Extractor, Projection
 from cassandra_ros.query.tree.field_names import Findings, all_fields
 from cassandra_ros.query.tree.parse import parse_select
 

@@ -12,11 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.tree.change_statements import CreateIndex, Delete, DropIndex, Truncate
 from cassandra_ros.query.tree.parse import parse_condition, parse_select, parse_statement
 from cassandra_ros.query.tree.syntax import (
     All,
     Compare,
+    CreateIndex,
+    Delete,
+    DropIndex,
     DurationNs,
     Either,
     IsNull,
@@ -26,6 +28,7 @@ from cassandra_ros.query.tree.syntax import (
     NodeOperand,
     OneOf,
     Select,
+    Truncate,
 )
 
 

@@ -9,8 +9,7 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.connection.protocol import BufferedConnection
-from cassandra_ros.connection.raw_page import WIDE, RawPage
+from cassandra_ros.connection.protocol import WIDE_ROW_BYTES, BufferedConnection, RawPage
 
 
 class Connection(BufferedConnection):
@@ -61,7 +60,7 @@ def test_an_answer_that_breaks_off_closes_the_connection():
 
 
 def test_wide_rows_are_cut_as_others():
-    values = [b"a" * WIDE, None, b"", b"b" * WIDE]
+    values = [b"a" * WIDE_ROW_BYTES, None, b"", b"b" * WIDE_ROW_BYTES]
     sized = [struct.pack(">i", -1 if v is None else len(v)) + (v or b"") for v in values]
     pages = [RawPage(b"head" + struct.pack(">i", 2) + b"".join(sized), 4, 2, list) for _ in "ab"]
     rows = [(values[0], None), (b"", values[3])]

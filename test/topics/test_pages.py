@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
-from cassandra_ros.connection.raw_page import RawPage
+from cassandra_ros.connection.protocol import RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection

@@ -24,7 +24,7 @@ from cassandra_ros.blocks.bucket_read import (
     key_of,
 )
 from cassandra_ros.connection.paging import PagedRead, RawRow
-from cassandra_ros.connection.raw_page import RawPage
+from cassandra_ros.connection.protocol import RawPage
 from cassandra_ros.tables.row_table import Order, TableRow
 
 ROWS_AT_ONCE = 200

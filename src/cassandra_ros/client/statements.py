@@ -22,18 +22,18 @@ from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import WHOLE, Series, SeriesRequest, Window, read_series
 from cassandra_ros.query.plan.bounds import meant_as_seconds
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
-from cassandra_ros.query.tree.change_statements import (
+from cassandra_ros.query.tree.field_names import nearest
+from cassandra_ros.query.tree.parse import parse_select, parse_statement
+from cassandra_ros.query.tree.syntax import (
     Change,
     CreateIndex,
     Delete,
     DropIndex,
     Indexed,
     IndexName,
+    Select,
     Truncate,
 )
-from cassandra_ros.query.tree.field_names import nearest
-from cassandra_ros.query.tree.parse import parse_select, parse_statement
-from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import Read
 from cassandra_ros.tables.schema import Schema
 from cassandra_ros.topics.cassandra_topic import CassandraTopic

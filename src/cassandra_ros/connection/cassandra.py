@@ -49,8 +49,12 @@ from cassandra_ros.connection.paging import (
     retried,
     sent_ahead,
 )
-from cassandra_ros.connection.protocol import PROTOCOL_VERSION, RawProtocolHandler, connection_class
-from cassandra_ros.connection.schema_changes import SchemaChanges
+from cassandra_ros.connection.protocol import (
+    PROTOCOL_VERSION,
+    RawProtocolHandler,
+    SchemaChanges,
+    connection_class,
+)
 from cassandra_ros.connection.sessions import Link, Links
 from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, StoreUnavailable, TopicNotFound
 

@@ -18,7 +18,7 @@ from cassandra_ros.blocks.block_lookup import MessageFinder, answer_one, ask_one
 from cassandra_ros.blocks.block_stream import stream
 from cassandra_ros.blocks.bucket_read import BucketRead
 from cassandra_ros.connection.paging import PagedRead, RawRow, sent_ahead
-from cassandra_ros.connection.raw_page import RawPage
+from cassandra_ros.connection.protocol import RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.store.bucket_walk import begin_slot

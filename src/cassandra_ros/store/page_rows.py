@@ -11,7 +11,7 @@ from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cassandra_ros.connection.raw_page import Offsets, RawPage
+from cassandra_ros.connection.protocol import Offsets, RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.tables.row_table import RowTable, TableRow
 

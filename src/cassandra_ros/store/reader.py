@@ -29,7 +29,7 @@ from cassandra_ros.blocks.block_stream import opened, stream
 from cassandra_ros.blocks.bucket_read import EARLY_BLOCKS, BucketRead, OpenedBlock, Sift
 from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.connection.paging import GROWTH, PagedRead, RawRow
-from cassandra_ros.connection.raw_page import RawPage
+from cassandra_ros.connection.protocol import RawPage
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.read import Chooser, Query, Read
 from cassandra_ros.store.bucket_walk import (

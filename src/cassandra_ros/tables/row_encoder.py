@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Callable, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
 
-from cassandra_ros.connection.raw_page import Offsets
+from cassandra_ros.connection.protocol import Offsets
 
 Encoded = Tuple[Sequence[Optional[bytes]], bool, Optional[bytes]]
 """Encoded values of the format's columns (None = unset), whether the row must be marked odd, and

@@ -17,7 +17,7 @@ from cassandra_ros.connection.cql_names import (
     quote_text,
     table_name,
 )
-from cassandra_ros.connection.schema_changes import Mark
+from cassandra_ros.connection.protocol import Mark
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, from_comment
 from cassandra_ros.tables.row_table import RowTable

@@ -27,9 +27,8 @@ from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.projection import Projections, ResultRow
 from cassandra_ros.query.rows.result_groups import make_groups
 from cassandra_ros.query.source import RowT_co, Source
-from cassandra_ros.query.tree.change_statements import Delete
 from cassandra_ros.query.tree.parse import parse_condition
-from cassandra_ros.query.tree.syntax import Select
+from cassandra_ros.query.tree.syntax import Delete, Select
 from cassandra_ros.read import EVERYBODY, EVERYTHING, Read, Whose
 
 _log = logging.getLogger(__name__)

@@ -60,7 +60,7 @@ def _left(tables: Tables) -> bool:
 
     Then the directory may have no entries of it any more, and less than everything was read. The
     same holds if a whole topic has a table that was not read. After an answer of the server this
-    includes every change acknowledged before the read began (``connection/schema_changes.py``).
+    includes every change acknowledged before the read began (``connection/protocol.py``).
     """
     return not _same(tables, current(tables))
 

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Result rows that are made from several rows: GROUP BY, DISTINCT and ORDER BY.
+"""Result rows that are made from several rows: GROUP BY, aggregates, DISTINCT and ORDER BY.
 
 Values are equal as in conditions, but here NaN equals NaN, and missing is a value of its own.
 Groups and distinct rows come in the order of their first row; groups of ``time(…)`` are returned as
 soon as they are complete. Ordered rows are sorted by value, equal ones by KEY; NaN and, after it,
-missing values come last, for ASC and DESC.
+missing values come last, for ASC and DESC. Aggregates take one pass and keep no rows
+(``tree/accumulators``); they ignore missing values, except ``count(*)``.
 
 MEMORY_BYTES limits the rows that are kept: for ORDER BY about 2 n rows with LIMIT n, else all; one
 row of each group; one of each set of equal rows.
@@ -15,12 +16,57 @@ from __future__ import annotations
 
 from itertools import accumulate
 from sys import getsizeof
-from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.rows.aggregates import Aggregation
 from cassandra_ros.query.rows.projection import ResultRow
-from cassandra_ros.query.tree.syntax import Call, Ordering, Select
+from cassandra_ros.query.tree.accumulators import TOTALS, Count
+from cassandra_ros.query.tree.syntax import Aggregate, Call, Ordering, Select
+
+
+class Aggregation:
+    """The columns of a statement over several rows: aggregates, or the value of the first row."""
+
+    def __init__(self, select: Select) -> None:
+        self._text = select.text
+        self._asked = [column.what for column in select.columns or ()]
+        self._totals: list[Union[Count, _First]] = [
+            TOTALS[asked.function]() if isinstance(asked, Aggregate) else _First()
+            for asked in self._asked
+        ]
+
+    def add(self, rows: Iterable[ResultRow]) -> None:
+        """Add rows; InvalidQuery: the values of a field cannot be compared with each other."""
+        for row in rows:
+            for total, asked, value in zip(self._totals, self._asked, row):
+                try:
+                    if value is not None:
+                        total.add(value)
+                except TypeError as exc:
+                    reason = (
+                        "the definitions of this topic hold values of different kinds there, "
+                        f"which {asked.text.split('(')[0]} cannot compare ({exc})"
+                    )
+                    raise InvalidQuery(self._text, asked.position, reason) from None
+
+    def values(self) -> ResultRow:
+        """Return the values of the columns for the rows so far."""
+        return tuple(total.value() for total in self._totals)
+
+
+class _First:
+    """The value of the first row, for GROUP BY terms, which have one value in a group."""
+
+    def __init__(self) -> None:
+        self._value: object = None
+
+    def add(self, value: object) -> None:
+        if self._value is None:
+            self._value = value
+
+    def value(self) -> object:
+        return self._value
+
 
 MEMORY_BYTES = 256 * 1024 * 1024
 """Maximum memory for the kept rows of one statement, bytes, as Python counts it."""
