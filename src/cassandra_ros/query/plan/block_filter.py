@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Conditions on whole blocks of messages, with numpy: masks of the messages that may match.
 
-``condition_check`` checks every remaining message again. So a mask may be true for messages that do
+``compile_condition`` checks every remaining message again. So a mask may be true for messages that do
 not match, but is never false for one that does. It is exact for numbers, bools and times outside
 arrays of messages, and for ANY and ALL of an array of numbers. If an array of messages is unnested,
 a message passes if any element may match. Other conditions (NOT, LIKE, NULL, KEY, arithmetic) leave
