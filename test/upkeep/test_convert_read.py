@@ -128,20 +128,46 @@ KILLED = """
 import sys, os, signal
 from cassandra_ros import RosCassandra
 from cassandra_ros.tables import replacement
+from cassandra_ros.tables.side_tables import SchemaLock
 from cassandra_ros.upkeep import conversion as convert
 host, port, keyspace, where, target = sys.argv[1:]
 replacement.SETTLE_SEC = 0.3
 def kill(*args): os.kill(os.getpid(), signal.SIGKILL)
 if where == 'drop':
-    replacement.drop = kill
+    finish = replacement.finish
+    def finish_then(*args):
+        finish(*args)
+        kill()
+    replacement.finish = finish_then
 elif where == 'finish':
     replacement.finish = kill
+elif where.startswith('DROP'):
+    left, change = int(where[4:]), SchemaLock.change
+    def change_then(self, cql, **others):
+        global left
+        left -= cql.startswith('DROP')
+        if not left:
+            kill()
+        change(self, cql, **others)
+        left -= cql.startswith('DROP')
+        if not left:
+            kill()
+    SchemaLock.change = change_then
 def progress(done, total):
     if where == 'fill' and done >= 150 or where == 'compare' and done >= 450:
         kill()
 with RosCassandra(host, int(port), keyspace=keyspace) as rosCas:
     rosCas.convertTopic('/t', target, progress)
 """
+
+
+def convert_until(cassandra, keyspace, where, target):
+    """Convert in a process that is killed at some step."""
+    arguments = [cassandra.host, str(cassandra.port), keyspace, where, target]
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, *arguments], env=os.environ, timeout=300, check=False
+    )
+    assert done.returncode == -signal.SIGKILL, where
 
 
 @pytest.mark.fault
@@ -152,11 +178,7 @@ def test_one_that_is_killed_is_done_again(rosCas, cassandra, keyspace, monkeypat
     topic = rosCas.getTopic("/t")
     before, told = seen(topic.rows()), facts(rosCas)
     for where in ("fill", "compare", "finish", "drop"):
-        arguments = [cassandra.host, str(cassandra.port), keyspace, where, target]
-        done = subprocess.run(
-            [sys.executable, "-c", KILLED, *arguments], env=os.environ, timeout=300, check=False
-        )
-        assert done.returncode == -signal.SIGKILL
+        convert_until(cassandra, keyspace, where, target)
         rosCas.catalog.keyspace.schema.tables(fresh=True)
         assert len(rosCas.catalog.keyspace.schema.listing().every) == 2
         assert formats(rosCas) == [target if where == "drop" else "ros"]
@@ -169,6 +191,22 @@ def test_one_that_is_killed_is_done_again(rosCas, cassandra, keyspace, monkeypat
     assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
     assert seen(topic.rows()) == before
     assert facts(rosCas) == told
+
+
+@pytest.mark.fault
+def test_what_a_killed_one_left_is_deleted_whole(rosCas, cassandra, keyspace, monkeypatch, cql):
+    """Each conversion dies at the next step of deleting what the one before left."""
+    monkeypatch.setattr(convert, "QUIET_SEC", 0.0)
+    fill(rosCas, "ros", 100)
+    before = seen(rosCas.getTopic("/t").rows())
+    for step in ("DROP1", "DROP2", "DROP3", "DROP4"):
+        convert_until(cassandra, keyspace, "fill", "packed")
+        convert_until(cassandra, keyspace, step, "packed")
+        cql.execute(f"DELETE FROM {keyspace}.cr_lock WHERE name = 'schema' IF EXISTS")
+        assert rosCas.convertTopic("/t", "ros").messages == 0
+        assert rosCas.upkeep.check().damages == [], step
+    assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
+    assert seen(rosCas.getTopic("/t").rows()) == before
 
 
 def during(monkeypatch, what):

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Sequence
+from typing import Callable, Sequence
 
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.metadata import TopicMetadata
@@ -14,15 +14,14 @@ SETTLE_SEC = CACHE_SEC + 1.0
 """Time after which every client has read the changed comments, s."""
 
 
-def clear(schema: Schema, topic: str) -> list[str]:
-    """Drop the tables that killed conversions of a topic left; return their names."""
-    with schema.lock() as lock:
-        listing = schema.listing(fresh=True)
-        mine = {name for name, m in listing.every.items() if m.topic == topic}
-        left = sorted(mine.difference(listing.visible))
-        schema.drop(left, lock)
-    schema.tables(fresh=True)
-    return left
+def clear(schema: Schema, topic: str, forget: Callable[[str], None]) -> None:
+    """Drop the tables that killed conversions of a topic left.
+
+    Args:
+        forget: Deletes the entries of a table; see ``drop``.
+    """
+    every = schema.listing(fresh=True).every
+    drop(schema, sorted(name for name, m in every.items() if m.topic == topic), forget)
 
 
 def begin(
@@ -73,9 +72,23 @@ def finish(schema: Schema, name: str, olds: Sequence[str]) -> None:
     schema.tables(fresh=True)
 
 
-def drop(schema: Schema, names: Sequence[str]) -> None:
-    """Drop those of the tables that are not read."""
+def drop(
+    schema: Schema, names: Sequence[str], forget: Callable[[str], None] | None = None
+) -> None:
+    """Drop those of the tables that are not read.
+
+    Args:
+        forget: Called with the name of each table that was never filled, before it is dropped: if
+            the program dies between the two, the next conversion finds the table and does both.
+            Afterwards nobody would know its name. The names of the others are in the comment of the
+            table that replaced them.
+    """
     with schema.lock() as lock:
-        visible = schema.tables(fresh=True)
-        schema.drop([name for name in names if name not in visible], lock)
+        listing = schema.listing(fresh=True)
+        for name in names:
+            if name in listing.visible:
+                continue
+            if forget is not None and name in listing.every and listing.every[name].filling:
+                forget(name)
+            schema.drop([name], lock)
     schema.tables(fresh=True)

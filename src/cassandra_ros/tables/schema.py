@@ -337,9 +337,12 @@ class Schema:
         return [*tables, *{old for m in tables.values() for old in m.replaces}.difference(tables)]
 
     def drop(self, tables: Iterable[str], lock: SchemaLock) -> None:
-        """Drop some tables with their chunk tables, under the lock."""
+        """Drop some tables with their chunk tables, under the lock.
+
+        The chunk table goes first: it is found by the name of the other one.
+        """
         for table in tables:
-            for name in (table, chunk_table_name(table)):
+            for name in (chunk_table_name(table), table):
                 lock.change(
                     f"DROP TABLE IF EXISTS {self.qualified(name)}", what=f"dropping table {name}"
                 )

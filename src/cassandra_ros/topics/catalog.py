@@ -183,9 +183,7 @@ class Catalog:
             )
         removed = count_rows(space.directory, tables, Read())
         for table in space.schema.drop_topic(name, renew=renew):
-            space.directory.forget(table)
-            space.registry.forget(table)
-            space.place_index.forget(table)
+            space.forget_table(table)
         space.registry.forget_losses(name)
         if not renew:
             with self._mutex:

@@ -56,6 +56,12 @@ class Keyspace:
         tables = [self.tables.get(name, metadata) for name, metadata in every.items()]
         return holds_any(self.directory, tables, whose)
 
+    def forget_table(self, table: str) -> None:
+        """Delete what directory, registry and index of places say of a table that is not read."""
+        self.directory.forget(table)
+        self.registry.forget(table)
+        self.place_index.forget(table)
+
     def naming(self, make: Callable[[], _T]) -> _T:
         """Call ``make``; call it again if a field is unknown and the tables have changed.
 

@@ -203,16 +203,11 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
 
 def _forget_left(space: Keyspace, topic: str) -> None:
     """Delete what killed conversions left, and the entries of replaced tables."""
-    for name in replacement.clear(space.schema, topic):
-        space.directory.forget(name)
-        space.registry.forget(name)
-        space.place_index.forget(name)
+    replacement.clear(space.schema, topic, space.forget_table)
     for table in space.tables.of_topic(topic):
         for old in table.metadata.replaces:
             if space.directory.nodes(old, -(2**63), 2**63 - 1):
-                space.directory.forget(old)
-                space.registry.forget(old)
-                space.place_index.forget(old)
+                space.forget_table(old)
 
 
 class Conversion:
@@ -305,8 +300,4 @@ class Conversion:
     def _give_up(self, new: TopicTable) -> None:
         """Delete the new table, unless it has already replaced the old ones."""
         with suppress(CassandraRosError):  # the next conversion deletes what is left
-            replacement.drop(self._space.schema, [new.name])
-            if new.name not in self._space.schema.tables():
-                self._space.directory.forget(new.name)
-                self._space.registry.forget(new.name)
-                self._space.place_index.forget(new.name)
+            replacement.drop(self._space.schema, [new.name], self._space.forget_table)

@@ -439,9 +439,7 @@ class _Check:
         replaced = {old for metadata in listing.every.values() for old in metadata.replaces}
         for table in sorted(known.difference(listing.every, replaced)):
             if self._repair:
-                space.directory.forget(table)
-                space.registry.forget(table)
-                space.place_index.forget(table)
+                space.forget_table(table)
             text = (
                 f"the directory knows a table {table} that was dropped: the "
                 "client that removed its topic died; --repair forgets it"
