@@ -20,6 +20,7 @@ from cassandra_ros.cli import (
     recorder,
     viewer,
 )
+from cassandra_ros.metadata import SCHEMA_VERSION
 
 PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder, viewer)
 UNITS = re.compile(
@@ -103,7 +104,9 @@ def test_version_and_wrong_usage_have_one_form():
         )
 
     version = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]
-    assert typed("cassandra_bag", "--version").stdout == f"cassandra_bag {version}\n"
+    for program in sorted(path.name for path in (ROOT / "scripts").iterdir()):
+        shown = f"{program} {version} (reads and writes keyspaces of schema {SCHEMA_VERSION})\n"
+        assert typed(program, "--version").stdout == shown
     done = typed("cassandra_bag", "info", "--no-such")
     assert done.returncode == 2
     last = "cassandra_bag: unrecognized arguments: --no-such (see cassandra_bag --help)"

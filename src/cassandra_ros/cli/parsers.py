@@ -11,6 +11,7 @@ import sys
 from typing import Callable, Mapping, NoReturn
 
 from cassandra_ros.installation import shipped_file
+from cassandra_ros.metadata import SCHEMA_VERSION
 from cassandra_ros.printable import shown_lines
 
 _STATUSES = """\
@@ -42,6 +43,14 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, error_line(program, f"{message} (see {self.prog} --help)") + "\n")
 
 
+class _Version(argparse.Action):
+    """Print the version of the package and of the schema; the file is read only when asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        print(f"{parser.prog} {version()} (reads and writes keyspaces of schema {SCHEMA_VERSION})")
+        parser.exit()
+
+
 def program_parser(program: str, text: str | None, more: str = "") -> Parser:
     """Return a parser whose description is a docstring.
 
@@ -50,7 +59,11 @@ def program_parser(program: str, text: str | None, more: str = "") -> Parser:
         more: Lines about further exit statuses.
     """
     description, closing = inspect.cleandoc(text or ""), _closing(program, more)
-    return Parser(prog=program, description=description, epilog=closing, formatter_class=_RAW)
+    parser = Parser(prog=program, description=description, epilog=closing, formatter_class=_RAW)
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, help="show the version and the schema, and exit"
+    )
+    return parser
 
 
 def verbs_parser(
@@ -62,7 +75,6 @@ def verbs_parser(
 ) -> Parser:
     """Return the parser of a program with verbs; their docstrings are their help texts."""
     parser = program_parser(program, text, more)
-    parser.add_argument("--version", action="version", version=f"{program} {version()}")
     verb_parsers = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
     for name, verb in verbs.items():
         doc = inspect.getdoc(verb) or ""

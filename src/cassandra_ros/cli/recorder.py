@@ -55,7 +55,7 @@ from cassandra_ros.recording.topic_settings import (
 
 PROGRAM = "recorder"
 _LOOPBACK = ("localhost", "127.", "::1")
-_NO_PARAMETERS = ("help", "quiet", "dry_run", "udp")
+_NO_PARAMETERS = ("help", "version", "quiet", "dry_run", "udp")
 
 
 def make_parser() -> argparse.ArgumentParser:

@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The package where it is installed: by pip from a wheel, and by catkin_make install."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import venv
+
+import pytest
+from conftest import ROOT
+
+VERSION = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]
+BUILT = (".git", ".venv", ".ws", "build", "demo-output", ".mypy_cache", ".ruff_cache")
+SHARED = ("web/index.html", "config/recorder.yaml", "launch/play.launch", "server/pom.xml")
+PACKAGES = next(path for path in sys.path if path.endswith("site-packages"))
+
+
+def run(words, env, cwd):
+    done = subprocess.run(
+        [*map(str, words)], env=env, cwd=cwd, capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return done.stdout
+
+
+def plain_env(**more):
+    """Return an environment that knows no workspace."""
+    names = ("HOME", "PATH", "LC_ALL", "PIP_INDEX_URL", "PIP_CONFIG_FILE")
+    return {**{name: os.environ[name] for name in names if name in os.environ}, **more}
+
+
+def check_installed(env, share, cwd, python):
+    """Check that programs, services and shared files are those of the installation."""
+    shown = run(["rosrun", "cassandra_ros", "recorder", "--version"], env, cwd)
+    assert shown.startswith(f"recorder {VERSION} ")
+    launch = run(["roslaunch", "--files", "cassandra_ros", "play.launch"], env, cwd)
+    assert launch.strip() == str(share / "launch/play.launch")
+    code = "import cassandra_ros, cassandra_ros.srv as s; print(cassandra_ros.__file__);"
+    code += "print(s.GetData._type); from cassandra_ros.installation import shipped_file;"
+    code += "print(shipped_file('web/index.html'))"
+    file, service, web = run([python, "-c", code], env, cwd).split()
+    assert not file.startswith(str(ROOT)) and service == "cassandra_ros/GetData"
+    assert web == str(share / "web/index.html")
+    for name in SHARED:
+        assert (share / name).read_bytes() == (ROOT / name).read_bytes()
+
+
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the files that git knows, so that nothing is built in the checkout."""
+    target = tmp_path / "src" / "cassandra_ros"
+    target.mkdir(parents=True)
+    leave = [f"--exclude=./{name}" for name in BUILT]
+    pack = subprocess.Popen(["tar", "-c", *leave, "."], cwd=ROOT, stdout=subprocess.PIPE)
+    subprocess.run(["tar", "-x"], cwd=target, stdin=pack.stdout, check=True)
+    assert pack.wait() == 0
+    return target
+
+
+def test_a_wheel_is_built_and_installed_beside_ros(copy, tmp_path):
+    env = plain_env()
+    build = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation"]
+    run([*build, "-q", "-w", tmp_path, copy], env, tmp_path)
+    (wheel,) = tmp_path.glob("*.whl")
+    home = tmp_path / "venv"
+    venv.create(home, system_site_packages=True, with_pip=False, symlinks=True)
+    (packages,) = home.glob("lib/python3*/site-packages")
+    (packages / "tested.pth").write_text(PACKAGES)  # what requirements.txt pins is there
+    python = home / "bin/python"
+    run([python, "-m", "pip", "install", "-q", "--no-deps", wheel], env, tmp_path)
+    share = home / "share"
+    env.update(
+        PATH=f"{home / 'bin'}:{env['PATH']}", ROS_PACKAGE_PATH=f"{share}:/usr/share:/opt/ros/noetic"
+    )
+    check_installed(env, share / "cassandra_ros", tmp_path, python)
+    assert run(["cassandra_bag", "--version"], env, tmp_path).startswith("cassandra_bag ")
+
+
+def test_catkin_make_install(copy, tmp_path):
+    env = plain_env()
+    run(["catkin_make", f"-DPYTHON_EXECUTABLE={sys.executable}", "install"], env, tmp_path)
+    share = tmp_path / "install/share/cassandra_ros"
+    (packages,) = tmp_path.glob("install/lib/python3*/*-packages")
+    env.update(
+        CMAKE_PREFIX_PATH=str(tmp_path / "install"),
+        PYTHONPATH=str(packages),
+        ROS_PACKAGE_PATH=f"{tmp_path / 'install/share'}:/usr/share:/opt/ros/noetic",
+    )
+    check_installed(env, share, tmp_path, sys.executable)
