@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Conditions on whole blocks of messages, with numpy: masks of the messages that may match.
 
-``compile_condition`` checks every remaining message again. So a mask may be true for messages that do
-not match, but is never false for one that does. It is exact for numbers, bools and times outside
+``compile_condition`` checks every remaining message again. So a mask may be true for messages that
+do not match, but is never false for one that does. It is exact for numbers, bools and times outside
 arrays of messages, and for ANY and ALL of an array of numbers. If an array of messages is unnested,
 a message passes if any element may match. Other conditions (NOT, LIKE, NULL, KEY, arithmetic) leave
 no message out.
