@@ -72,9 +72,7 @@ def finish(schema: Schema, name: str, olds: Sequence[str]) -> None:
     schema.tables(fresh=True)
 
 
-def drop(
-    schema: Schema, names: Sequence[str], forget: Callable[[str], None] | None = None
-) -> None:
+def drop(schema: Schema, names: Sequence[str], forget: Callable[[str], None] | None = None) -> None:
     """Drop those of the tables that are not read.
 
     Args:

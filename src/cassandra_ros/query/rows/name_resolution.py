@@ -130,9 +130,7 @@ def compile_condition(expression: Optional[Expression], fields: NameResolver) ->
     return lambda values: check((compute(values),))
 
 
-def _leaf(
-    leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: NameResolver
-) -> Check:
+def _leaf(leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: NameResolver) -> Check:
     if isinstance(leaf, IsNull):
         return (lambda values: True) if place is None else (lambda values: values[place] is None)
     listed = [fields.fit(leaf, value) for value in given(leaf)]
