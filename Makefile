@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup demo viewer screenshots test campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms clean distclean
+.PHONY: help setup grammar demo viewer screenshots test campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -24,6 +24,7 @@ help:
 	@echo "                    (ARGS=--view: and let the viewer run, to look at it in a browser;"
 	@echo "                    ARGS=--nodes=3: on three nodes, of which one is killed; ARGS=--secure)"
 	@echo "make viewer         fetch the Studio for the viewer's page Look, and say how to start it"
+	@echo "make grammar        keep the tables of the query language's grammar anew, after a change of it"
 	@echo "make screenshots    take the README's pictures of the viewer anew"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
@@ -45,6 +46,9 @@ help:
 
 setup:
 	@bash server/setup.sh
+
+grammar:
+	@PYTHONPATH=src $(PYTHON) -c 'from cassandra_ros.query.tree.grammar import write_tables; write_tables()'
 
 demo: setup
 	@$(IN_WORKSPACE) $(PYTHON) examples/demo.py $(ARGS)

@@ -113,7 +113,7 @@ setup(
     **generate_distutils_setup(
         packages=find_packages("src"),
         package_dir={"": "src"},
-        package_data={"cassandra_ros": ["py.typed", "query/tree/cql.lark"]},
+        package_data={"cassandra_ros": ["py.typed", "query/tree/cql.lark", "query/tree/*.json"]},
         **own_arguments(),
     )
 )

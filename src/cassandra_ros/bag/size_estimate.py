@@ -18,7 +18,7 @@ from cassandra_ros.bag.message_file import MessageFile, connections_of_topics
 from cassandra_ros.blocks.codec import pack_block
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
-from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.stamps import Stamp
@@ -194,9 +194,9 @@ def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, Optional[For
         block_sec: Format ``packed``: time that a recorder fills a block at most, s.
     """
     sizes: dict[str, Optional[FormatSize]] = {}
-    for name, make in FORMATS.items():
+    for name in FORMATS:
         try:
-            encoder = make(sample.type, sample.md5sum, sample.definition)
+            encoder = format_class(name)(sample.type, sample.md5sum, sample.definition)
         except DefinitionError:
             sizes[name] = None
             continue

@@ -7,10 +7,7 @@ from __future__ import annotations
 import math
 from typing import Collection, Sequence
 
-from tqdm import tqdm
-
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
 
 _UNITS = ("B", "KB", "MB", "GB", "TB")
@@ -48,6 +45,8 @@ def format_bytes(count: int) -> str:
 
 def format_time(ns: int | None) -> str:
     """Return a time in UTC, cut to seconds; '-' for None."""
+    from cassandra_ros.messages.stamps import iso_time
+
     return "-" if ns is None else iso_time(ns)[:19] + "Z"
 
 
@@ -92,26 +91,34 @@ def sparkline(values: Sequence[float], encoding: str | None) -> str:
     return "".join(" " if not step else bars[step - 1] for step in steps)
 
 
-class MessageBar(tqdm):
+class MessageBar:
     """A progress bar for messages. It appears after one second, on a terminal only."""
 
-    def __init__(self, text: str, total: int | None = None) -> None:
+    def __init__(self, text: str, total: int | None = None, unit: str = " msg") -> None:
+        from tqdm import tqdm
+
         # disable=None: only where standard error is a terminal.
-        super().__init__(
+        self._bar: tqdm[None] = tqdm(
             desc=shown(text),
             total=total,
-            unit=" msg",
+            unit=unit,
             unit_scale=True,
             delay=1,
             leave=False,
             disable=None,
         )
 
+    def __enter__(self) -> MessageBar:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._bar.close()
+
     def add(self, messages: int, size: int = 0) -> None:
         """Add a number of handled messages."""
-        self.update(messages)
+        self._bar.update(messages)
 
     def reach(self, messages: int, total: int) -> None:
         """Set the number of handled messages and the total."""
-        self.total = total
-        self.update(messages - self.n)
+        self._bar.total = total
+        self._bar.update(messages - self._bar.n)

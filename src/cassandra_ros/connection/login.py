@@ -10,15 +10,17 @@ from __future__ import annotations
 import configparser
 import logging
 import os
-import ssl
 import stat
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Iterator, Mapping, Sequence
 
 from cassandra_ros.connection.address import from_environment, host_names, port_number
 from cassandra_ros.errors import InvalidOption
+
+if TYPE_CHECKING:
+    import ssl
 
 CQLSHRC = "~/.cassandra/cqlshrc"
 CREDENTIALS = "~/.cassandra/credentials"
@@ -53,6 +55,8 @@ class Tls:
         Raises:
             InvalidOption: A file is missing or holds no certificates, or no certificates are named.
         """
+        import ssl
+
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         # Like cqlsh: the server is the one that has the key of a trusted certificate, under any
         # name.

@@ -4,8 +4,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from cassandra_ros.connection.cql_names import quote_name
-from cassandra_ros.tables.side_tables import SideTables
+
+if TYPE_CHECKING:
+    from cassandra_ros.tables.side_tables import SideTables
 
 _RIGHTS = {
     "viewer": ("SELECT",),

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
-from typing import Callable, Optional, Sequence, Type
-
-from geometry_msgs.msg import TransformStamped
+from typing import TYPE_CHECKING, Callable, Optional, Sequence, Type
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, TransformException
@@ -25,6 +23,9 @@ from cassandra_ros.transforms.transform_samples import (
     name_only,
     read_transforms,
 )
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import TransformStamped
 
 _SHOWN_FRAMES = 20
 

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add topics, format and the store."""
     add = parser.add_argument
     add_topics(parser, "stored topics", "+")
-    add("--format", required=True, choices=list(FORMATS), help="the format to keep them in")
+    add("--format", required=True, choices=FORMATS, help="the format to keep them in")
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
     add_json_option(parser)
     add_store_options(parser)

@@ -125,8 +125,7 @@ def _places(options: argparse.Namespace) -> int:
         if options.list:
             runs = ros_cas.upkeep.placesIndex(**whose)
         else:
-            with MessageBar("noting places") as bar:
-                bar.unit = " s"
+            with MessageBar("noting places", unit=" s") as bar:
                 runs = ros_cas.upkeep.indexPlaces(**whose, progress=bar.reach)
     if options.json:
         print_json([each._asdict() for each in runs])

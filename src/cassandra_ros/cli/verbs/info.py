@@ -46,7 +46,6 @@ from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
-from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
@@ -201,6 +200,8 @@ def _ends_of(infos: list[TopicInfo]) -> tuple[int | None, int | None]:
 
 
 def _print_summary(found: _Description) -> None:
+    from cassandra_ros.messages.stamps import iso_time
+
     names, ends = {info.topic for info in found.infos}, found.ends
     print(f"keyspace:  {found.keyspace} at {found.place}")
     if ends is not None:
@@ -261,6 +262,8 @@ def _activity_answer(activity: Picture) -> dict[str, object]:
 
 
 def _topic_row(info: TopicInfo) -> dict[str, str]:
+    from cassandra_ros.messages.stamps import iso_time
+
     return {
         "topic": shown(info.topic),
         "type": info.type,

@@ -15,7 +15,6 @@ not change. Parameters of the master itself are left out: /rosdistro, /rosversio
 from __future__ import annotations
 
 import argparse
-import xmlrpc.client
 from datetime import datetime
 from typing import TYPE_CHECKING, Iterator, Mapping
 
@@ -105,6 +104,8 @@ def _leaves(value: object, name: str) -> Iterator[tuple[str, object]]:
 
 def _readable(value: object) -> object:
     """Return a value of XML-RPC in the types of YAML."""
+    import xmlrpc.client
+
     if isinstance(value, Mapping):
         return {name: _readable(inner) for name, inner in value.items()}
     if isinstance(value, list):

@@ -103,7 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "days that the cluster keeps messages (default: %(default)s)"
     add("--days", metavar="DAYS", type=_days, default=30.0, help=text)
     text = "format in which the cluster keeps them (default: %(default)s)"
-    add("--format", choices=list(FORMATS), default=DEFAULT_FORMAT, help=text)
+    add("--format", choices=FORMATS, default=DEFAULT_FORMAT, help=text)
     text = "maximum number of messages of each topic that are encoded (default: %(default)s)"
     add("--sample", metavar="NUM", type=_number, default=1000, help=text)
     add_large_chunks_option(parser)

@@ -15,7 +15,8 @@ from lark import Token, UnexpectedInput
 
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.tree.field_names import all_fields
-from cassandra_ros.query.tree.parse import MAX_STATEMENT, grammar
+from cassandra_ros.query.tree.grammar import grammar
+from cassandra_ros.query.tree.parse import MAX_STATEMENT
 from cassandra_ros.query.tree.syntax import StatementError
 
 MAX_OFFERS = 200

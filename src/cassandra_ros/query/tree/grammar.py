@@ -1,0 +1,415 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The parser of statements and conditions that lark makes of cql.lark.
+
+lark takes a tenth of a second to compute the parser's tables from a grammar. So they are kept in
+cql_tables.json, which `make grammar` writes: text and numbers only, as lark's own cache, a pickle,
+is not. Tables of another grammar, or of another lark, are not used: they are computed then.
+
+``_Builder`` builds the tree while lark parses the text. Only this module and completion import lark
+at once: most programs parse nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pathlib
+import re
+from dataclasses import replace
+from decimal import Decimal, localcontext
+from functools import lru_cache
+from typing import Any, Optional, Sequence, Union
+
+import lark
+from lark import Lark, Token, Transformer, v_args
+
+from cassandra_ros.query.tree.syntax import (
+    AGGREGATES,
+    QUANTIFIERS,
+    UNITS,
+    Aggregate,
+    All,
+    Call,
+    Compare,
+    CreateIndex,
+    DecimalText,
+    Delete,
+    DropIndex,
+    DurationNs,
+    Either,
+    Expression,
+    Indexed,
+    IndexName,
+    IsNull,
+    KeyOperand,
+    Literal,
+    Near,
+    Negation,
+    NodeOperand,
+    OneOf,
+    Operand,
+    Ordering,
+    Path,
+    PathPart,
+    Quantified,
+    Relate,
+    RunOperand,
+    Select,
+    Selected,
+    StatementError,
+    Term,
+    Truncate,
+    is_constant,
+    parts,
+)
+
+_GRAMMAR = pathlib.Path(__file__).with_name("cql.lark")
+_TABLES = pathlib.Path(__file__).with_name("cql_tables.json")
+
+
+@lru_cache(maxsize=1)
+def grammar() -> Lark:
+    """Return the parser of statements and conditions, made once."""
+    try:
+        kept = json.loads(_TABLES.read_text("ascii"), object_hook=_with_numbers)
+    except FileNotFoundError:  # the package was copied without it
+        return _computed()
+    if kept["origin"] != _origin():
+        return _computed()
+    kept["data"]["options"]["transformer"] = _Builder()
+    return Lark.load(kept)
+
+
+def write_tables() -> None:
+    """Compute the tables and keep them in the file beside the grammar."""
+    data, memo = _computed().memo_serialize([lark.lexer.TerminalDef, lark.grammar.Rule])
+    data["options"] = {**data["options"], "transformer": None}
+    kept = {"origin": _origin(), "data": data, "memo": memo}
+    _TABLES.write_text(json.dumps(kept, separators=(",", ":")) + "\n", "ascii")
+
+
+def _computed() -> Lark:
+    text, start = _GRAMMAR.read_text("utf-8"), ["statement", "lone_condition"]
+    return Lark(text, parser="lalr", start=start, transformer=_Builder())
+
+
+def _origin() -> str:
+    """Return what the tables follow from: the version of lark, and the hash of the grammar."""
+    return f"lark {lark.__version__} {hashlib.sha256(_GRAMMAR.read_bytes()).hexdigest()}"
+
+
+def _with_numbers(table: dict[str, Any]) -> dict[Any, Any]:
+    """Return a table with its numbers as keys, which JSON made texts."""
+    return {int(key) if key.isdigit() else key: value for key, value in table.items()}
+
+
+_Not = Optional[Token]
+MAX_DEPTH = 100
+NEAR_VALUES = (3, 5)
+"""Minimum and maximum number of arguments of NEAR."""
+MAX_DIGITS = 400
+"""Maximum number of digits of a number. Python's conversion of longer ones takes quadratic time."""
+
+
+@v_args(inline=True)
+class _Builder(Transformer):  # type: ignore[type-arg]
+    """One method for each rule of the grammar, called while lark parses."""
+
+    def select(
+        self,
+        distinct: Optional[Token],
+        columns: Union[Token, tuple[Selected, ...]],
+        topic: tuple[str, int],
+        condition: Optional[Expression],
+        group: Optional[tuple[Term, ...]],
+        order: Optional[tuple[Ordering, ...]],
+        limit: Optional[Literal],
+    ) -> tuple[Select, Optional[Literal]]:
+        shown = None if isinstance(columns, Token) else columns
+        order, group = order or (), group or ()
+        down = False
+        if len(order) == 1 and isinstance(order[0].what, KeyOperand) and not group:
+            down, order = order[0].descending, ()
+        select = Select("", shown, *topic, condition, down, None, distinct is not None)
+        return replace(select, group=group, order=order), limit
+
+    def delete(self, topic: tuple[str, int], condition: Optional[Expression]) -> Delete:
+        if condition is not None:
+            return Delete("", *topic, condition)
+        reason = "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed"
+        raise StatementError(topic[1], f"{reason} by TRUNCATE")
+
+    def truncate(self, topic: tuple[str, int]) -> Truncate:
+        return Truncate("", *topic)
+
+    def create_index(
+        self, unless: Optional[object], name: Optional[IndexName], indexed: Indexed
+    ) -> CreateIndex:
+        return CreateIndex("", indexed, name, unless is not None)
+
+    def drop_index(
+        self, condition: Optional[object], index: Union[IndexName, Indexed]
+    ) -> DropIndex:
+        return DropIndex("", index, condition is not None)
+
+    def index_name(self, token: Token) -> IndexName:
+        # As in CQL, an unquoted name is in lower case.
+        return IndexName(_name(token) if token.type == "QUOTED" else token.lower(), _at(token))
+
+    def indexed(self, topic: tuple[str, int], field: Operand) -> Indexed:
+        if not isinstance(field, Path):
+            raise StatementError(field.position, f"{field.text} needs no index: rows lie by it")
+        for part in field.parts:
+            if part.index is not None:
+                reason = f"an index is on all elements of an array: leave [{part.index}] out"
+                raise StatementError(part.position, reason)
+        return Indexed(*topic, field)
+
+    def selected(self, *columns: Selected) -> tuple[Selected, ...]:
+        return columns
+
+    def column(self, what: Term, alias: Optional[Token]) -> Selected:
+        return Selected(_column(what), None if alias is None else _name(alias))
+
+    def call(self, word: Token, argument: Union[None, Token, Term]) -> Call:
+        function, at = word.lower(), _at(word)
+        if function == "now":
+            if argument is not None:
+                raise StatementError(at, "now() takes nothing in its parentheses")
+            return Call(function, (), at)
+        if isinstance(argument, Token) and function == "count":
+            return Call(function, (), at)
+        if argument is None or isinstance(argument, Token):
+            spot = at if argument is None else _at(argument)
+            reason = f"{function} takes one {'duration' if function == 'time' else 'field'}"
+            raise StatementError(spot, f"{reason}; only count takes *")
+        given = (KeyOperand(at), argument) if function == "time" else (argument,)
+        if function in QUANTIFIERS and not isinstance(argument, Path):
+            reason = f"{word.upper()} takes an array, not {_part(argument).text}"
+            raise StatementError(argument.position, reason)
+        return _call(function, given, at)
+
+    def binary(self, left: Term, sign: Token, right: Term) -> Call:
+        return _call(str(sign), (left, right), _at(sign))
+
+    def negative(self, minus: Token, term: Term) -> Call:
+        return _call("neg", (term,), _at(minus))
+
+    def topic(self, token: Token) -> tuple[str, int]:
+        return _name(token), _at(token)
+
+    def group(self, *terms: Term) -> tuple[Term, ...]:
+        return tuple(_part(term) for term in terms)
+
+    def order(self, *parts: Ordering) -> tuple[Ordering, ...]:
+        return parts
+
+    def ordering(self, what: Term, direction: Optional[Token]) -> Ordering:
+        down = direction is not None and direction.type == "DESC"
+        return Ordering(_column(what), down, what.position)
+
+    def where(self, condition: Expression) -> Expression:
+        """Refuse a condition so deeply nested that recursion would overflow the stack."""
+        level, depth = [condition], 1
+        while level:
+            if depth > MAX_DEPTH:
+                raise StatementError(0, f"the condition is nested deeper than {MAX_DEPTH}")
+            level, depth = [part for item in level for part in parts(item)], depth + 1
+        return condition
+
+    def either(self, *items: Expression) -> Expression:
+        return items[0] if len(items) == 1 else Either(items)
+
+    def all(self, *items: Expression) -> Expression:
+        return items[0] if len(items) == 1 else All(items)
+
+    def negate(self, _not: Token, item: Expression) -> Negation:
+        return Negation(item)
+
+    def compare(self, left: Term, operator: Token, right: Term) -> Expression:
+        sign = "!=" if operator == "<>" else str(operator)
+        return compared(left, sign, right, _at(operator))
+
+    def match(self, operand: Term, negated: _Not, operator: Token, value: Term) -> Expression:
+        sign = operator.upper()
+        if _quantifies(operand) and sign == "LIKE":
+            return _quantified(operand, [(sign, _value(value))], negated, False)
+        return _unless(negated, Compare(_part(operand), sign, _value(value)))
+
+    def one_of(self, operand: Term, negated: _Not, *values: Optional[Term]) -> Expression:
+        listed = tuple(_value(v) for v in values if v is not None)
+        if _quantifies(operand):
+            return _quantified(operand, [("=", value) for value in listed], negated, True)
+        return _unless(negated, OneOf(_part(operand), listed))
+
+    def in_list(self, operand: Term, negated: _Not, values: Literal) -> Expression:
+        if _quantifies(operand):
+            reason = "beside ANY and ALL the values of IN stand in parentheses: IN (?, ?)"
+            raise StatementError(values.position, reason)
+        return _unless(negated, OneOf(_part(operand), (values,), whole=True))
+
+    def between(self, operand: Term, negated: _Not, low: Term, high: Term) -> Expression:
+        ends = ((">=", low), ("<=", high))
+        if _quantifies(operand):
+            return _quantified(operand, [(s, _part(end)) for s, end in ends], negated, False)
+        inside = All(tuple(compared(operand, s, end, end.position) for s, end in ends))
+        return _unless(negated, inside)
+
+    def near(self, word: Token, *values: Optional[Term]) -> Near:
+        given = tuple(_value(value) for value in values if value is not None)
+        if not NEAR_VALUES[0] <= len(given) <= NEAR_VALUES[1]:
+            reason = (
+                f"NEAR takes 3 to 5 values, not {len(given)}: x, y, a radius in metres, a frame "
+            )
+            reason += "('map' where none is given) and a robot, as NEAR(2.5, 0, 1.5, 'odom')"
+            raise StatementError(_at(word), reason)
+        return Near(given, _at(word))
+
+    def is_null(self, operand: Term, negated: _Not) -> Expression:
+        return _unless(negated, IsNull(_part(operand)))
+
+    def place(self, token: Token) -> Operand:
+        return _OWN[str(token)](_at(token))
+
+    def path(self, *parts: tuple[PathPart, ...]) -> Path:
+        names = tuple(name for part in parts for name in part)
+        return Path(names, names[0].position)
+
+    def part(self, token: Token, index: Optional[Token]) -> tuple[PathPart, ...]:
+        names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
+        made = [PathPart(name, None, _at(token)) for name in names]
+        if index is not None:
+            made[-1] = PathPart(names[-1], _integer(index), _at(token))
+        return tuple(made)
+
+    def literal(self, token: Token) -> Literal:
+        if token.type == "PLACEHOLDER":
+            return Literal(None, _at(token), bound=False)
+        if token.type in ("TRUE", "FALSE"):
+            return Literal(token.type == "TRUE", _at(token))
+        if token.type == "TEXT":
+            return Literal(token[1:-1].replace("''", "'"), _at(token))
+        if token.type == "DURATION":
+            return Literal(_duration(token), _at(token))
+        whole = token.lstrip("+-").isdigit()
+        return Literal(_integer(token) if whole else DecimalText(str(token)), _at(token))
+
+
+_OWN = {kind.text: kind for kind in (KeyOperand, NodeOperand, RunOperand)}
+
+
+def _at(token: Token) -> int:
+    return token.start_pos or 0
+
+
+def _unless(negated: _Not, item: Expression) -> Expression:
+    return item if negated is None else Negation(item)
+
+
+def _name(token: Token) -> str:
+    return token[1:-1].replace('""', '"') if token.type == "QUOTED" else str(token)
+
+
+def _integer(token: Token) -> int:
+    if len(token) > MAX_DIGITS:
+        raise StatementError(_at(token), f"a number has at most {MAX_DIGITS} digits")
+    return int(token)
+
+
+def _duration(token: Token) -> DurationNs:
+    if len(token) > MAX_DIGITS:
+        raise StatementError(_at(token), f"a duration has at most {MAX_DIGITS} digits")
+    found = (Decimal(number) * UNITS[unit] for number, unit in _UNIT.findall(token))
+    with localcontext() as context:
+        context.prec = MAX_DIGITS + 20
+        ns = int(sum(found, Decimal()).to_integral_value())
+    return DurationNs(-ns if token.startswith("-") else ns)
+
+
+_UNIT = re.compile(r"([0-9.]+)([a-z]+)")
+
+
+def _call(function: str, arguments: tuple[Term, ...], position: int) -> Call:
+    parts = arguments if function in QUANTIFIERS else tuple(map(_part, arguments))
+    depth = 1 + max(part.depth if isinstance(part, Call) else 0 for part in parts)
+    if depth > MAX_DEPTH:
+        raise StatementError(position, f"what is computed is nested deeper than {MAX_DEPTH}")
+    return Call(function, parts, position, depth)
+
+
+def _quantifies(term: Term) -> bool:
+    return isinstance(term, Call) and term.function in QUANTIFIERS
+
+
+def _part(term: Term) -> Term:
+    """Return a term that is allowed anywhere, else raise StatementError."""
+    if not isinstance(term, Call):
+        return term
+    if term.function in QUANTIFIERS:
+        word = term.function.upper()
+        reason = f"stands alone on one side of a comparison, as {word}(ranges) < 0.2"
+        raise StatementError(term.position, f"{word}({term.arguments[0].text}) {reason}")
+    if term.function == "count":
+        shown = term.arguments[0].text if term.arguments else "*"
+        reason = f"count({shown}) is made of all rows, so it stands alone in SELECT and ORDER BY: "
+        reason += "select it, and compare or compute in a second statement"
+        raise StatementError(term.position, reason)
+    return term
+
+
+def _column(term: Term) -> Union[Term, Aggregate]:
+    """Return the term or aggregate of a column of a result."""
+    if isinstance(term, Call) and term.function in AGGREGATES:
+        operand = _part(term.arguments[0]) if term.arguments else None
+        return Aggregate(term.function, operand, term.position)
+    return _part(term)
+
+
+def _value(term: Term) -> Literal:
+    """Return a constant term; it is computed when the parameters are bound."""
+    if isinstance(term, Literal):
+        return term
+    if isinstance(term, Call) and is_constant(_part(term)):
+        return Literal(None, term.position, bound=False, made=term)
+    reason = f"{_part(term).text} differs from row to row, but here a constant is needed; "
+    raise StatementError(term.position, f"{reason}text stands in quotes: 'text'")
+
+
+_FLIPPED = {"=": "=", "!=": "!=", "<": ">", "<=": ">=", ">": "<", ">=": "<="}
+
+
+def compared(left: Term, sign: str, right: Term, position: int) -> Expression:
+    """Return the comparison of two terms; if only one is a field, it becomes the left operand."""
+    if _quantifies(right) and not _quantifies(left):
+        left, sign, right = right, _FLIPPED[sign], left
+    if _quantifies(left):
+        return _quantified(left, [(sign, _part(right))], None, False)
+    left, right = _part(left), _part(right)
+    if isinstance(right, Path) and right.text.lower() == "null":
+        reason = "found 'null' (what is missing is found by IS NULL)"
+        raise StatementError(right.position, reason)
+    if is_constant(right):
+        if is_constant(left):
+            reason = "names no field, and the other operand names no field either"
+            raise StatementError(left.position, f"{left.text} {reason}")
+        return Compare(left, sign, _value(right))
+    if is_constant(left):
+        return Compare(right, _FLIPPED[sign], _value(left))
+    return Relate(left, sign, right, position)
+
+
+def _quantified(
+    term: Term, tests: Sequence[tuple[str, Term]], negated: _Not, either: bool
+) -> Expression:
+    call = term
+    if not isinstance(call, Call) or not isinstance(call.arguments[0], Path):
+        raise AssertionError("the grammar lets nothing else through")
+    every, array = call.function == "all", call.arguments[0]
+    made = [(sign, _value(to) if is_constant(to) else to) for sign, to in tests]
+    sign, first = made[0] if made else ("", None)
+    if sign == "=" and len(made) == 1 and isinstance(first, Literal) and not (every or negated):
+        return Compare(
+            array, "CONTAINS", first
+        )  # equivalent, and the planner can use it more often
+    return Quantified(array, every, tuple(made), call.position, either, negated is not None)
