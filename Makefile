@@ -32,7 +32,7 @@ help:
 	@echo "                    ARGS='--short' minutes, --only NAME, --messages N, --list)"
 	@echo "make faults-page    fill the tables of doc/faults.md from the last make faults"
 	@echo "make ci             lint, test and the short campaign in one run; what fails is run once more, alone"
-	@echo "make lint           ruff, mypy, catkin_lint, make doc"
+	@echo "make lint           ruff, mypy, tsc on web/, catkin_lint, make doc"
 	@echo "make doc            the pages of doc/, as build/doc/index.html; a warning is an error"
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
 	@echo "make bench-quick    the same with small numbers (5 minutes)"
@@ -81,6 +81,8 @@ lint: setup doc
 	$(PYTHON) -m ruff check .
 	$(PYTHON) -m ruff format --check .
 	$(PYTHON) -m mypy
+	@if command -v tsc >/dev/null; then tsc --project web; else \
+	  echo "lint: the types in web/ are not checked: there is no tsc (Debian's package node-typescript)"; fi
 	@$(IN_WORKSPACE) .venv/bin/catkin_lint --strict -W2 $(LINT_OPTIONS) .ws/src/cassandra_ros
 
 doc: setup

@@ -79,10 +79,11 @@ package_list() {
 
 test_package_list() {
   # Only the tests need them: what brings message types, of which they send more than 200, zsh, in
-  # which they press Tab, curl, as the tutorial has it, and a browser, in which they look at the viewer.
+  # which they press Tab, curl, as the tutorial has it, a browser, in which they look at the viewer,
+  # and TypeScript, by which make lint checks the types of the viewer's pages.
   echo zsh curl
   if [ "$(. /etc/os-release && echo "$ID")" = debian ]; then
-    echo chromium chromium-driver
+    echo chromium chromium-driver node-typescript
   fi
   local common=(actionlib map move-base nav pcl rosgraph sensor shape stereo trajectory visualization)
   if [ -d /opt/ros/noetic ]; then

@@ -250,7 +250,10 @@ export class Plot {
     return lines.length ? lines : [[0, ...columns.map(() => null)]];
   }
 
-  /** Milliseconds after the first pixel: such a number is exact to the nanosecond. @param {bigint} ns */
+  /**
+   * Milliseconds after the first pixel: such a number is exact to the nanosecond.
+   * @param {bigint} ns
+   */
   _x(ns) {
     return Number(ns - this._base) / 1e6;
   }
@@ -393,7 +396,10 @@ export class Plot {
         own.mousedown(event, graph, context);
         this._panels.focus({ preventScroll: true });
         if (!context.isPanning) return;
-        const panned = () => setTimeout(() => this._zoomed(...graph.xAxisRange()));
+        const panned = () => setTimeout(() => {
+          const [low, high] = graph.xAxisRange();
+          this._zoomed(low, high);
+        });
         document.addEventListener("mouseup", panned, { once: true });
       },
       wheel: (/** @type {WheelEvent} */ event, /** @type {any} */ graph) => {

@@ -60,7 +60,7 @@ let later;
 
 /**
  * Request all topics, and show the time range of the address.
- * @param {{again?: boolean}} [how] again: it is shown already, and further messages may have come.
+ * @param {{again?: boolean}} how again: it is shown already, and further messages may have come.
  */
 async function load({ again: known = false } = {}) {
   canvas.dataset.state = "busy";
@@ -119,7 +119,10 @@ function eraOf(moment) {
   return eras.reduce((best, era) => (away(era) < away(best) ? era : best), eras[0]);
 }
 
-/** Add links to the eras if there are several. @param {import("./timeline.js").Span | undefined} current */
+/**
+ * Add links to the eras if there are several.
+ * @param {import("./timeline.js").Span | undefined} current
+ */
 function showEras(current) {
   const buttons = eras.map((era) => {
     const text = [...new Set([era.start, era.end].map((ns) => iso(ns).slice(0, 4)))].join("–");

@@ -52,7 +52,7 @@ export function question() {
 
 /**
  * @param {HTMLSelectElement} select
- * @param {[string, string][]} choices Value and text.
+ * @param {string[][]} choices Pairs of value and text.
  * @param {string} name Name in the state; an empty value removes it.
  */
 function fill(select, choices, name) {
@@ -312,7 +312,7 @@ const places = {
 };
 export const lasso = new Lasso(view, places, element("map-more"), element("map-near"));
 view.onClick = pick;
-view.onHover = (at) => {
+view.onHover = (/** @type {import("./map_view.js").Point | null} */ at) => {
   element("map-cursor").textContent = at ? `x ${at.x.toFixed(2)}  y ${at.y.toFixed(2)} m` : "";
 };
 view.canvas.addEventListener("keydown", (/** @type {KeyboardEvent} */ event) => {

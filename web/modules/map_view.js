@@ -46,17 +46,17 @@ export class MapView {
     this.canvas = canvas;
     /** Scale, pixels of the page per metre. */
     this.scale = 50;
-    /** What is in the middle. @type {Point} */
+    /** @type {Point} What is in the middle. */
     this.centre = { x: 0, y: 0 };
     /** @type {Image | null} */
     this.image = null;
-    /** Drawn over the image, in this order. @type {Layer[]} */
+    /** @type {Layer[]} Drawn over the image, in this order. */
     this.layers = [];
     /** @type {Tool | null} */
     this.tool = null;
-    /** Called for a click that moved nothing. @type {(at: Point, event: PointerEvent) => void} */
+    /** @type {(at: Point, event: PointerEvent) => void} Called for a click that moved nothing. */
     this.onClick = () => {};
-    /** Called where the pointer is; null: it left. @type {(at: Point | null) => void} */
+    /** @type {(at: Point | null) => void} Called where the pointer is; null: it left. */
     this.onHover = () => {};
     /** @type {{x: number, y: number, moved: number} | null} */
     this.drag = null;

@@ -71,7 +71,7 @@ function take(state, name, text) {
 /**
  * Change the state, which is the address of this page, without reloading the page.
  * @param {import("./api.js").Parameters} changes New values; null removes a parameter.
- * @param {{push?: boolean}} [options] push: whether the browser's back button undoes it.
+ * @param {{push?: boolean}} options push: whether the browser's back button undoes it.
  */
 export function write(changes, { push = false } = {}) {
   const address = link(location.pathname, changes);

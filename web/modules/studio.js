@@ -23,7 +23,7 @@ const BLOCK_BYTES = 8 * 1024 * 1024;
 const AHEAD_BYTES = 64 * 1024 * 1024;
 const MOST_AHEAD_SEC = 10;
 
-/** Global objects of the Studio's scripts. @type {any} */
+/** @type {any} Global objects of the Studio's scripts. */
 const globals = window;
 
 /** @param {Record<string, unknown>} message */
@@ -125,7 +125,7 @@ function makeRoom(blocks, { activeBlock, sizeInBytes }) {
 }
 
 let shownTime = 0n;
-/** What was counted last: the same messages may be told again. @type {unknown} */
+/** @type {unknown} What was counted last: the same messages may be told again. */
 let counted = null;
 
 /** @param {any} now The player's state. */
@@ -161,7 +161,7 @@ async function chooseLayout(text, source) {
 /** @param {any} layout */
 async function keepLayout(layout) {
   // Panels complete their settings on their own: that alone need not be in the address.
-  if (navigator.userActivation?.hasBeenActive) tell({ layout: await pack(layout) });
+  if (/** @type {any} */ (navigator).userActivation?.hasBeenActive) tell({ layout: await pack(layout) });
 }
 
 async function start() {

@@ -7,6 +7,9 @@
 /** @typedef {string | {direction: "row" | "column", first: any, second: any, splitPercentage: number}} Node */
 /** @typedef {{layout?: Node, configById: Record<string, any>, [key: string]: any}} Layout */
 
+/** @type {any} Classes of browsers that the TypeScript of Debian 12 does not know. */
+const newer = window;
+
 const TRANSFORMS = ["tf/tfMessage", "tf2_msgs/TFMessage"];
 const MAPS = ["nav_msgs/OccupancyGrid"];
 const CLOUDS = ["sensor_msgs/PointCloud2", "sensor_msgs/LaserScan", "velodyne_msgs/VelodyneScan"];
@@ -16,7 +19,12 @@ const SHAPES = [
   "geometry_msgs/PolygonStamped",
 ];
 const IMAGES = ["sensor_msgs/CompressedImage", "sensor_msgs/Image"];
-/** Fields of each type that are drawn as curves; the first existing ones are used. */
+/** @type {[string, string[]][]} */
+const NUMBERS = ["Float32", "Float64", "Int32", "UInt32", "Int16"].map((name) => [`std_msgs/${name}`, ["data"]]);
+/**
+ * Fields of each type that are drawn as curves; the first existing ones are used.
+ * @type {Map<string, string[]>}
+ */
 const CURVES = new Map([
   ["nav_msgs/Odometry", ["twist.twist.linear.x", "twist.twist.angular.z"]],
   ["geometry_msgs/Twist", ["linear.x", "angular.z"]],
@@ -26,7 +34,7 @@ const CURVES = new Map([
   ["sensor_msgs/JointState", ["position[:]"]],
   ["sensor_msgs/Range", ["range"]],
   ["sensor_msgs/NavSatFix", ["altitude"]],
-  ...["Float32", "Float64", "Int32", "UInt32", "Int16"].map((name) => [`std_msgs/${name}`, ["data"]]),
+  ...NUMBERS,
 ]);
 const MOST_IMAGES = 3;
 const MOST_CURVES = 4;
@@ -129,7 +137,7 @@ function addCameras(topics, configById) {
 /** @param {Topic[]} topics @param {Record<string, any>} configById @param {boolean} following @returns {Node[]} */
 function addCurves(topics, configById, following) {
   const paths = [...CURVES].flatMap(([type, fields]) =>
-    ofTypes(topics, [String(type)]).flatMap((topic) => fields.map((field) => `${topic.topic}.${field}`)));
+    ofTypes(topics, [type]).flatMap((topic) => fields.map((field) => `${topic.topic}.${field}`)));
   if (!paths.length) return [];
   configById["Plot!curves"] = {
     paths: paths.slice(0, MOST_CURVES).map((value) => ({ value, enabled: true, timestampMethod: "receiveTime" })),
@@ -143,7 +151,7 @@ function addCurves(topics, configById, following) {
 /** @param {Topic[]} topics @param {Record<string, any>} configById @returns {Node[]} */
 function addTexts(topics, configById) {
   const large = [...IMAGES, ...MAPS, ...CLOUDS, ...TRANSFORMS];
-  const told = [...ofTypes(topics, [...CURVES.keys()].map(String)), ...topics.filter((topic) => !large.includes(topic.type)),
+  const told = [...ofTypes(topics, [...CURVES.keys()]), ...topics.filter((topic) => !large.includes(topic.type)),
     ...topics][0];
   const panels = [];
   if (told) {
@@ -164,6 +172,7 @@ function addTexts(topics, configById) {
  * @returns {Promise<string>}
  */
 export async function pack(layout) {
+  const { CompressionStream } = newer;
   const { userNodes, ...rest } = layout;
   const bytes = await through(new CompressionStream("deflate-raw"), new TextEncoder().encode(JSON.stringify(rest)));
   let binary = "";
@@ -179,6 +188,7 @@ export async function pack(layout) {
  * @throws {Error} The text is no layout.
  */
 export async function unpack(text) {
+  const { DecompressionStream } = newer;
   try {
     const binary = atob(text.replaceAll("-", "+").replaceAll("_", "/"));
     const bytes = await through(new DecompressionStream("deflate-raw"), Uint8Array.from(binary, (each) => each.charCodeAt(0)));
@@ -193,8 +203,8 @@ export async function unpack(text) {
 }
 
 /**
- * @param {CompressionStream | DecompressionStream} transform
- * @param {Uint8Array<ArrayBuffer>} bytes
+ * @param {ReadableWritablePair<Uint8Array, any>} transform
+ * @param {BlobPart} bytes
  */
 async function through(transform, bytes) {
   const stream = new Blob([bytes]).stream().pipeThrough(transform);

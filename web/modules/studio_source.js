@@ -39,7 +39,7 @@ export class StoreSource {
     this.state = state;
     this.showError = showError;
     this.chosen = { nodes: state.nodes, runs: state.runs };
-    /** What /api/connections answered. @type {any} */
+    /** @type {any} What /api/connections answered. */
     this.found = null;
     this.start = 0n;
     this.end = 0n;

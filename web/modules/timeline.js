@@ -35,6 +35,16 @@ const MOST_TEXTS = 5000;
  */
 
 /**
+ * @typedef {object} Drag
+ * @property {string} kind
+ * @property {number} x Where it began, pixels.
+ * @property {number} y
+ * @property {boolean} moved Whether the pointer has left the place of a click.
+ * @property {Span} view Visible time range at the begin.
+ * @property {number} scrolled Pixels that the rows were scrolled at the begin.
+ */
+
+/**
  * Events: `view` when the visible time range changed, `resize`, `scroll` when other rows are visible,
  * `select` when the selection changed, `moment` when a time was clicked.
  */
@@ -62,7 +72,7 @@ export class Timeline extends EventTarget {
     this.size = { width: 0, height: 0, names: 0 };
     /** @type {{x: number, y: number} | null} */
     this.pointer = null;
-    /** @type {any} The present drag. */
+    /** @type {Drag | null} The present drag. */
     this.drag = null;
     this.asked = 0;
     /** @type {Map<string, string>} Shortened texts. */

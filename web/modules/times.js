@@ -97,6 +97,7 @@ export function shown(ns, step = MILLISECOND) {
 /**
  * Write a length of time for people, to about three digits, as `1.25 s` or `3 h 20 min`.
  * @param {bigint} ns
+ * @returns {string}
  */
 export function length(ns) {
   if (ns < 0n) return `−${length(-ns)}`;
