@@ -19,7 +19,8 @@ from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.processes import spawn
 
 ROOT = Path(__file__).resolve().parents[1]
-PROGRAMS = ROOT / ".ws/devel/lib/cassandra_ros"
+WORKSPACE = Path(os.environ.get("CASSANDRA_ROS_TEST_WORKSPACE", ROOT / ".ws"))
+PROGRAMS = WORKSPACE / "devel/lib/cassandra_ros"
 POLL_SEC = 0.05
 
 

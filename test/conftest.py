@@ -24,7 +24,8 @@ from keyspaces import Keyspaces, new_name
 from proxy import Proxy
 
 ROOT = Path(__file__).resolve().parent.parent
-WORKSPACE = ROOT / ".ws"
+WORKSPACE = Path(os.environ.get("CASSANDRA_ROS_TEST_WORKSPACE", ROOT / ".ws"))
+"""The built workspace; other_python.py names that of another Python."""
 
 # The generated messages; a shell that has sourced the workspace names the folder already.
 GENERATED = WORKSPACE / "devel/lib/python3/dist-packages"

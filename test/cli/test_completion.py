@@ -10,7 +10,7 @@ import sys
 
 import pytest
 from bag.truth import string_connection, string_wire
-from conftest import ROOT
+from conftest import WORKSPACE
 
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.cli import cassandra_bag
@@ -24,7 +24,7 @@ def press_tab(ros_env, env):
     """Return what a shell offers for each of some lines that were typed so far."""
 
     def run(*lines, shell="bash"):
-        program = ROOT / ".ws/devel/lib/cassandra_ros/cassandra_bag"
+        program = WORKSPACE / "devel/lib/cassandra_ros/cassandra_bag"
         text = [] if shell == "bash" else ["autoload -U compinit", "compinit -u"]
         text.append(f'eval "$({program} completion {shell})"')
         text += [TAB.format(shlex.quote(line), "_cassandra_ros_bag") for line in lines]

@@ -12,8 +12,9 @@ import threading
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-PROGRAMS = ROOT / ".ws/devel/lib/cassandra_ros"
+from conftest import WORKSPACE
+
+PROGRAMS = WORKSPACE / "devel/lib/cassandra_ros"
 CLIENT = Path(__file__).with_name("client.py")
 
 
