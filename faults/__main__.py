@@ -11,7 +11,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from faults import page
+from cassandra_ros.errors import CassandraRosError
+from faults import network, page
 from faults.results import RESULTS, Results
 from faults.table import FAULTS, LONG, SHORT, try_fault
 from faults.world import Failed, World
@@ -39,6 +40,11 @@ def main() -> int:
         return 0
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # servers and mounts are ended
     messages, rate = SHORT if options.short else LONG
+    if any(FAULTS[name].group == "cluster" for name in names):
+        try:
+            network.enter()
+        except network.NoNetwork as exc:
+            print(f"faults of the network between nodes are skipped: {exc}", flush=True)
     failed = []
     with tempfile.TemporaryDirectory(prefix="cassandra_ros_faults_") as folder:
         with World(Path(folder), dict(os.environ)) as world:
@@ -52,7 +58,7 @@ def main() -> int:
                         options.rate or rate,
                         options.short,
                     )
-                except Failed as exc:
+                except (Failed, CassandraRosError) as exc:  # the latter from a server
                     print(f"  failed: {exc}", flush=True)
                     failed.append(name)
                     continue

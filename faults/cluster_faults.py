@@ -6,9 +6,14 @@ from __future__ import annotations
 
 import shutil
 import time
+from typing import Callable
 
-from faults.proxy import Proxy
-from faults.trial import Place, Trial
+from faults import network
+from faults.trial import Skipped, Trial
+from faults.world import Server
+
+NETWORK = "127.77.0.0/24"
+"""Addresses of the nodes."""
 
 
 def one_node_killed(trial: Trial) -> None:
@@ -48,19 +53,23 @@ def node_replaced(trial: Trial) -> None:
 
 
 def one_node_unreachable(trial: Trial) -> None:
-    """The network to one of three nodes is silent for 30 s (short form: 10 s)."""
+    """The network between clients and one of three nodes is cut for 30 s (short form: 10 s)."""
+    _cut(trial, lambda server: (server.hosts[0], server.port))
+
+
+def nodes_separated(trial: Trial) -> None:
+    """The network between the three nodes is cut for 30 s (short form: 10 s), not to clients."""
+    _cut(trial, lambda server: (NETWORK, server.cluster.settings.storage_port))
+
+
+def _cut(trial: Trial, where: Callable[[Server], tuple[str, int]]) -> None:
+    if not network.own:
+        raise Skipped("only make faults, run by root, has a network of its own")
     trial.server = trial.world.cluster
-    proxies, port = [], 0
-    for host in trial.server.hosts:
-        proxy = Proxy((host, trial.server.port), (host, port))
-        proxies.append(trial.open.enter_context(proxy))
-        port = proxy.port
-    place = Place(",".join(trial.server.hosts), port)
-    _, publisher = trial.record(place=place)
+    _, publisher = trial.record()
     publisher.await_share(0.3)
-    proxies[0].silence(new=True)
-    time.sleep(trial.seconds(10, 30))
-    proxies[0].end_silence()
+    with network.cut(*where(trial.server)):
+        time.sleep(trial.seconds(10, 30))
     trial.await_normal()
 
 
@@ -74,4 +83,11 @@ def one_node_frozen(trial: Trial) -> None:
     trial.await_normal()
 
 
-FAULTS = ()
+FAULTS = (
+    one_node_killed,
+    two_nodes_killed,
+    node_replaced,
+    one_node_unreachable,
+    nodes_separated,
+    one_node_frozen,
+)

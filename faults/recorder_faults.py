@@ -200,4 +200,5 @@ FAULTS = (
     renamed,
     converted,
     indexed,
+    keyspace_dropped,
 )

@@ -8,13 +8,20 @@ import contextlib
 import os
 import subprocess
 import time
+from pathlib import Path
+
+from cassandra import DriverException
+from cassandra.cluster import NoHostAvailable
 
 from faults.proxy import Proxy
 from faults.trial import TOPIC, Place, Skipped, Trial
-from faults.world import Server
+from faults.world import Server, await_true
 
-DISK_MB = 400
-"""Size of the disk that becomes full, MB."""
+DISK_MB = 800
+"""Size of the disk of Cassandra that becomes full, MB."""
+NO_ROOM = "No space left on device"
+SPOOL_DISK_MB = 64
+"""Size of the disk of the spool that becomes full, MB."""
 
 
 def store_killed(trial: Trial) -> None:
@@ -114,29 +121,64 @@ def store_comes_late(trial: Trial) -> None:
 
 
 def disk_full(trial: Trial) -> None:
-    """The disk of Cassandra is full, and there is room again later."""
-    if os.geteuid():
-        raise Skipped("only root can mount a disk of a small size")
-    folder = trial.folder / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_MB}m", "none", str(folder)]
-    done = subprocess.run(mount, capture_output=True, text=True)
-    if done.returncode:
-        raise Skipped(f"a small disk cannot be mounted here: {done.stderr.strip()}")
-    trial.open.callback(subprocess.run, ["umount", "--lazy", str(folder)], check=False)
+    """The disk of Cassandra is full; later there is room again, and Cassandra is restarted."""
+    folder = _small_disk(trial, DISK_MB)
     trial.server = Server(folder / "server")
     trial.open.callback(trial.server.stop)
     trial.server.start()
     _, publisher = trial.record("--min-space", "0")
     publisher.await_share(0.3)
-    ballast = folder / "ballast"
-    with open(ballast, "wb") as file, contextlib.suppress(OSError):
-        while True:
-            file.write(bytes(1 << 20))
+    ballast = _fill_disk(folder)
+    # Of its own accord Cassandra writes files only after many messages; of a table it does at once.
+    with contextlib.suppress(DriverException, NoHostAvailable), trial.store() as store:
+        list(store.select(f"CREATE TABLE {trial.keyspace}.other (k int PRIMARY KEY)"))
+    log = trial.server.cluster.nodes[0].log
+    await_true("Cassandra misses room", lambda: NO_ROOM in log.read_text(errors="replace"))
     publisher.await_share(0.4)
     ballast.unlink()
+    trial.server.kill()
     trial.server.start()
     trial.await_normal()
+
+
+def spool_disk_full(trial: Trial) -> None:
+    """While Cassandra cannot be reached, the disk of the recorder's spool is full for some time."""
+    folder = _small_disk(trial, SPOOL_DISK_MB)
+    proxy, place = _proxied(trial)
+    options = ("--buffsize", "1", "--spool-dir", folder / "spool", "--min-space", "0")
+    _, publisher = trial.record(*options, place=place)
+    publisher.await_share(0.1)
+    proxy.cut()
+    publisher.await_share(0.2)
+    ballast = _fill_disk(folder)
+    publisher.await_share(1.5)
+    ballast.unlink()
+    publisher.await_share(0.2)
+    proxy.mend()
+    trial.await_normal()
+
+
+def _small_disk(trial: Trial, megabytes: int) -> Path:
+    """Mount a disk of some MB; return its folder."""
+    if os.geteuid():
+        raise Skipped("only root can mount a disk of a small size")
+    folder = trial.folder / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "none", str(folder)]
+    done = subprocess.run(mount, capture_output=True, text=True)
+    if done.returncode:
+        raise Skipped(f"a small disk cannot be mounted here: {done.stderr.strip()}")
+    trial.open.callback(subprocess.run, ["umount", "--lazy", str(folder)], check=False)
+    return folder
+
+
+def _fill_disk(folder: Path) -> Path:
+    """Write a file that takes the rest of a disk; return it."""
+    ballast = folder / "ballast"
+    with open(ballast, "wb", buffering=0) as file, contextlib.suppress(OSError):
+        while True:
+            file.write(bytes(1 << 16))
+    return ballast
 
 
 def _proxied(trial: Trial) -> tuple[Proxy, Place]:
@@ -150,7 +192,12 @@ FAULTS = (
     store_frozen,
     store_away_longer_than_the_buffer,
     store_away_with_a_spool,
+    store_away_longer_than_the_spool,
     store_slow,
+    publisher_faster_than_the_store,
     connections_silent,
+    network_silent,
     store_comes_late,
+    disk_full,
+    spool_disk_full,
 )

@@ -4,14 +4,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import resource
 import time
 
+import psutil
+
 from faults.trial import START_NS, TOPIC, Trial
+from faults.world import Failed, Program
 
 KILLS = 4, 20
 """Number of kills in the short and in the long form."""
 PACE_HZ = 10_000.0
-"""Messages a second that a verb works on, about; kills are spread over its duration."""
+"""Messages that a verb works on in a second of processor time, about; kills are spread over it."""
 
 
 def import_killed(trial: Trial) -> None:
@@ -74,27 +79,57 @@ def index_killed(trial: Trial) -> None:
 
 
 def _killed_and_completed(trial: Trial, *words: object) -> None:
-    """Kill a verb at random moments, early ones first; each process goes on with what is left."""
-    begun = time.monotonic()
+    """Kill a verb at random moments, early ones first; each process goes on with what is left.
+
+    A moment is an amount of processor time, so that a busy machine does not shift it, and for every
+    other kill up to a second more, in which the verb may wait for the store.
+    """
+    before = _children_cpu_sec()
     trial.verb("list").process.wait()  # before an import there is no keyspace
-    start_sec = time.monotonic() - begun
+    start_sec = _children_cpu_sec() - before
+    work_sec = trial.messages / PACE_HZ
     count = KILLS[not trial.short]
-    step_sec = (0.4 * start_sec + trial.messages / PACE_HZ) / count
     killed = 0
     for number in range(count):
+        share = (number + trial.random.random()) / count
+        before = _children_cpu_sec()
         program = trial.verb(*words)
-        time.sleep(0.6 * start_sec + step_sec * (number + trial.random.random()))
+        _await_cpu(program, 0.6 * start_sec + share * (0.4 * start_sec + work_sec))
+        if number % 2 and program.runs:
+            time.sleep(trial.random.random())
         if program.runs:
             program.kill()
             killed += 1
             trial.outlast_lock()
+        else:  # it was faster than expected
+            work_sec = min(work_sec, max(0.0, _children_cpu_sec() - before - start_sec))
     trial.done(*words)
     trial.note(f"killed {killed} times while it worked")
+    if not killed:
+        raise Failed(f"{words[0]} ended before each of {count} kills")
+
+
+def _await_cpu(program: Program, cpu_sec: float) -> None:
+    """Wait until a program has used some processor time, or has ended."""
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(program.process.pid)
+        while program.runs and sum(process.cpu_times()[:2]) < cpu_sec:
+            time.sleep(0.005)
+
+
+def _children_cpu_sec() -> float:
+    """Return the processor time of all children that have ended, s."""
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 FAULTS = (
+    import_killed,
+    import_killed_packed,
     conversion_killed,
     conversion_back_killed,
     deletion_killed,
     deletion_killed_packed,
+    retention_killed,
+    index_killed,
 )

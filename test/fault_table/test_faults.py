@@ -11,7 +11,7 @@ from conftest import ROOT
 
 from cassandra_ros.blocks.codec import pack_block
 from faults import page
-from faults.account import Contents, account_of, text_of_wire, wires_of_block
+from faults.account import Contents, account_of, gone_with_keyspace, text_of_wire, wires_of_block
 from faults.numbered import LOG_LINE, Published, count_published, read_log, text_of
 from faults.results import RESULTS, Results
 from faults.table import FAULTS, SHORT, try_fault
@@ -79,7 +79,7 @@ PUBLISHED = [Published(number, number * SECOND // 10, 1) for number in range(100
 
 
 def sums_of(stored, published=PUBLISHED, **case):
-    case = {"kills": [], "removed": [], "gone_before_ns": 0, **case}
+    case = {"kills": [], "removed": [], **case}
     own = account_of(published, Contents(dict(stored), 0), case)
     return {**own.sums, "missing": len(own.missing)}
 
@@ -111,6 +111,22 @@ def test_what_was_published_without_a_subscriber_is_unheard():
     published = [line._replace(connections=int(line.number > 9)) for line in PUBLISHED]
     stored = dict.fromkeys(range(20, 100), 1)
     assert told(sums_of(stored, published), "unheard", "missing") == [10, 10]
+
+
+def test_what_went_with_the_keyspace_is_not_counted_again_as_lost():
+    """It was dropped at 5 s; 40 messages before and 3 after that are missing."""
+    missing = [*range(0, 4 * SECOND, SECOND // 10), *range(7 * SECOND, 10 * SECOND, SECOND)]
+    told_then = ("write failed", 49 * SECOND // 10, 5 * SECOND, 2)
+    told_later = ("write failed", 7 * SECOND, 9 * SECOND, 3)
+
+    def gone(*losses):
+        return gone_with_keyspace(missing, list(losses), 5 * SECOND)
+
+    assert gone() == 40
+    assert gone(told_later) == 40
+    assert gone(told_then, told_later) == 38
+    assert gone(told_then) == 40, "one of three later messages is missing, and nobody told it"
+    assert gone(told_later, told_later) == 40, "told much later: more than is missing"
 
 
 def test_what_was_to_be_removed_and_is_there_is_told():
