@@ -86,7 +86,8 @@ def two_recorders(trial: Trial) -> None:
     """Two recorders, of two robots, make the same new topic at the same moment."""
     trial.robots = ["one", "two"]
     publisher = trial.publisher(subscribers=2)
-    commands = [(TOPIC, "--node-id", robot) for robot in trial.robots]
+    # With the same name of a ROS node the master would shut one of them down.
+    commands = [(TOPIC, "--node-id", name, f"__name:=recorder_{name}") for name in trial.robots]
     for recorder in [trial.start_recorder(*command) for command in commands]:
         recorder.await_text("recording 1 topic")
     publisher.await_share(1.0)
