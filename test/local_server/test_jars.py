@@ -2,13 +2,18 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+import hashlib
 import re
 import shutil
+import sys
 
 import pytest
 
-from cassandra_ros.errors import ServerError
+from cassandra_ros.errors import MissingDependency, ServerError
 from cassandra_ros.local_server import jars
+
+JAR = f"cassandra-all-{jars.cassandra_version()}.jar"
+POM = jars.server_file("pom.xml")
 
 # Stands for Maven: fails as often as the file 'failures' says, then "downloads" one jar.
 _MAVEN = """#!/bin/sh
@@ -21,8 +26,21 @@ if [ "$left" -gt 0 ]; then
   exit 1
 fi
 for word in "$@"; do
-  case $word in -DoutputDirectory=*) touch "${word#*=}/{jar}" ;; esac
+  case $word in -DoutputDirectory=*) printf jar >"${word#*=}/{jar}" ;; esac
 done
+"""
+
+# Stands for maven-artifact: "downloads" a jar, or fails once where the file 'fail' names it.
+_MAVEN_ARTIFACT = """
+import os, sys
+coordinates, path = sys.argv[1:]
+here = os.path.dirname(__file__)
+open(os.path.join(here, "calls"), "a").write(coordinates + "\\n")
+fail = os.path.join(here, "fail")
+if os.path.exists(fail) and open(fail).read() in coordinates:
+    os.remove(fail)
+    sys.exit("Connection reset")
+open(path, "w").write("jar")
 """
 
 
@@ -30,14 +48,42 @@ done
 def maven(tmp_path, monkeypatch):
     folder = tmp_path / "maven"
     folder.mkdir()
-    jar = f"cassandra-all-{jars.cassandra_version()}.jar"
-    (folder / "mvn").write_text(_MAVEN.replace("{jar}", jar))
+    (folder / "mvn").write_text(_MAVEN.replace("{jar}", JAR))
     (folder / "mvn").chmod(0o755)
     (folder / "failures").write_text("0")
     monkeypatch.setenv("PATH", f"{folder}:/usr/bin:/bin")
     monkeypatch.setenv("CASSANDRA_ROS_JARS", str(tmp_path / "home" / "jars"))
     monkeypatch.setattr(jars, "_PAUSE_SEC", 0)
+    make_list(tmp_path, monkeypatch, [f"g:cassandra-all:{jars.cassandra_version()}"])
     return folder
+
+
+def make_list(tmp_path, monkeypatch, coordinates, content=b"jar"):
+    """Let server/ hold a jars.txt of these jars beside the files that it has."""
+    server = tmp_path / "list" / "server"
+    server.mkdir(parents=True, exist_ok=True)
+    shutil.copy(POM, server)
+    digest = hashlib.sha256(content).hexdigest()
+    (server / "jars.txt").write_text("# a list\n" + "".join(f"{digest} {c}\n" for c in coordinates))
+    monkeypatch.setattr(jars, "server_file", server.joinpath)
+
+
+@pytest.fixture
+def maven_artifact(maven, tmp_path, monkeypatch):
+    """No Maven, and a package maven_artifact, which jars.txt gives three jars to fetch."""
+    (maven / "mvn").unlink()
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    package = tmp_path / "packages" / "maven_artifact"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "main.py").write_text(_MAVEN_ARTIFACT)
+    monkeypatch.syspath_prepend(str(package.parent))
+    monkeypatch.setenv("PYTHONPATH", str(package.parent))
+    monkeypatch.delitem(sys.modules, "maven_artifact", raising=False)
+    wanted = [f"g:cassandra-all:{jars.cassandra_version()}", "g:b:jar:linux:2", "g.h:c:3"]
+    make_list(tmp_path, monkeypatch, wanted)
+    yield package
+    sys.modules.pop("maven_artifact", None)
 
 
 def calls(maven):
@@ -79,10 +125,56 @@ def test_another_version_in_the_pom_is_fetched(maven, monkeypatch):
     assert jars.install_jars(lambda text: None)
 
 
-def test_no_maven(maven, monkeypatch, tmp_path):
-    monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ServerError, match="apt-get install maven"):
+def test_without_maven_the_listed_jars_are_fetched_one_by_one(maven_artifact):
+    said = []
+    assert jars.install_jars(said.append) is True
+    names = sorted(path.name for path in jars.jars_directory().glob("*.jar"))
+    assert names == ["b-2-linux.jar", "c-3.jar", JAR]
+    assert sorted(calls(maven_artifact)) == sorted(c for _, c in jars.listed_jars().values())
+    assert "with maven-artifact" in said[0]
+    assert jars.install_jars(said.append) is False
+
+
+def test_only_the_jar_that_failed_is_fetched_again(maven_artifact):
+    (maven_artifact / "fail").write_text("g:b:")
+    said = []
+    jars.install_jars(said.append)
+    asked = calls(maven_artifact)
+    assert asked.count("g:b:jar:linux:2") == 2
+    assert asked.count("g.h:c:3") == 1
+    assert "Connection reset" in said[1]
+
+
+def test_neither_maven_nor_maven_artifact(maven, monkeypatch):
+    (maven / "mvn").unlink()
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    monkeypatch.setitem(sys.modules, "maven_artifact", None)
+    with pytest.raises(MissingDependency, match=r"pip install -r .*/requirements-java.txt"):
         jars.install_jars(lambda text: None)
+
+
+@pytest.mark.parametrize("listed", [[], [f"g:cassandra-all:{jars.cassandra_version()}", "g:x:1"]])
+def test_jars_that_are_not_the_listed_ones_are_not_kept(maven, tmp_path, monkeypatch, listed):
+    make_list(tmp_path, monkeypatch, listed)
+    name = "x-1.jar" if listed else JAR
+    with pytest.raises(ServerError, match=rf"1 differ, as {name} .*m2/repository"):
+        jars.install_jars(lambda text: None)
+    assert not jars.jars_installed()
+    assert not jars.jars_directory().exists()
+
+
+def test_a_jar_of_another_content_is_not_kept(maven, tmp_path, monkeypatch):
+    make_list(tmp_path, monkeypatch, [f"g:cassandra-all:{jars.cassandra_version()}"], b"another")
+    with pytest.raises(
+        ServerError, match=r"1 differ, as cassandra-all.*\(SHA-256 \w{64}, listed: \w{64}"
+    ):
+        jars.install_jars(lambda text: None)
+
+
+def test_the_list_is_what_make_setup_has_installed():
+    there = {path.name: jars._digest(path) for path in jars.jars_directory().glob("*.jar")}
+    assert there == {name: digest for name, (digest, _) in jars.listed_jars().items()}
+    assert JAR in there
 
 
 def test_no_space(maven, monkeypatch):

