@@ -28,6 +28,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Iterator
 
+from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, free_port
 
 HERE = Path(__file__).resolve().parent
@@ -41,8 +42,11 @@ LIVE, COPY, AGAIN = "husky_live", "husky_import", "husky_again"
 RUN = ["rosrun", "cassandra_ros"]
 SMALL_HEAP = "400M"
 """Java heap of each of several nodes on one machine."""
-STOP_SEC = 180
-"""Maximum time for a program to end, s. A recorder stores first what still waits in its buffer."""
+PATIENCE_SEC = 600
+"""Maximum time for a program to start or to end, s. A recorder stores first what still waits in its
+buffer, and a loaded machine is slow."""
+TELL_SEC = 10.0
+"""Interval between two lines that say what is being waited for, s."""
 DRIVE_SEC = 10.0
 """Time in which the bag is played at four times its speed, about, s."""
 
@@ -79,12 +83,12 @@ class Demo:
             raise SystemExit(f"demo: {words[2] if words[0] == 'rosrun' else words[0]} failed")
         return done.stdout
 
-    def spawn(self, name: str, command: list[str], ready: str, timeout_sec: float = 60.0) -> Node:
+    def spawn(self, name: str, command: list[str], ready: str) -> Node:
         """Start a program that stays, and wait for a line that says it is ready."""
         print(f"$ {_shell(command)} &", flush=True)
         node = Node(name, command, self.env, self.home)
         self.stack.callback(node.stop)
-        node.wait_for(ready, timeout_sec)
+        node.wait_for(ready)
         return node
 
     def note(self, what: str, figure: str) -> None:
@@ -104,9 +108,10 @@ class Demo:
             heap=heap,
             secure=self.secure,
             say=print,
+            progress=_Progress().tell,
         )
         self.cluster = cluster
-        self.stack.callback(cluster.stop)
+        self.stack.callback(self.stop_cluster)
         start = time.monotonic()
         cluster.start(die_with_us=True)
         self.note("Cassandra ready after", f"{time.monotonic() - start:.1f} s")
@@ -122,6 +127,16 @@ class Demo:
             ROS_LOG_DIR=str(self.home / "ros" / "log"),
         )
         self.spawn("roscore", ["roscore", "-p", str(master)], r"started core service \[/rosout\]")
+
+    def stop_cluster(self) -> None:
+        """Stop Cassandra, also a node that hangs."""
+        try:
+            self.cluster.stop()
+        except ServerError as exc:
+            print(f"demo: {exc}", flush=True)
+            for status in self.cluster.status():
+                if status.pid:
+                    os.kill(status.pid, signal.SIGKILL)
 
     def record(self) -> None:
         self.say("Record the robot's 24 topics while it drives (four times as fast)")
@@ -139,7 +154,7 @@ class Demo:
         print(f"$ {_shell(logs.command)} &", flush=True)
         with self.one_node_killed():
             self.run(*play, "--topics", *(topic for topic in _topics() if topic not in RENAMED))
-        if logs.process.wait(60):
+        if logs.process.wait(PATIENCE_SEC):
             raise SystemExit(f"demo: rosbag failed:\n{logs.text()}")
         time.sleep(1.0)
         print("$ kill -INT recorder", flush=True)
@@ -256,7 +271,7 @@ class Demo:
         query = urllib.parse.urlencode(parameters, safe="/:")
         address = self.url + path + (f"?{query}" if query else "")
         print(f"$ {_shell(['curl', address])}", flush=True)
-        with urllib.request.urlopen(address, timeout=60) as answer:  # noqa: S310 (our own viewer)
+        with urllib.request.urlopen(address, timeout=PATIENCE_SEC) as answer:  # noqa: S310 (our own viewer)
             return answer.read()
 
     def table(self) -> None:
@@ -279,6 +294,19 @@ class Demo:
             self.viewer.process.wait()
 
 
+class _Progress:
+    """Lines that say what is being waited for, one in a while."""
+
+    def __init__(self) -> None:
+        self._told = time.monotonic()
+
+    def tell(self, what: str, seconds: float) -> None:
+        """Say what is being waited for, and since how many seconds."""
+        if time.monotonic() - self._told >= TELL_SEC:
+            self._told = time.monotonic()
+            print(f"{what}: {seconds:.0f} s", flush=True)
+
+
 class Node:
     """A program in the background; its output goes to a file."""
 
@@ -295,9 +323,9 @@ class Node:
         """Return what it has printed."""
         return self.log.read_text(errors="replace").rstrip()
 
-    def wait_for(self, pattern: str, timeout_sec: float) -> None:
+    def wait_for(self, pattern: str) -> None:
         """Wait for a line."""
-        deadline = time.monotonic() + timeout_sec
+        deadline = time.monotonic() + PATIENCE_SEC
         while not re.search(pattern, self.text()):
             if self.process.poll() is not None or time.monotonic() > deadline:
                 raise SystemExit(f"demo: {self.name} did not start:\n{self.text()}")
@@ -308,7 +336,7 @@ class Node:
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         try:
-            return self.process.wait(STOP_SEC)
+            return self.process.wait(PATIENCE_SEC)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()

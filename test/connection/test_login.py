@@ -199,6 +199,7 @@ def test_certificates_that_are_refused(home, make_certificate):
     [
         ("MODIFY", "table ros.t", 'KEYSPACE "ros"'),
         ("CREATE", "all keyspaces", "ALL KEYSPACES"),
+        ("CREATE", "all tables in ros", 'KEYSPACE "ros"'),
         ("SELECT", "keyspace ros", 'KEYSPACE "ros"'),
         ("CREATE", "all roles", "ALL ROLES"),
     ],

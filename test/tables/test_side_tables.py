@@ -4,11 +4,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from campaign import sparing
 from std_msgs.msg import String
 
 from cassandra_ros.errors import KeyspaceNotFound, TopicNotFound
+from cassandra_ros.tables import side_tables
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss, LossKind, Run
 from cassandra_ros.tables.side_tables import LATER_TABLES, SIDE_TABLES
@@ -119,3 +122,18 @@ def test_a_keyspace_that_lacks_a_side_table(connect, cql, new_keyspace, tables, 
         topic.addData(String("2"), key=2)
         assert tables(new_keyspace) == left | {name}
         assert topic.getData(2).data == "2"
+
+
+def test_who_waits_for_the_lock_of_a_killed_program_says_so(rosCas, cql, monkeypatch, caplog):
+    monkeypatch.setattr(side_tables, "TELL_SEC", 0.2)
+    rosCas.addTopic("/a").addData(String("1"), key=1)
+    # A lightweight transaction, as the lock is taken: other writes have another clock.
+    cql.execute(
+        f"INSERT INTO {rosCas.keyspace}.cr_lock (name, owner) VALUES ('schema', uuid()) "
+        "IF NOT EXISTS USING TTL 4"
+    )
+    rosCas.addTopic("/b").addData(String("2"), key=2)
+    assert rosCas.getTopic("/b").getData(2).data == "2"
+    (told,) = [record.getMessage() for record in caplog.records if "lock" in record.getMessage()]
+    assert told.startswith(f'waiting for the schema lock in "{rosCas.keyspace}"."cr_lock": another')
+    assert re.search(r"killed meanwhile, its lock runs out in [0-4] s; else .* up to 150 s$", told)

@@ -110,6 +110,7 @@ def subclasses(kind):
         (errors.KeyspaceNotFound("no"), 404),
         (StoreUnavailable("no"), 503),
         (errors.LoginFailed("no"), 503),
+        (errors.AccessDenied("no"), 403),
         (errors.UnsupportedSchema("no"), 500),
     ],
     ids=lambda value: type(value).__name__,

@@ -191,7 +191,8 @@ def _resource(place: str) -> str:
     """Return how GRANT names a place: of a table its keyspace, because a topic has many tables."""
     kind, _, name = place.partition(" ")
     if kind == "all":
-        return place.upper()
+        tables = name.partition("tables in ")[2]
+        return f"KEYSPACE {quote_name(tables)}" if tables else place.upper()
     return f"KEYSPACE {quote_name(name.partition('.')[0])}"
 
 

@@ -37,7 +37,7 @@ from cassandra_ros.local_server.preflight import explain_failure, log_since, log
 from cassandra_ros.local_server.processes import locked
 from cassandra_ros.local_server.server_security import Security
 
-START_TIMEOUT_SEC = 180.0
+START_TIMEOUT_SEC = 300.0
 STOP_TIMEOUT_SEC = 90.0
 _NEIGHBOUR_TIMEOUT_SEC = 30.0
 _STAGGER_SEC = 2.0  # time between the starts of two nodes: a few cores cannot start all at once
@@ -418,6 +418,7 @@ class LocalCluster:
             if waited > STOP_TIMEOUT_SEC:
                 raise ServerError(
                     f"Cassandra node {node.number} (pid {pid}) does not end {waited:.0f} s after "
-                    f"it was asked to; its log is {node.log}"
+                    f"it was asked to; its log is {node.log}. Messages that it acknowledged survive "
+                    f"'kill -9 {pid}'"
                 )
             time.sleep(_POLL_SEC)

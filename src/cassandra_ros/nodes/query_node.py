@@ -8,7 +8,7 @@ import logging
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Callable, Iterator, Optional, Sequence, TypeVar
+from typing import Callable, Iterator, Mapping, Optional, Sequence, TypeVar
 
 import rospy
 
@@ -130,17 +130,9 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
         allow_writes: Whether requests that change stored messages are allowed.
     """
     services = Services(ros_cas, allow_writes)
-    for name, kind, response_class, handler in (
-        ("~getData", GetData, GetDataResponse, services.get_data),
-        ("~range", Range, RangeResponse, services.range),
-        ("~executeCQL", ExecuteCQL, ExecuteCQLResponse, services.execute_cql),
-        ("~explainCQL", ExplainCQL, ExplainCQLResponse, services.explain_cql),
-        ("~info", Info, InfoResponse, services.info),
-        ("~addData", AddData, AddDataResponse, services.add_data),
-        ("~removeData", RemoveData, RemoveDataResponse, services.remove_data),
-        ("~lookupTransform", LookupTransform, LookupTransformResponse, services.lookup_transform),
-    ):
-        rospy.Service(name, kind, partial(_answer, handler, response_class))
+    for name, (kind, response_class, method) in SERVICES.items():
+        handler = getattr(services, method)
+        rospy.Service(f"~{name}", kind, partial(_answer, handler, response_class))
     Registration().start()
     absence = ros_cas.catalog.keyspace.side_tables.absence()
     if absence:
@@ -341,6 +333,19 @@ class Services:
             **{name: value for name, value in asked.items() if value},
         )
         return LookupTransformResponse(True, "", transform)
+
+
+SERVICES: Mapping[str, tuple[type, Callable[..., Response], str]] = {
+    "getData": (GetData, GetDataResponse, "get_data"),
+    "range": (Range, RangeResponse, "range"),
+    "executeCQL": (ExecuteCQL, ExecuteCQLResponse, "execute_cql"),
+    "explainCQL": (ExplainCQL, ExplainCQLResponse, "explain_cql"),
+    "info": (Info, InfoResponse, "info"),
+    "addData": (AddData, AddDataResponse, "add_data"),
+    "removeData": (RemoveData, RemoveDataResponse, "remove_data"),
+    "lookupTransform": (LookupTransform, LookupTransformResponse, "lookup_transform"),
+}
+"""Services by name: class, class of the response, and the handler of Services."""
 
 
 def _definition(request: AddDataRequest, topic: Optional[CassandraTopic]) -> Definition:

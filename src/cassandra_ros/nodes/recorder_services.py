@@ -30,19 +30,19 @@ from cassandra_ros.srv import (
 
 _log = logging.getLogger(__name__)
 
+TOPIC_SERVICES = ("start", "stop", "pause", "resume")
+"""Services that take names of topics. Each is called as its handler."""
+OTHER_SERVICES: Mapping[str, type] = {"status": RecorderStatus, "snapshot": Snapshot}
+"""The other services with their classes."""
+
 
 def serve(recorder: Recorder) -> None:
     """Advertise the services of a recorder under the node's name."""
     services = _Services(recorder)
-    for name, work in (
-        ("start", services.start),
-        ("stop", services.stop),
-        ("pause", services.pause),
-        ("resume", services.resume),
-    ):
-        rospy.Service(f"~{name}", RecordTopics, services.of_topics(work))
-    rospy.Service("~status", RecorderStatus, services.status)
-    rospy.Service("~snapshot", Snapshot, services.snapshot)
+    for name in TOPIC_SERVICES:
+        rospy.Service(f"~{name}", RecordTopics, services.of_topics(getattr(services, name)))
+    for name, kind in OTHER_SERVICES.items():
+        rospy.Service(f"~{name}", kind, getattr(services, name))
 
 
 @dataclass(frozen=True)

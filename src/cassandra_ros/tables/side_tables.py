@@ -32,7 +32,11 @@ from cassandra_ros.errors import (
 _log = logging.getLogger(__name__)
 
 LOCK_TTL_SEC = 120
+"""Time after which the schema lock of a program that was killed runs out, s."""
 WAIT_SEC = 150.0
+"""Maximum time to wait for the schema lock, s."""
+TELL_SEC = 5.0
+"""Time after which a program that waits for the schema lock says so, s."""
 _TRIES = 8
 _SCHEMA = "schema"
 _LOCK = "cr_lock"
@@ -102,10 +106,14 @@ class SchemaLock:
         self._owner = uuid.uuid4()
 
     def __enter__(self) -> SchemaLock:
-        deadline = time.monotonic() + WAIT_SEC
+        begun, told = time.monotonic(), False
         pause = 0.02
         while not self._take():
-            if time.monotonic() > deadline:
+            waited = time.monotonic() - begun
+            if waited > TELL_SEC and not told:
+                told = True
+                _log.warning("%s", self._held())
+            if waited > WAIT_SEC:
                 raise SchemaConflict(
                     f"another client holds the schema lock in {self._table} for over "
                     f"{WAIT_SEC:.0f} s; try again when it has finished"
@@ -133,6 +141,17 @@ class SchemaLock:
         )
         # An earlier try whose answer was lost may have taken the lock.
         return applied or owner == self._owner
+
+    def _held(self) -> str:
+        """Return a text that says what is waited for, and until when at most."""
+        cql = f"SELECT TTL(owner) FROM {self._table} WHERE name = ?"
+        rows = self._cassandra.execute(cql, (_SCHEMA,), what="reading the schema lock")
+        left = (rows[0][0] if rows else None) or LOCK_TTL_SEC
+        return (
+            f"waiting for the schema lock in {self._table}: another program makes or changes a "
+            f"table. If it was killed meanwhile, its lock runs out in {left} s; else this program "
+            f"waits up to {WAIT_SEC:.0f} s"
+        )
 
     def change(self, cql: str, *, what: str) -> None:
         """Run one DDL statement like schema_change, after checking that we still hold the lock.

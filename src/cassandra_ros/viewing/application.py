@@ -12,6 +12,7 @@ from aiohttp.typedefs import Handler
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
+    AccessDenied,
     CassandraRosError,
     ConnectionFailed,
     InvalidQuery,
@@ -131,9 +132,14 @@ def _told(status: int, name: str, text: str, error: Exception) -> web.Response:
 
 
 def status_of(error: CassandraRosError) -> int:
-    """Return the HTTP status of an error: 503 = try again, 404 and 400 = change the request."""
+    """Return the HTTP status of an error.
+
+    503 = try again, 404 and 400 = change the request, 403 = the viewer's user lacks a right.
+    """
     if isinstance(error, (ConnectionFailed, StoreUnavailable)):
         return 503
+    if isinstance(error, AccessDenied):
+        return 403
     # TopicNotFound and similar errors are KeyErrors.
     if isinstance(error, (KeyError, KeyspaceNotFound, TransformException)):
         return 404
