@@ -418,7 +418,7 @@ class LocalCluster:
             if waited > STOP_TIMEOUT_SEC:
                 raise ServerError(
                     f"Cassandra node {node.number} (pid {pid}) does not end {waited:.0f} s after "
-                    f"it was asked to; its log is {node.log}. Messages that it acknowledged survive "
-                    f"'kill -9 {pid}'"
+                    f"it was asked to; its log is {node.log}. 'kill -9 {pid}' ends it; what it "
+                    "acknowledged is kept"
                 )
             time.sleep(_POLL_SEC)

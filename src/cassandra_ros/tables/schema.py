@@ -343,9 +343,12 @@ class Schema:
         """
         for table in tables:
             for name in (chunk_table_name(table), table):
-                lock.change(
-                    f"DROP TABLE IF EXISTS {self.qualified(name)}", what=f"dropping table {name}"
-                )
+                # The right to drop a table is that of who made it: nobody made a missing one.
+                if self._comments(name):
+                    lock.change(
+                        f"DROP TABLE IF EXISTS {self.qualified(name)}",
+                        what=f"dropping table {name}",
+                    )
             self._cassandra.forget(table)
 
 
