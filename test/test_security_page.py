@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cassandra_ros.bag import allowance
+from cassandra_ros.bag import message_file
 from cassandra_ros.cli.recorder import make_parser
 from cassandra_ros.local_server.cluster_settings import Settings
 from cassandra_ros.messages import definition, shape
@@ -40,8 +40,8 @@ FIGURES = [
     str(definition.MAX_TYPES),
     str(shape.MAX_DEPTH),
     mib(shape.MAX_FIXED_BYTES),
-    mib(allowance.MAX_CHUNK_BYTES),
-    f"{allowance.MAX_RATIO} times",
+    mib(message_file.MAX_CHUNK_BYTES),
+    f"{message_file.MAX_RATIO} times",
     str(LIMITS.clients),
     str(viewer_settings.DEFAULT_THREADS),
     mib(LIMITS.answers_bytes),

@@ -284,7 +284,7 @@ NOT_MEASURED = {
     "query/rows/result_groups.py": "only for groups, distinct rows and another order",
     "blocks/block_lookup.py": "only for single messages",
     "store/page_rows.py": "only for messages that are wanted whole",
-    "topics/message_objects.py": "only for objects",
+    "topics/stored_row.py": "only for objects",
     "messages/wire/objects.py": "only for objects",
     "topics/run_list.py": "it tells afterwards what became of a run",
     "topics/run_finder.py": "it finds a run afterwards",

@@ -154,6 +154,11 @@ def check_topic(topic: Any) -> str:
     raise InvalidName(f"{_shown(topic)} is no name of a topic: give a text like '/scan'")
 
 
+def spellings(topic: str) -> tuple[str, str]:
+    """Return the names by which a topic is found: with and without slash, the given one first."""
+    return topic, topic[1:] if topic.startswith("/") else "/" + topic
+
+
 def check_new_topic(topic: Any) -> str:
     """Return the name of a topic for which a table can be made, or raise InvalidName."""
     wanted = f"a name like '/scan', of up to {MAX_NAME_BYTES} bytes"

@@ -20,7 +20,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
 
-from cassandra_ros.bag import allowance, chunk
+from cassandra_ros.bag import chunk, message_file
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.file_formats import open_file
@@ -235,7 +235,7 @@ def test_a_large_message_is_no_bomb(tmp_path, compression):
 
 def test_a_plain_chunk_may_be_as_large_as_before(tmp_path):
     """rosbag record --chunksize makes them: the file is as large as its content."""
-    most = allowance.Allowance(10**9)
+    most = message_file.Allowance(10**9)
     most.take("none", 10**9, 10**9, "")
     with pytest.raises(BagTooLarge, match="chunks of over 268435456 bytes are not read"):
         most.take("bz2", 2**28 + 1, 100, "")
@@ -244,13 +244,13 @@ def test_a_plain_chunk_may_be_as_large_as_before(tmp_path):
 
 
 def test_the_ratio_counts_all_chunks_once(tmp_path, monkeypatch):
-    most = allowance.Allowance(400_000)
+    most = message_file.Allowance(400_000)
     for _ in range(4):
         most.take("bz2", 10**8, 50, "")
     with pytest.raises(BagTooLarge, match=r"x.bag: chunk 5 makes 400000001 bytes .* 1000 times"):
         most.take("bz2", 1, 50, "x.bag: chunk 5")
-    monkeypatch.setattr(allowance, "MAX_CHUNK_BYTES", 4 * MIB)
-    monkeypatch.setattr(allowance, "MAX_RATIO", 1)
+    monkeypatch.setattr(message_file, "MAX_CHUNK_BYTES", 4 * MIB)
+    monkeypatch.setattr(message_file, "MAX_RATIO", 1)
     path = make_bag(tmp_path / "a", [("bz2", MIB, packed("bz2", MIB), 1)] * 4)
     with open_file(path) as reader:
         for _ in range(2):
@@ -317,7 +317,7 @@ def test_records_of_an_mcap_of_absurd_lengths_are_refused_in_little_memory(tmp_p
 def test_the_option_reaches_the_reader(rosCas, tmp_path, monkeypatch):
     """The option of import and verify in Python; test/cli tests that of the commands."""
     path = make_bag(tmp_path / "a.bag", [("bz2", MIB, packed("bz2", MIB), 1)])
-    monkeypatch.setattr(allowance, "MAX_CHUNK_BYTES", MIB - 1)
+    monkeypatch.setattr(message_file, "MAX_CHUNK_BYTES", MIB - 1)
     with pytest.raises(BagTooLarge):
         import_bag(rosCas, path)
     assert import_bag(rosCas, path, large_chunks=True).messages == 1

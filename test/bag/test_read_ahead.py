@@ -10,8 +10,8 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from cassandra_ros.bag import bag_read_ahead as read_ahead
-from cassandra_ros.bag.bag_read_ahead import ReadAhead
+from cassandra_ros.bag import importer
+from cassandra_ros.bag.importer import ReadAhead
 from cassandra_ros.bag.message_file import MessageBatch
 from cassandra_ros.errors import BagError
 
@@ -38,7 +38,7 @@ def test_an_error_of_the_reader_is_raised_after_all_earlier_batches():
 
 
 def test_no_more_is_read_ahead_than_is_allowed(monkeypatch):
-    monkeypatch.setattr(read_ahead, "AHEAD_BYTES", 1000)
+    monkeypatch.setattr(importer, "AHEAD_BYTES", 1000)
     read = SimpleQueue()
 
     def endless():

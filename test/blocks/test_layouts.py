@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import zstandard
 
-from cassandra_ros.blocks.codec import pack_block, unpack_block
-from cassandra_ros.blocks.layouts import lay_out, read_layout
+from cassandra_ros.blocks.codec import lay_out, pack_block, read_layout, unpack_block
 from cassandra_ros.errors import CorruptMessage
 
 RNG = np.random.default_rng(3)

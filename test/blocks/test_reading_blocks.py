@@ -12,7 +12,6 @@ from campaign import LENGTH, examples
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from cassandra_ros.blocks import block_queue as needed
 from cassandra_ros.blocks import block_stream as streams
 from cassandra_ros.blocks.block_stream import stream
 from cassandra_ros.blocks.bucket_read import BucketRead, WaitingRows
@@ -215,9 +214,9 @@ def test_blocks_read_as_a_sorted_list(stored, found, rand):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reader, "PAGE_BYTES", rand.choice((1, 40, 10**6)))
         patch.setattr(streams, "BLOCK_BYTES", rand.choice((1, 20, 2**18)))
-        patch.setattr(needed, "FIRST_HEADERS", rand.choice((1, 2, 64)))
-        patch.setattr(needed, "MAX_AT_ONCE", rand.choice((1, 3, 100)))
-        patch.setattr(needed, "FEW_ROWS", rand.choice((1, 8)))
+        patch.setattr(streams, "FIRST_HEADERS", rand.choice((1, 2, 64)))
+        patch.setattr(streams, "MAX_AT_ONCE", rand.choice((1, 3, 100)))
+        patch.setattr(streams, "FEW_ROWS", rand.choice((1, 8)))
         patch.setattr(walk, "FEW_BUCKETS", rand.choice((1, 2, 8)))
         patch.setattr(walk, "FEW_SLOTS", rand.choice((1, 2, 64)))
         model = Model(stored, found)

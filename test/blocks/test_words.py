@@ -11,8 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.blocks.codec import LONG, MIN_PLANES, pack_block, unpack_block
-from cassandra_ros.blocks.words import code_words, decode_words, most_bytes
+from cassandra_ros.blocks.codec import (
+    LONG,
+    MIN_PLANES,
+    code_words,
+    decode_words,
+    most_bytes,
+    pack_block,
+    unpack_block,
+)
 from cassandra_ros.errors import CorruptMessage
 
 # What an integer does not give back: -0.0, NaNs of any bits, infinities, what is too large.

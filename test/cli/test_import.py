@@ -13,7 +13,7 @@ from bag.truth import read_with_rosbag, string_connection, string_wire
 from keyspaces import new_name
 
 from cassandra_ros import Cassandra
-from cassandra_ros.bag import allowance
+from cassandra_ros.bag import message_file
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
@@ -191,7 +191,7 @@ def test_chosen_topics_in_and_out(call, tmp_path):
 def test_large_chunks_need_an_option(call, tmp_path, monkeypatch):
     """What is too large is refused, and the error names the option of import and verify."""
     path = make_bag(tmp_path / "a.bag", compression="bz2")
-    monkeypatch.setattr(allowance, "MAX_CHUNK_BYTES", 1000)
+    monkeypatch.setattr(message_file, "MAX_CHUNK_BYTES", 1000)
     for verb in ("import", "verify"):
         status, _, err = call(verb, path)
         assert (status, err.count("\n")) == (1, 1)

@@ -23,7 +23,7 @@ from cassandra_ros.messages.connection_header import (
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.metadata import MetaView, TopicMetadata, from_comment
 from cassandra_ros.recording.topic_settings import read_settings
-from cassandra_ros.tables.succession import Listing
+from cassandra_ros.tables.schema import Listing
 from cassandra_ros.topics.message_writer import usable_definition
 from cassandra_ros.topics.topic_table import definition_in
 

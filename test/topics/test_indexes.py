@@ -27,7 +27,7 @@ from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.index_field import MAX_ELEMENTS
 from cassandra_ros.store import writer as writer_module
 from cassandra_ros.tables.directory import Directory
-from cassandra_ros.tables.succession import Listing
+from cassandra_ros.tables.schema import Listing
 from cassandra_ros.topics import indexes
 
 SEC = 10**9

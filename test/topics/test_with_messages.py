@@ -13,7 +13,7 @@ from std_msgs.msg import Header, String
 
 from cassandra_ros.errors import ConnectionFailed, CorruptMessage, StoreUnavailable
 from cassandra_ros.messages.classes import deserialize, serialize
-from cassandra_ros.topics.message_objects import LARGE_BYTES, MAX_ROWS, with_messages
+from cassandra_ros.topics.stored_row import LARGE_BYTES, MAX_ROWS, with_messages
 
 CLASSES = (Header, String)
 DAMAGED, CUT = "damaged", "cut"

@@ -17,7 +17,7 @@ from cassandra_ros.keys import decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.tables import replacement, succession
+from cassandra_ros.tables import replacement, schema
 from cassandra_ros.upkeep import conversion as convert
 from cassandra_ros.upkeep import table_copy as copying
 
@@ -426,7 +426,7 @@ def test_what_is_deleted_between_copy_and_switch_does_not_come_back(rosCas, monk
         count = compare(self)
         if not deleted:
             with monkeypatch.context() as earlier:
-                earlier.setattr(succession.Listing, "check_staying", lambda self, table: None)
+                earlier.setattr(schema.Listing, "check_staying", lambda self, table: None)
                 deleted.append(topic.removeData(T0, T0))
         return count
 

@@ -1,18 +1,20 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The writer id of an imported bag, computed from the whole content of the bag.
+"""The writer id of an imported bag, computed from the whole content of the bag, and its runs.
 
 A repeated import gets the same id, so it overwrites its own rows. Another bag, or the same bag for
 another robot, gets another id. Name, folder, compression and chunks of the file do not matter.
+The runs of a file are also found by its path, for class Bag.
 """
 
 from __future__ import annotations
 
 import hashlib
+import os
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
 from struct import Struct
-from typing import Iterable, Mapping, NamedTuple, Union
+from typing import Iterable, Mapping, NamedTuple, Sequence, Union
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -164,3 +166,54 @@ def _with_length(text: bytes) -> bytes:
 
 def _number(digest: hashlib._Hash) -> int:
     return int.from_bytes(digest.digest(), "little") % MAX_WRITER + 1
+
+
+_MOST_NAMED = 3
+"""Maximum number of runs named in an error text."""
+
+
+def source_of(path: str | os.PathLike[str]) -> str:
+    """Return the absolute path of a file as it is stored with a run; invalid UTF-8 becomes �."""
+    return os.fsencode(os.path.abspath(path)).decode("utf-8", "replace")
+
+
+def runs_of_file(runs: Sequence[Run], path: str) -> list[Run]:
+    """Return the runs whose source is this file, with or without symbolic links in the path."""
+    ways = {source_of(path), source_of(_real(path))}
+    return [run for run in runs if run.source and ways & {run.source, _real(run.source)}]
+
+
+def _real(path: str) -> str:
+    try:
+        return os.path.realpath(path)
+    except ValueError:  # the path contains NUL, so there is no such file
+        return path
+
+
+def runs_meant(runs: Sequence[Run], name: str) -> list[Run]:
+    """Return the runs that a file name of class Bag means; [] = no run.
+
+    These are the runs whose source is this file. If no run has it and no such file exists here,
+    they are the runs with this name or writer id.
+    """
+    found = runs_of_file(runs, name)
+    if found or os.path.isfile(name):
+        return found
+    return [run for run in runs if name and name in (run.name, str(run.writer))]
+
+
+def describe_same_name(runs: Sequence[Run], path: str) -> str:
+    """Name the runs of other files that have this base name; '' = no other file has it."""
+    name = os.path.basename(path)
+    alike = [run for run in runs if run.name == name and name]
+    descriptions = [
+        f"{run.source} (open it as Bag({run.source!r}) or Bag('{run.writer}'))"
+        if run.source
+        else f"no file (open it as Bag('{run.writer}'))"
+        for run in alike[:_MOST_NAMED]
+    ]
+    if len(alike) > _MOST_NAMED:
+        descriptions.append(f"{len(alike) - _MOST_NAMED} more")
+    if not descriptions:
+        return ""
+    return f"the stored run {name!r:.80} is of {', of '.join(descriptions)}"

@@ -6,23 +6,24 @@ from __future__ import annotations
 
 import logging
 import os
+import threading
+from collections import deque
 from dataclasses import dataclass, field
-from typing import AbstractSet, Iterable, Iterator, Mapping
+from types import TracebackType
+from typing import AbstractSet, Iterable, Iterator, Mapping, Optional
 
 from cassandra_ros.arguments import check_new_node, check_new_topic
 from cassandra_ros.bag import identity
-from cassandra_ros.bag.bag_read_ahead import ReadAhead
 from cassandra_ros.bag.file_formats import open_file
-from cassandra_ros.bag.file_runs import source_of
-from cassandra_ros.bag.identity import BagContent
+from cassandra_ros.bag.identity import BagContent, source_of
 from cassandra_ros.bag.message_file import (
     MessageBatch,
     MessageFile,
     MessageProgress,
+    SalvageReport,
     connections_of_topics,
 )
 from cassandra_ros.bag.publish_times import store_publish_times
-from cassandra_ros.bag.salvage import SalvageReport
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -38,6 +39,82 @@ from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.stored_totals import holds_any
+
+AHEAD_BYTES = 8 * 1024 * 1024
+"""Maximum size of the messages that wait for the caller, bytes. One batch may always wait."""
+
+
+class ReadAhead:
+    """An iterator over batches that a separate thread reads; a context manager that stops it.
+
+    An error of the reading thread is raised after the last batch that was read before it.
+
+    Args:
+        batches: The batches to read. No other code may use their file until the context is left.
+    """
+
+    def __init__(self, batches: Iterator[MessageBatch]) -> None:
+        self._batches = batches
+        self._read: deque[tuple[MessageBatch, int]] = deque()
+        self._held = 0
+        self._ended = self._stopped = False
+        self._error: Optional[BaseException] = None
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._run, daemon=True, name="cassandra_ros-bag")
+
+    def __enter__(self) -> ReadAhead:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: Optional[type[BaseException]],
+        exc: Optional[BaseException],
+        where: Optional[TracebackType],
+    ) -> None:
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+        self._thread.join()
+
+    def __iter__(self) -> Iterator[tuple[MessageBatch, int]]:
+        """Yield each batch and the size of its serialised messages, bytes."""
+        while True:
+            with self._changed:
+                while not (self._read or self._ended):
+                    self._changed.wait()
+                if not self._read:
+                    break
+                batch, size = self._read.popleft()
+                self._held -= size
+                self._changed.notify_all()
+            yield batch, size
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        error: Optional[BaseException] = None
+        try:
+            for batch in self._batches:
+                if not self._put(batch):
+                    break
+        except BaseException as exc:  # noqa: BLE001 - __iter__ raises it again
+            error = exc
+        with self._changed:
+            self._error, self._ended = error, True
+            self._changed.notify_all()
+
+    def _put(self, batch: MessageBatch) -> bool:
+        """Wait for room, then add a batch. Return False when the caller has left the context."""
+        size = sum(map(len, batch.wires))
+        with self._changed:
+            while self._read and self._held + size > AHEAD_BYTES and not self._stopped:
+                self._changed.wait()
+            self._read.append((batch, size))
+            self._held += size
+            self._changed.notify_all()
+            return not self._stopped
+
 
 _log = logging.getLogger(__name__)
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from cassandra_ros.bag.bag_index import check_header
+from cassandra_ros.bag.bag_reader import check_header
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import (

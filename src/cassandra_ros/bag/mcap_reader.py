@@ -16,14 +16,17 @@ from mcap.records import Channel, Header, Schema, Statistics
 from mcap.well_known import MessageEncoding, Profile
 
 from cassandra_ros.bag import mcap_format as mcapformat
-from cassandra_ros.bag.allowance import Allowance
-from cassandra_ros.bag.bag_index import ChunkInfo
 from cassandra_ros.bag.chunk import ChunkMessages
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
-from cassandra_ros.bag.message_file import MessageFile, PublishTimes
+from cassandra_ros.bag.message_file import (
+    Allowance,
+    ChunkInfo,
+    MessageFile,
+    PublishTimes,
+    SalvageReport,
+)
 from cassandra_ros.bag.rosbag2 import refusal
-from cassandra_ros.bag.salvage import SalvageReport
 from cassandra_ros.errors import BagError, BagTooLarge, BagUnindexed
 from cassandra_ros.messages.connection_header import Connection
 

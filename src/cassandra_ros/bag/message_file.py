@@ -1,24 +1,94 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Common part of the readers of bags and MCAP files: connections, and messages chunk by chunk."""
+"""Common part of the readers of bags and MCAP files: connections, and messages chunk by chunk.
+
+``Allowance`` limits the unpacked size of files: repeated bytes pack to almost nothing, so a bag of
+some kilobytes may hold gigabytes of messages that fill memory and disk.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import Counter
+from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 from typing import AbstractSet, Callable, Iterable, Iterator, NamedTuple, TypeVar
 
 import numpy as np
 
-from cassandra_ros.bag.bag_index import ChunkInfo
 from cassandra_ros.bag.chunk import ChunkMessages, Longs
-from cassandra_ros.bag.salvage import SalvageReport
-from cassandra_ros.errors import BagError, TopicNotFound
+from cassandra_ros.errors import BagError, BagTooLarge, TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection
+
+MAX_CHUNK_BYTES = 2**28
+"""Maximum size of the content of a compressed chunk, bytes. rosbag closes a chunk at 768 KB, and
+MCAP's writers at some MB; only a single larger message makes a larger one."""
+MAX_PLAIN_BYTES = 2**30
+"""Maximum size of a chunk that is not compressed, bytes: the file itself is as large."""
+MAX_RATIO = 1000
+"""Maximum ratio of the content of all chunks to the size of the file. It counts from
+MAX_CHUNK_BYTES of content on."""
+MAX_TRUSTED_BYTES = 2**32 - 1
+"""Maximum size of a chunk's content where large chunks are allowed, bytes: a bag can state no
+larger size."""
+
+
+class Allowance:
+    """Counts how much of a file has been unpacked, and refuses chunks above the limits.
+
+    Args:
+        file_bytes: Size of the file.
+        large_chunks: The user trusts the file: a chunk may have up to MAX_TRUSTED_BYTES of
+            content, and the file may unpack to any size.
+    """
+
+    def __init__(self, file_bytes: int, large_chunks: bool = False) -> None:
+        self._large_chunks = large_chunks
+        self._most = max(MAX_CHUNK_BYTES, MAX_RATIO * file_bytes)
+        self._taken = 0
+
+    def take(self, compression: str, size: int, packed: int, where: str) -> None:
+        """Count a chunk before it is unpacked. The caller unpacks at most ``size`` bytes of it.
+
+        Args:
+            compression: Name of the compression that the chunk states.
+            size: Size of the content that the chunk states, bytes.
+            packed: Size of the chunk in the file, bytes.
+            where: Name of the chunk in the error text.
+
+        Raises:
+            BagTooLarge: The chunk is too large, or all chunks up to this one are.
+        """
+        largest, most = max(size, packed), self.most(compression)
+        if largest > most:
+            raise BagTooLarge(
+                f"{where} states {largest} bytes of content; chunks of over {most} bytes are not "
+                f"read{self._remedy()}"
+            )
+        self._taken += size
+        if self._taken > self._most and not self._large_chunks:
+            raise BagTooLarge(
+                f"{where} makes {self._taken} bytes of content up to here; a file that unpacks to "
+                f"more than {MAX_RATIO} times its size is not read{self._remedy()}"
+            )
+
+    def most(self, compression: str) -> int:
+        """Return the maximum size of a chunk's content, bytes."""
+        if self._large_chunks:
+            return MAX_TRUSTED_BYTES
+        return MAX_PLAIN_BYTES if compression in ("", "none") else MAX_CHUNK_BYTES
+
+    def _remedy(self) -> str:
+        if self._large_chunks:
+            return ""
+        return (
+            ", for such files are damaged, or made to fill the memory and the disk; if you trust "
+            "this one: --allow-large-chunks"
+        )
+
 
 LISTED = 10
 """Maximum number of topics named in an error text."""
@@ -66,6 +136,63 @@ class PublishTimes(NamedTuple):
     """publish_time minus log_time of each message, ns."""
     sequences: Longs
     """Sequence number of each message."""
+
+
+class ChunkInfo(NamedTuple):
+    """The entry of the index for one chunk."""
+
+    position: int
+    """Offset in the file at which the record of the chunk begins, bytes."""
+    start_ns: int
+    end_ns: int
+    counts: dict[int, int]
+    """Number of messages in the chunk by connection number; every value is at least 1."""
+    first: int
+    """Number of messages in all chunks before this one."""
+
+
+class CutChunk(NamedTuple):
+    """The damaged chunk of a bag."""
+
+    number: int
+    compression: str
+    data_pos: int
+    data_bytes: int
+    content_bytes: int
+    """Size of the unpacked content before the damage, bytes."""
+
+
+@dataclass
+class SalvageReport:
+    """The damage of a bag, and how much of the bag can be read."""
+
+    messages: int = 0
+    """Number of messages that can be read."""
+    why: str = ""
+    """Description of the damage; '' = all chunks are complete."""
+    lost_bytes: int = 0
+    """Maximum number of bytes of the file that cannot be read; 0 if only the index is missing.
+
+    A damaged compressed chunk counts with all its bytes, although some of them can be read.
+    """
+    cut: CutChunk | None = None
+    """The damaged chunk, if messages before the damage can be read."""
+
+    def end(self, why: str, lost_bytes: int = 0) -> None:
+        """Note the damage, and how many bytes of the file cannot be read."""
+        self.why = why
+        self.lost_bytes = lost_bytes
+
+    def told(self, path: str) -> str:
+        """Return a sentence about the damage and what can be read; '' if nothing is damaged."""
+        if not self.why:
+            return ""
+        left = (
+            f"at most {self.lost_bytes} bytes after them are lost"
+            if self.lost_bytes
+            else ("no message that the file holds is lost")
+        )
+        return f"{path} {self.why}: {self.messages} messages up to there are read, {left}"
 
 
 class MessageFile(ABC):

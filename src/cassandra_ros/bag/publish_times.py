@@ -25,9 +25,8 @@ def store_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) 
 
     The caller has read all chunks before, so ``has_publish_times`` is valid.
     """
-    table = SendTimeStore(side_tables)
     for stripe, sent in _stripes(reader):
-        table.put(run.writer, run.node, stripe, sent)
+        SendTimeStore(side_tables).put(run.writer, run.node, stripe, sent)
 
 
 def count_other_publish_times(side_tables: SideTables, reader: MessageFile, run: Run) -> int:

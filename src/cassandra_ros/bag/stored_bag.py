@@ -24,10 +24,10 @@ from typing import (
     Union,
 )
 
-from cassandra_ros.arguments import check_list, check_new_topic
+from cassandra_ros.arguments import check_list, check_new_topic, spellings
 from cassandra_ros.bag.bag_order import in_bag_order
 from cassandra_ros.bag.chunk import COMPRESSIONS
-from cassandra_ros.bag.file_runs import describe_same_name, runs_meant, runs_of_file, source_of
+from cassandra_ros.bag.identity import describe_same_name, runs_meant, runs_of_file, source_of
 from cassandra_ros.bag.message_sample import join_samples, read_samples
 from cassandra_ros.bag.rosbag_errors import bag_error
 from cassandra_ros.bag.summary import Summary, TopicSummary
@@ -40,11 +40,9 @@ from cassandra_ros.messages.connection_header import Connection, live_connection
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
-from cassandra_ros.topics.key_selection import spellings
 from cassandra_ros.topics.message_adder import now_ns
-from cassandra_ros.topics.message_objects import with_messages
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
-from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_row import StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import TopicInfo
 
 MOST_STAMPS = 100_000

@@ -8,28 +8,304 @@ those of ``_seq``, the sizes, and with flag 1 the receive times minus the key ti
 follow in groups of equal size, the smallest first, each group in the order of the block. A group of
 at least 16 messages is stored as planes too: bytes that change little from message to message are
 side by side, and a field at a fixed offset is some whole rows of a matrix. With flag 2 messages of
-at least 512 bytes, which are the last, are coded as words instead (words.py): scans take half the
-bytes. With flag 4 each other group of at least 16 has its own layout (layouts.py). With flag 8
-there is no frame, because zstd would save nothing.
+at least 512 bytes, which are the last, are coded as words instead: scans take half the bytes. With
+flag 4 each other group of at least 16 has its own layout. With flag 8 there is no frame, because
+zstd would save nothing.
+
+**Layouts**, chosen for each group by a sample. The first byte of a group is its layout:
+
+- Planes. A plane that rises in equal steps, as counters and stamps do, is stored as the differences
+  of its bytes. One bit for each plane follows the layout: stored as differences.
+- Columns of 8 bytes, cut from the ends of the messages. A ``float64`` of a sensor with a few
+  thousand different values then repeats as a whole, while in planes each of its eight bytes repeats
+  alone.
+- Rows: plain, one after the other. For long messages that planes would hardly make smaller, such as
+  random ``float32``: turning them and back would take half the time of storing them.
+
+**Words** of 4 bytes, for long messages full of measured ``float32``. A sensor counts millimetres or
+steps of its converter, and its driver writes 1.234 or 812.0. As bytes such numbers look random; as
+the integers 1234 and 812 they differ little from their neighbours. Messages are cut into words from
+their ends, because the name of a frame, which makes their sizes odd, is at their beginnings. Each
+word has a code:
+
+- below ``_WHOLE`` it is the word itself: a length, a zero;
+- ``_WHOLE``: a ``float32`` that is a whole number;
+- ``_SCALED``: a ``float32`` that is a whole number divided by the scale of the block;
+- ``_OTHER``: any other word.
+
+A number is stored as an integer only if the division gives back each of its bits. The bytes are:
+the scale; of each message the bytes before its first word; the codes; then of whole, scaled and
+other words in turn the values as planes. Whole and scaled words are stored as differences from one
+to the next, with the sign in the lowest bit.
 """
 
 from __future__ import annotations
 
 import threading
 from functools import cached_property
-from typing import Any, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, Callable, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from cassandra_ros.blocks.layouts import BytesLike, lay_out, read_layout
-from cassandra_ros.blocks.words import code_words, decode_words, most_bytes
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.tables.block_limits import MAX_CONTENT_BYTES
 
-Longs = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
+BytesLike = Union[bytes, memoryview]
+
+_PLANES, _COLUMNS, _ROWS = 0, 1, 2
+_UNIT = 8
+_SAMPLE_BYTES = 16 * 1024
+_SAMPLE_SHARE = 2
+"""The sample is at most one in this number of messages of a group."""
+_LEAST = 16
+"""Minimum number of messages in a sample."""
+_SMALL = 4 * 1024
+"""Size of a group in bytes below which it is always planes: a sample would cost more than it
+saves."""
+_WORTH = 0.97
+"""Ratio of bytes below which columns are preferred to planes. Fields are read faster from
+planes."""
+_LONG, _STRETCHES = 1024, 4
+"""Minimum size of a message that may be stored as rows, bytes; and number of parts of its
+sample."""
+_HARDLY = 0.8
+"""Ratio of compressed to plain bytes above which planes of such messages are not worth their
+time."""
+
+
+class LaidGroup(NamedTuple):
+    """A group that was read."""
+
+    data: BytesLike
+    """Its planes, or its messages one after the other."""
+    as_planes: bool
+    length: int
+    """Number of bytes that the group takes in the block."""
+
+
+def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[BytesLike]:
+    """Return the layout of at least one message of at least one byte, as parts to be joined.
+
+    Args:
+        wires: Messages of equal size.
+        cost: Returns the compressed size of some bytes.
+    """
+    count, size = len(wires), len(wires[0])
+    few = max(_LEAST, min(count // _SAMPLE_SHARE, _SAMPLE_BYTES // size))
+    if size >= _LONG and _saves_little(_rows(wires[:few]), cost):
+        return bytes((_ROWS,)), *wires
+    rows = _rows(wires)
+    if rows.nbytes < _SMALL:
+        return bytes(1 + (size + 7) // 8), np.ascontiguousarray(rows.T).tobytes()
+    sample = rows[:few]
+    steps = np.diff(sample, axis=0)
+    still = _counts(steps == 0)
+    rises = _counts(steps[1:] == steps[:-1]) > still
+    if size >= _UNIT:
+        # Of long messages only the ends are tried, or trying would cost more than packing.
+        tried = slice(-max(_UNIT, _SAMPLE_BYTES // len(sample) // _UNIT * _UNIT), None)
+        ends = sample[:, tried]
+        planes, rising = np.array(ends.T, order="C"), rises[tried]
+        planes[rising, 1:] = steps[:, tried].T[rising]
+        if cost(_columns(ends)) < _WORTH * cost(planes.tobytes()):
+            return bytes((_COLUMNS,)), _columns(rows)
+    planes = np.array(rows.T, order="C")  # always a copy: rows of one byte are planes already
+    if rises.any():
+        planes[rises, 1:] = np.diff(planes[rises], axis=1)
+    return bytes((_PLANES,)), np.packbits(rises).tobytes(), planes.reshape(-1).data
+
+
+def _rows(wires: Sequence[bytes]) -> Bytes:
+    return np.frombuffer(b"".join(wires), np.uint8).reshape(len(wires), -1)
+
+
+def read_layout(data: memoryview, size: int, count: int) -> LaidGroup:
+    """Read the group at the beginning of some bytes.
+
+    Raises:
+        CorruptMessage: The bytes do not hold such a group.
+    """
+    kind = data[0] if len(data) else -1
+    begin = 1 + (size + 7) // 8 if kind == _PLANES else 1
+    end = begin + size * count
+    if kind not in (_PLANES, _COLUMNS, _ROWS) or len(data) < end:
+        raise CorruptMessage(f"a block does not hold {count} messages of {size} bytes as it says")
+    if kind == _ROWS:
+        return LaidGroup(data[begin:end], False, end)
+    if kind == _COLUMNS:
+        return LaidGroup(_from_columns(data[begin:end], size, count), False, end)
+    rises = np.unpackbits(np.frombuffer(data, np.uint8, begin - 1, 1))[:size].astype(np.bool_)
+    if not rises.any():
+        return LaidGroup(data[begin:end], True, end)
+    planes = np.frombuffer(data, np.uint8, size * count, begin).reshape(size, count).copy()
+    planes[rises] = np.add.accumulate(planes[rises], axis=1, dtype=np.uint8)
+    return LaidGroup(planes.tobytes(), True, end)
+
+
+def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
+    """Return whether planes of some messages hardly compress."""
+    count, size = sample.shape
+    width = min(size, _SAMPLE_BYTES // count) // _STRETCHES
+    begins = range(0, size - width + 1, (size - width) // (_STRETCHES - 1))
+    parts = np.concatenate([sample[:, begin : begin + width] for begin in begins], axis=1)
+    return bool(cost(np.ascontiguousarray(parts.T).tobytes()) > _HARDLY * parts.size)
+
+
+def _counts(found: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """Return the number of true values in each column of a matrix."""
+    # Row by row: numpy would go along columns one byte at a time.
+    counts: NDArray[np.int32] = np.add.reduce(found, axis=0, dtype=np.int32)
+    return counts
+
+
+def _columns(rows: Bytes) -> bytes:
+    loose = rows.shape[1] % _UNIT
+    units = np.ascontiguousarray(rows[:, loose:]).view("<u8")
+    return np.ascontiguousarray(rows[:, :loose].T).tobytes() + units.T.tobytes()
+
+
+def _from_columns(data: memoryview, size: int, count: int) -> bytes:
+    loose = size % _UNIT
+    rows = np.empty((count, size), np.uint8)
+    rows[:, :loose] = np.frombuffer(data, np.uint8, loose * count).reshape(loose, count).T
+    units = np.frombuffer(data, "<u8", size // _UNIT * count, loose * count)
+    turned = np.ascontiguousarray(units.reshape(-1, count).T)
+    rows[:, loose:] = turned.view(np.uint8).reshape(count, size - loose)
+    return rows.tobytes()
+
+
+Words = NDArray[np.uint32]
+Integers = NDArray[np.int32]
+
+_WORD = np.dtype("<u4")
+_WHOLE, _SCALED, _OTHER = 253, 254, 255
+_SCALES = (1000, 4000, 10_000)
+"""Scales of values measured in millimetres, quarters of a millimetre and tenths."""
+_SHIFTS = tuple(np.uint32(shift) for shift in (0, 8, 16, 24))
+_SAMPLE, _WIRES = 1024, 16
+"""Number of words in the sample that is tried first, and number of its messages."""
+
+
+def code_words(wires: Sequence[bytes]) -> Optional[bytes]:
+    """Code serialised messages; return None if most of their words are not such numbers."""
+    scale = _find_scale(_words(wires[:: -(-len(wires) // _WIRES)]))
+    if scale is None:
+        return None
+    words = _words(wires)
+    codes = words.astype(np.uint8)
+    large = np.flatnonzero(words >= _WHOLE)
+    rest = words[large]
+    whole, is_whole = _as_integers(rest, 1)
+    scaled, is_scaled = _as_integers(rest, scale)
+    kinds = np.full(len(rest), _OTHER, np.uint8)
+    kinds[is_scaled] = _SCALED
+    kinds[is_whole] = _WHOLE
+    codes[large] = kinds
+    loose = [wire[: len(wire) & 3] for wire in wires]
+    parts = [scale.to_bytes(4, "little"), *loose, codes.tobytes()]
+    for values, kind in ((whole, _WHOLE), (scaled, _SCALED)):
+        steps = np.diff(values[np.flatnonzero(kinds == kind)], prepend=np.int32(0))
+        parts.append(_word_planes((steps << 1 ^ steps >> 31).view(_WORD)))
+    parts.append(_word_planes(rest[np.flatnonzero(kinds == _OTHER)]))
+    return b"".join(parts)
+
+
+def most_bytes(size: int) -> int:
+    """Return the maximum length of the code of ``size`` bytes of messages, in any layout."""
+    return 4 + size + size // 4
+
+
+def decode_words(data: memoryview, sizes: Sequence[int]) -> bytes:
+    """Return the messages, one after the other.
+
+    Args:
+        data: Result of code_words.
+        sizes: Number of bytes of each message.
+
+    Raises:
+        CorruptMessage: The bytes do not hold such messages.
+    """
+    scale = int.from_bytes(data[:4], "little")
+    loose, count = sum(size & 3 for size in sizes), sum(size >> 2 for size in sizes)
+    at = 4 + loose
+    codes = np.frombuffer(data, np.uint8)[at : at + count]
+    places = [np.flatnonzero(codes == kind) for kind in (_WHOLE, _SCALED, _OTHER)]
+    if not scale or len(data) != at + count + 4 * sum(map(len, places)):
+        raise CorruptMessage("the words of a block are not as many as its messages have")
+    words = codes.astype(_WORD)
+    at += count
+    for place, by in zip(places, (1, scale, None)):
+        found = _words_of_planes(data, at, len(place))
+        at += 4 * len(place)
+        words[place] = found if by is None else _as_floats(found, by)
+    return _joined(words.tobytes(), data[4 : 4 + loose], sizes)
+
+
+def _words(wires: Sequence[bytes]) -> Words:
+    return np.frombuffer(b"".join([wire[len(wire) & 3 :] for wire in wires]), _WORD)
+
+
+def _find_scale(words: Words) -> Optional[int]:
+    """Return the divisor of most of the larger words; None if there is no such divisor."""
+    step = len(words) // _SAMPLE | 1  # odd, because lengths and numbers may take turns
+    sample = words[::step]
+    sample = sample[sample >= _WHOLE]
+    is_whole = _as_integers(sample, 1)[1]
+    for scale in _SCALES:
+        if 2 * np.count_nonzero(is_whole | _as_integers(sample, scale)[1]) > len(sample):
+            return scale
+    return None
+
+
+def _as_integers(words: Words, scale: int) -> Tuple[Integers, NDArray[np.bool_]]:
+    """Return words as integers, and for which of them the integer is exact."""
+    # A word that is not a number, or too large for an integer, does not come back as it was.
+    with np.errstate(invalid="ignore", over="ignore"):
+        integers = np.rint(words.view("<f4") * np.float32(scale)).astype(np.int32)
+    return integers, _divided(integers, scale) == words
+
+
+def _as_floats(zigzag: Words, scale: int) -> Words:
+    steps = (zigzag >> 1).view(np.int32) ^ -(zigzag & 1).view(np.int32)
+    return _divided(np.cumsum(steps, dtype=np.int32), scale)
+
+
+def _divided(integers: Integers, scale: int) -> Words:
+    # IEEE 754 defines the result of a division: every machine computes the same bits.
+    return (integers.astype("<f4") / np.float32(scale)).view(_WORD)
+
+
+def _word_planes(words: Words) -> bytes:
+    # Four passes over vectors are twice as fast as turning a matrix of four columns.
+    return b"".join([(words >> shift).astype(np.uint8).tobytes() for shift in _SHIFTS])
+
+
+def _words_of_planes(data: memoryview, at: int, count: int) -> Words:
+    words = np.zeros(count, _WORD)
+    planes = np.frombuffer(data, np.uint8, 4 * count, at).reshape(4, count)
+    for plane, shift in zip(planes, _SHIFTS):
+        if plane.any():
+            words |= plane.astype(np.uint32) << shift
+    return words
+
+
+def _joined(words: bytes, loose: memoryview, sizes: Sequence[int]) -> bytes:
+    """Put the bytes of each message that are no words before its words."""
+    if not loose:
+        return words
+    parts: List[bytes] = []
+    at = begin = 0
+    for size in sizes:
+        parts.append(bytes(loose[at : at + (size & 3)]))
+        parts.append(words[begin : begin + (size & ~3)])
+        at, begin = at + (size & 3), begin + (size & ~3)
+    return b"".join(parts)
+
+
+Longs = NDArray[np.int64]
 
 VERSION = 1
 LEVEL = 1

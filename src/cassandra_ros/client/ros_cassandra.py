@@ -24,14 +24,14 @@ from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.descriptions import InfoList, RunList
-from cassandra_ros.topics.key_selection import Clock, range_between
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
+from cassandra_ros.topics.new_tables import wished_topic, with_key
 from cassandra_ros.topics.query_result import QueryResult, Rows
+from cassandra_ros.topics.row_finder import Clock, range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.topic_wish import wished_topic, with_key
 from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.upkeep.conversion import Converted, convert_topic
 from cassandra_ros.upkeep.table_copy import Progress

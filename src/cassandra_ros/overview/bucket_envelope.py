@@ -35,8 +35,8 @@ from cassandra_ros.query.tree.field_names import FieldRef, Findings, field_of
 from cassandra_ros.query.tree.syntax import KeyOperand, Path, Select, Selected, StatementError
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ
-from cassandra_ros.topics.block_messages import messages_of
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.row_reader import messages_of
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 

@@ -11,7 +11,7 @@ from cassandra_ros.read import Read
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.directory import Directory
-from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable

@@ -36,7 +36,7 @@ from cassandra_ros.read import EVERYBODY, Read, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.query_result import QueryResult
-from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
 
 PIXELS = 1000

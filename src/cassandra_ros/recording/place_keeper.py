@@ -43,7 +43,7 @@ from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
 from cassandra_ros.tables.place_index import IndexedPoses, Visit
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import range_between
+from cassandra_ros.topics.row_finder import range_between
 from cassandra_ros.transforms.transform_samples import TRANSFORMS_MD5
 
 if TYPE_CHECKING:

@@ -30,16 +30,14 @@ from cassandra_ros.printable import public_names
 from cassandra_ros.read import Chooser, Columns, Named, Read, Whose
 from cassandra_ros.topics.descriptions import topic_html, topic_line
 from cassandra_ros.topics.indexes import Progress, create_index, has_index, remove_index
-from cassandra_ros.topics.key_selection import AnyKey, range_between
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_adder import MessageAdder
-from cassandra_ros.topics.message_objects import with_messages
-from cassandra_ros.topics.row_finder import Filter, Finder, Where
+from cassandra_ros.topics.new_tables import Wish
+from cassandra_ros.topics.row_finder import AnyKey, Filter, Finder, Where, range_between
 from cassandra_ros.topics.run_finder import RunName
-from cassandra_ros.topics.stored_row import Key, StoredRow
+from cassandra_ros.topics.stored_row import Key, StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import count_buckets, count_rows
 from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
-from cassandra_ros.topics.topic_wish import Wish
 
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all."""

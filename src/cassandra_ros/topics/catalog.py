@@ -14,7 +14,7 @@ from dataclasses import replace
 from operator import attrgetter
 from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
 
-from cassandra_ros.arguments import check_nodes, check_topic, check_topics
+from cassandra_ros.arguments import check_nodes, check_topic, check_topics, spellings
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -35,18 +35,16 @@ from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.directory import STALE_SEC
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
-from cassandra_ros.topics.key_selection import Clock, spellings
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_adder import MessageAdder
-from cassandra_ros.topics.new_tables import check_packed
+from cassandra_ros.topics.new_tables import Wish, check_packed
 from cassandra_ros.topics.removal import delete_time_range
-from cassandra_ros.topics.row_finder import Filter, Where, time_range_between
+from cassandra_ros.topics.row_finder import Clock, Filter, Where, time_range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_places import StoredPlaces
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import TopicInfo, count_rows, describe
 from cassandra_ros.topics.topic_table import TopicTable, stored_format
-from cassandra_ros.topics.topic_wish import Wish
 
 _log = logging.getLogger(__name__)
 

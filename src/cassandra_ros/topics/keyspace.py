@@ -17,8 +17,7 @@ from cassandra_ros.tables.registry import Registry
 from cassandra_ros.tables.schema import Schema
 from cassandra_ros.tables.side_tables import SideTables
 from cassandra_ros.topics.new_tables import NewTables
-from cassandra_ros.topics.replaced_tables import FollowingReader
-from cassandra_ros.topics.row_reader import RowReader
+from cassandra_ros.topics.row_reader import FollowingReader, RowReader
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
 from cassandra_ros.topics.stored_totals import holds_any

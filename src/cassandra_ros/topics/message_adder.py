@@ -17,9 +17,9 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
-from cassandra_ros.topics.key_selection import Clock
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import MessageWriter
+from cassandra_ros.topics.row_finder import Clock
 from cassandra_ros.topics.stored_row import Key
 from cassandra_ros.topics.topic_table import TopicTable
 

@@ -15,7 +15,7 @@ from cassandra_ros.store.row_counts import scan_keys, scan_written
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.row_table import BlockKey
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.replaced_tables import current
+from cassandra_ros.topics.row_reader import current
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 

@@ -27,13 +27,23 @@ from cassandra_ros.messages.stamps import (
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.source import Source
 from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
-from cassandra_ros.topics.key_selection import AnyKey, range_between
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.query_result import Condition
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import count_rows
 from cassandra_ros.topics.topic_table import TopicTable
+
+Clock = Callable[[], Time]
+AnyKey = Any
+"""A Time, or another key of a topic: a name, or the value of a field."""
+
+
+def range_between(key: Optional[Time], to_key: Optional[Time]) -> TimeRange:
+    """Return the time range between two times; None = open."""
+    low = 0 if key is None else to_ns(key)
+    return TimeRange(low, LAST_NS if to_key is None else to_ns(to_key))
+
 
 NEAREST = ("before", "after", "either")
 _NEAR_NS = 256

@@ -1,20 +1,34 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Stored rows of any topics, by time, name or value, without message objects."""
+"""Stored rows of any topics, by time, name or value, without message objects.
+
+``RowReader`` reads the rows of given tables. A read goes on while a table is replaced by another
+one, because its topic is converted (``FollowingReader``, ``followed``). The old table is dropped
+some seconds after the new one became visible. A reader of the old table then gets an error, and
+goes on in the new table after the last row that it yielded: rows have the same positions there.
+"""
 
 from __future__ import annotations
 
 import heapq
+import logging
+from collections import deque
 from dataclasses import replace
+from functools import partial
 from itertools import repeat
-from typing import Iterable, Iterator, Optional, Sequence, Union
+from typing import Callable, Deque, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, Union
+
+import numpy as np
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
+from cassandra_ros.blocks.bucket_read import BucketRead, OpenedBlock
+from cassandra_ros.blocks.codec import Unpacked
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, RowName, is_after
+from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound, TopicNotFound
+from cassandra_ros.keys import Position, RowName, is_after, writer_of
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.messages.wire.message_stacks import ByteArray, Int64Array, as_planes
 from cassandra_ros.read import Named, Read, Valued, Whose
 from cassandra_ros.store.fetch import (
     RowKey,
@@ -29,9 +43,8 @@ from cassandra_ros.store.fetch import (
 from cassandra_ros.store.reader import read_blocks, read_rows
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.row_table import TableRow
-from cassandra_ros.topics.block_messages import messages_of
 from cassandra_ros.topics.stored_row import StoredRow, chunks_ahead
-from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.topic_table import TopicTable, WholeTopic
 
 
 class RowReader:
@@ -192,3 +205,186 @@ def _inside(position: Position, read: Read) -> bool:
     """Return whether a row with one name or value is in the time range and after the cursor."""
     low, high = read.time_range
     return low <= position.t <= high and is_after(position, read.after, read.reverse)
+
+
+_T = TypeVar("_T")
+Tables = Sequence[TopicTable]
+
+
+def current(tables: Tables, *, fresh: bool = False) -> Tables:
+    """Return tables with replaced ones exchanged for those that replaced them; each once.
+
+    For a whole topic the result includes tables that were made since.
+    """
+    if isinstance(tables, WholeTopic):
+        return tables.now(fresh=fresh)
+    found = {}
+    for table in tables:
+        now = table.heir(fresh) or table
+        found[now.name] = now
+    return list(found.values())
+
+
+def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
+    """Call ``work`` with tables; call it again if one of them was replaced and dropped meanwhile.
+
+    For a whole topic it is also called again if the topic has a table that was made before.
+    """
+    tables = current(tables)
+    while True:
+        try:
+            done = work(tables)
+            if not _left(tables):
+                return done
+            tables = current(tables)
+        except TopicNotFound as exc:
+            tables = _replaced(tables, exc)
+
+
+def _left(tables: Tables) -> bool:
+    """Return whether one of the tables was replaced, so that it may have been dropped.
+
+    Then the directory may have no entries of it any more, and less than everything was read. The
+    same holds if a whole topic has a table that was not read. After an answer of the server this
+    includes every change acknowledged before the read began (``connection/protocol.py``).
+    """
+    return not _same(tables, current(tables))
+
+
+def _same(tables: Tables, now: Tables) -> bool:
+    return now is tables or {table.name for table in now} == {table.name for table in tables}
+
+
+def _replaced(tables: Tables, gone: TopicNotFound) -> Tables:
+    """Return the present tables; raise the error if none of them is new."""
+    now = current(tables, fresh=True)
+    if _same(tables, now):
+        raise gone
+    return now
+
+
+class FollowingReader:
+    """Reads the rows of one keyspace with the methods of RowReader, in replaced tables too."""
+
+    def __init__(self, rows: RowReader) -> None:
+        self._rows = rows
+
+    def read(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
+        """Yield rows in order; ``read.after`` may name a table that was replaced."""
+        after, last = read.after, None
+        while True:
+            tables = current(tables)
+            if last is not None:
+                after = last.position
+            behind = None if after is None else after.among((t.name for t in tables), read.reverse)
+            try:
+                found = self._rows.read(tables, replace(read, after=behind))
+                first = next(found, None)
+                if last is None and _left(tables):
+                    continue  # no row was yielded yet
+                if first is not None:
+                    tables = list(tables)  # tables made from now on need not be read
+                    last = first
+                    yield first
+                for row in found:
+                    last = row
+                    yield row
+                if not _left(tables):
+                    return
+            except TopicNotFound as exc:
+                tables = _replaced(tables, exc)
+
+    def blocks(self, tables: Tables, read: Read) -> Optional[Iterator[MessageBlock]]:
+        """Read whole blocks, like RowReader; raises TopicNotFound if a table was replaced."""
+        tables = current(tables)
+        found = self._rows.blocks(tables, read)
+        return None if found is None else _unless_left(tables, found)
+
+    def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
+        """Yield the rows received in the time range of a read, in order of their receive times."""
+        last: Optional[StoredRow] = None
+        while True:
+            tables = current(tables)
+            given = None if last is None else last.arrival[:3]
+            try:
+                for row in self._rows.received(tables, read):
+                    if given is None or row.arrival[:3] > given:
+                        last = row
+                        yield row
+                if not _left(tables):
+                    return
+            except TopicNotFound as exc:
+                tables = _replaced(tables, exc)
+
+    def exact(self, table: TopicTable, key: Union[Stamp, RowName]) -> Optional[StoredRow]:
+        """Return one row by a key that the store gave: one SELECT."""
+        return followed([table], lambda now: self._rows.exact(now[0], key))
+
+    def at(self, tables: Tables, read: Read) -> Optional[StoredRow]:
+        """Return the first row of a read whose time range is one time."""
+        return followed(tables, lambda now: self._rows.at(now, read))
+
+    def beside(
+        self, tables: Tables, t: int, whose: Whose, ways: Sequence[bool]
+    ) -> Optional[Sequence[StoredRow]]:
+        """Return the rows nearest to a time.
+
+        None if this fast way does not work and ``read`` must.
+        """
+        return followed(tables, lambda now: self._rows.beside(now, t, whose, ways))
+
+
+def _unless_left(tables: Tables, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+    yield from blocks
+    if _left(tables):
+        raise TopicNotFound("a table was replaced while it was read")
+
+
+_log = logging.getLogger(__name__)
+
+
+def messages_of(
+    blocks: Iterable[Tuple[BucketRead, OpenedBlock]], tables: Sequence[TopicTable]
+) -> Iterator[MessageBlock]:
+    """Yield the messages to read of blocks; large messages, each a block of one, come last."""
+    by_name = {table.name: table for table in tables}
+    large: Deque[StoredRow] = deque()
+    for part, opened in blocks:
+        table, block, row = by_name[part.table.name], opened.block, opened.row
+        if block is None or block.unpacked is None:
+            large += [StoredRow(each, table) for each in part.rows(opened)]
+            continue
+        places, run = opened.places, partial(table.runs.text, row.writer)
+        times, seqs = block.times[places], block.seqs[places]
+        groups = _chosen(block.unpacked, places)
+        yield MessageBlock(table, part.node, run, times, seqs, groups)
+    # Rows are dropped one by one, because each keeps the bytes that were read of it.
+    rows = (large.popleft() for _ in range(len(large)))
+    yield from filter(None, map(_alone, chunks_ahead(rows)))
+
+
+def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[Tuple[Int64Array, ByteArray]]:
+    if len(places) == len(unpacked):
+        return [(group.members, group.planes) for group in unpacked.groups]
+    kept = np.zeros(len(unpacked), bool)
+    kept[places] = True
+    numbers, chosen = np.cumsum(kept) - 1, []
+    for group in unpacked.groups:
+        inside = kept[group.members]
+        if inside.any():
+            chosen.append((numbers[group.members[inside]], group.planes[:, inside]))
+    return chosen
+
+
+def _alone(row: StoredRow) -> Optional[MessageBlock]:
+    """Return a block of one message; None if the message was deleted meanwhile."""
+    groups = []
+    try:
+        groups.append((np.zeros(1, np.int64), as_planes([row.wire])))
+    except MessageNotFound:
+        return None
+    except CorruptMessage as exc:
+        _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
+    place = np.array([row.t], np.int64), np.array([row.seq], np.int64)
+    run = partial(row.table.runs.text, writer_of(row.seq))
+    return MessageBlock(row.table, row.node, run, *place, groups)

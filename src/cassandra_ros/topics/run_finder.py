@@ -10,13 +10,12 @@ import time
 from datetime import datetime
 from typing import Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
 
-from cassandra_ros.arguments import check_run
+from cassandra_ros.arguments import check_run, spellings
 from cassandra_ros.errors import RunNotFound
 from cassandra_ros.keys import MAX_WRITER
 from cassandra_ros.read import Read, Writers
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss, Registry, Run
-from cassandra_ros.topics.key_selection import spellings
 
 RunName = Union[None, str, int, FrozenSet[int]]
 """A run's name, its writer id as a number or text, or a set of writer ids; None = all runs."""

@@ -17,7 +17,7 @@ from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import STALE_SEC, Directory
 from cassandra_ros.tables.registry import Run, SignOfLife
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 

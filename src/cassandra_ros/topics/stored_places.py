@@ -14,7 +14,7 @@ from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.directory import BucketRow
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 

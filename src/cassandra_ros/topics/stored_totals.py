@@ -16,7 +16,7 @@ from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import count_part, settle
 from cassandra_ros.tables.directory import BucketRow, BucketTotals, Directory
 from cassandra_ros.tables.registry import Loss
-from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
 
 

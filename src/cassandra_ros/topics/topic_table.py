@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Class TopicTable: a topic table with the definition and format of its messages."""
+"""Class TopicTable: a topic table with the definition, format and indexes of its messages."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import logging
 import threading
 from functools import lru_cache, partial
 from itertools import repeat
-from typing import Any, Callable, Iterable, List, Optional, Sequence
+from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.errors import CorruptMessage, DefinitionError
+from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import MAX_NS
@@ -23,10 +23,9 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.query.protocols import Places as RobotPlaces
+from cassandra_ros.tables.row_encoder import Indexed, Shadows
 from cassandra_ros.tables.row_table import NewRow, RowTable, encode_long
-from cassandra_ros.tables.schema import Schema
-from cassandra_ros.tables.succession import Listing
-from cassandra_ros.topics.index_columns import IndexColumns
+from cassandra_ros.tables.schema import Listing, Schema
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
 
@@ -296,3 +295,69 @@ def stored_format(tables: Sequence[TopicMetadata], md5sum: str = "") -> str:
     # One publisher without a usable definition must not decide for all other publishers.
     chosen = [m for m in tables if m.format != FALLBACK_FORMAT or definition_in(m)] or tables
     return max(chosen, key=lambda m: (m.md5sum == md5sum, m.date, m.format)).format
+
+
+_Value = Callable[[bytes], Tuple[Optional[bytes], bool]]
+"""Returns the value of a serialised message in an index (None = unset), and whether it is odd."""
+
+
+class IndexColumns:
+    """Makes the index columns of one topic table.
+
+    Args:
+        topic: Name of the topic, for the log.
+        definition: Definition of its messages; None = it is unusable.
+        digest: The key field whose index holds the md5 of a whole array; None = no such field.
+    """
+
+    def __init__(
+        self, topic: str, definition: Optional[Definition], digest: Optional[KeyPart]
+    ) -> None:
+        self._topic = topic
+        self._definition = definition
+        self._digest = digest
+        self._known: tuple[Mapping[str, str], dict[str, IndexField]] = ({}, {})
+
+    def fields(self, indexes: Mapping[str, str]) -> dict[str, IndexField]:
+        """Return the indexes that conditions can use, by field.
+
+        Args:
+            indexes: Indexed field → shadow column, as the table's comment says.
+        """
+        known, fields = self._known
+        if self._definition is not None and known != indexes:
+            fields = {}
+            for field, shadow in indexes.items():
+                if self._digest is not None and self._digest.field == field:
+                    continue  # an index of whole arrays, not of their elements
+                try:
+                    fields[field] = IndexField(self._definition, field, shadow)
+                except InvalidName as exc:
+                    _log.warning("an index of topic %s is not used: %s", self._topic, exc)
+            self._known = indexes, fields
+        return fields
+
+    def shadows(self, indexes: Mapping[str, str]) -> Optional[Shadows]:
+        """Return the columns of these indexes; None if there is no index."""
+        values: dict[str, _Value] = {i.shadow: i.value for i in self.fields(indexes).values()}
+        if self._digest is not None:
+            values[indexes[self._digest.field]] = partial(_digest_of, self._digest)
+        if not values:
+            return None
+        encoders = tuple(values.values())
+
+        def together(wire: bytes) -> Indexed:
+            encoded: list[Optional[bytes]] = []
+            odd = False
+            for value in encoders:
+                one, is_odd = value(wire)
+                encoded.append(one)
+                odd = odd or is_odd
+            return encoded, odd
+
+        return Shadows(tuple(values), together)
+
+
+def _digest_of(part: KeyPart, wire: bytes) -> tuple[Optional[bytes], bool]:
+    value = part.value(wire)
+    return (None, True) if value is None else (part.index(value), False)

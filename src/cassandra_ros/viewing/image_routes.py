@@ -10,8 +10,8 @@ from cassandra_ros.drawing.images import jpeg_of
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import Position, RowName, decode_cursor, encode_cursor
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.topics.key_selection import AnyKey
 from cassandra_ros.topics.message_text import MessageText
+from cassandra_ros.topics.row_finder import AnyKey
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.api_call import ApiCall

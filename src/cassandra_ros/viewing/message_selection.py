@@ -11,8 +11,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import Nodes, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.key_selection import range_between
-from cassandra_ros.topics.row_finder import Where
+from cassandra_ros.topics.row_finder import Where, range_between
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter
 from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, TOPICS, whose_of

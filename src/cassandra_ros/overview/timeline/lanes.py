@@ -29,7 +29,7 @@ from cassandra_ros.overview.timeline.time_cells import (
 )
 from cassandra_ros.read import EVERYBODY, Whose
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.replaced_tables import followed
+from cassandra_ros.topics.row_reader import followed
 from cassandra_ros.topics.topic_table import TopicTable
 
 MAX_RUNS = 2000
