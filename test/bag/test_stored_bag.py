@@ -20,7 +20,7 @@ from geometry_msgs.msg import Twist
 from std_msgs.msg import Header, String
 
 import cassandra_ros
-from cassandra_ros.bag import bag_order
+from cassandra_ros.bag import stored_bag
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.summary import Summary, TopicSummary
@@ -419,7 +419,7 @@ def texts(bag, **wanted):
 @pytest.mark.parametrize("held", [None, 0, 5000])
 def test_equal_times_come_in_the_order_of_rosbag(fresh, tmp_path, monkeypatch, held):
     if held is not None:  # more messages of one time than are held at once
-        monkeypatch.setattr(bag_order, "HELD_BYTES", held)
+        monkeypatch.setattr(stored_bag, "HELD_BYTES", held)
     path = tmp_path / "equal.bag"
     bag_of_equal_times(path)
     with fresh() as store:

@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The fields of many messages as numpy arrays, without a Python object for each number."""
+"""The fields of many messages as numpy arrays, without a Python object for each number.
+
+``as_frame`` makes a pandas.DataFrame of them. pandas and pyarrow are imported when the first one is
+made, because nothing else needs them.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +15,11 @@ import numpy as np
 
 from cassandra_ros.arguments import check_list
 from cassandra_ros.arrays.array_types import MIXED, AnyArray, ArrayType, unite_columns
-from cassandra_ros.arrays.column_values import empty_values, join_values, stack_cells
+from cassandra_ros.arrays.column_values import empty_values, join_values, rows_of, stack_cells
 from cassandra_ros.arrays.stacked_values import MessageBlock
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.errors import InvalidQuery, TopicNotFound
+from cassandra_ros.installation import optional_module
 from cassandra_ros.query.plan.bounds import bounds_of, with_stays
 from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Row, Table
@@ -227,3 +232,33 @@ def _order_of(places: Sequence[MessageBlock]) -> Optional[AnyArray]:
     )
     order: AnyArray = np.lexsort((tables, np.concatenate([p.seqs for p in places]), nodes, times))
     return order
+
+
+_UNITS = {"time": "M8[ns]", "duration": "m8[ns]"}
+
+
+def as_frame(fields: dict[str, FieldArray]) -> Any:
+    """Return gathered fields, KEY among them, as a DataFrame with index KEY."""
+    pandas = optional_module("pandas", "toDataFrame")
+    key = fields.pop("KEY")
+    times = key.kind.kind == "time"
+    index = pandas.Index(key.values.view("M8[ns]") if times else key.values, name="KEY")
+    columns = {name: _series(pandas, array) for name, array in fields.items()}
+    return pandas.DataFrame(columns, index=index)
+
+
+def _series(pandas: Any, array: FieldArray) -> Any:
+    """Return the values of one column, with missing values in pandas' form for the type."""
+    kind, values, missing = array
+    if kind.depth:
+        return rows_of(values, missing)
+    if kind.kind in _UNITS:
+        values = values.view(_UNITS[kind.kind])
+        values[missing] = np.array("NaT", values.dtype)
+    elif missing.any() and values.dtype.kind in "iu":
+        return pandas.arrays.IntegerArray(values, missing)
+    elif missing.any() and values.dtype.kind == "b":
+        return pandas.arrays.BooleanArray(values, missing)
+    elif values.dtype.kind == "f":
+        values[missing] = np.nan
+    return values

@@ -10,7 +10,8 @@ import os
 from dataclasses import replace
 from enum import Enum
 from functools import partial
-from itertools import count
+from itertools import count, groupby
+from operator import attrgetter
 from typing import (
     IO,
     AbstractSet,
@@ -25,7 +26,6 @@ from typing import (
 )
 
 from cassandra_ros.arguments import check_list, check_new_topic, spellings
-from cassandra_ros.bag.bag_order import in_bag_order
 from cassandra_ros.bag.chunk import COMPRESSIONS
 from cassandra_ros.bag.identity import describe_same_name, runs_meant, runs_of_file, source_of
 from cassandra_ros.bag.message_sample import join_samples, read_samples
@@ -44,6 +44,45 @@ from cassandra_ros.topics.message_adder import now_ns
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.stored_row import StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import TopicInfo
+
+HELD_BYTES = 32 << 20
+"""Maximum size of the messages of one receive time that are sorted in memory, bytes. If there are
+more, they are read again, once for each connection."""
+_ROW_BYTES = 1000
+"""Approximate memory that a row needs in addition to its message, bytes."""
+
+Read = Callable[["Time | None", "Time | None"], Iterator[StoredRow]]
+"""Function that reads the rows of a time range (ends included) in the order of receive time."""
+
+
+def in_bag_order(read: Read, start: Time | None, end: Time | None) -> Iterator[StoredRow]:
+    """Yield the rows that ``read`` returns; rows of equal time are sorted by connection number.
+
+    Memory: the messages of one receive time, at most HELD_BYTES and one message. Above that limit
+    the messages of this time are read again, once for each connection.
+    """
+    for t_ns, same in groupby(read(start, end), attrgetter("received")):
+        rows: list[StoredRow] = []
+        numbers: set[int] = set()
+        held = 0
+        for row in same:
+            numbers.add(_number(row))
+            held += row.size + _ROW_BYTES
+            if held <= HELD_BYTES:
+                rows.append(row)
+            else:
+                rows.clear()
+        if held <= HELD_BYTES:
+            yield from rows if len(numbers) == 1 else sorted(rows, key=_number)
+            continue
+        at = Stamp.from_ns(t_ns)
+        for number in sorted(numbers):
+            yield from (row for row in read(at, at) if _number(row) == number)
+
+
+def _number(row: StoredRow) -> int:
+    return row.connection.number
+
 
 MOST_STAMPS = 100_000
 """Number of first messages of a topic from which its frequency and its connections are computed."""

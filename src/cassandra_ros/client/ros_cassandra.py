@@ -6,15 +6,20 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
-from typing import Any, Iterable, Iterator, Mapping, Optional, Sequence
+from typing import Any, Dict, Iterable, Iterator, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
 from cassandra_ros.client.explanation import Explanation
-from cassandra_ros.client.near_rows import near_rows
 from cassandra_ros.client.statements import Statements
 from cassandra_ros.connection.address import from_environment
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.errors import CassandraRosError, InvalidName, KeyspaceNotFound
+from cassandra_ros.errors import (
+    CassandraRosError,
+    InvalidName,
+    InvalidOption,
+    InvalidQuery,
+    KeyspaceNotFound,
+)
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.printable import public_names
@@ -28,7 +33,7 @@ from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.new_tables import wished_topic, with_key
 from cassandra_ros.topics.query_result import QueryResult, Rows
-from cassandra_ros.topics.row_finder import Clock, range_between
+from cassandra_ros.topics.row_finder import Clock, Where, range_between
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_row import StoredRow
@@ -36,6 +41,9 @@ from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.upkeep.conversion import Converted, convert_topic
 from cassandra_ros.upkeep.table_copy import Progress
 from cassandra_ros.upkeep.upkeep import Upkeep
+
+NearDisk = Tuple[float, float, float, str, str]
+"""x, y and radius (m) in a frame, the frame, and the robot; '' = to be found out."""
 
 
 class RosCassandra:
@@ -127,8 +135,8 @@ class RosCassandra:
 
         Raises KeyspaceNotFound if no keyspace is connected.
         """
-        self.cassandra.require_open()
         if self._opened is None:
+            self.cassandra.require_open()
             raise KeyspaceNotFound("no keyspace is connected: call connectToKeyspace('ros') first")
         return self._opened
 
@@ -385,7 +393,7 @@ class RosCassandra:
         """
         names, catalog = check_topics(topics), self.catalog
         read = catalog.read_of(names, key, to_key, catalog.whose(nodeID, run))
-        return near_rows(catalog, (x, y, radius, frame, robot), names, read, where)
+        return _near_rows(catalog, (x, y, radius, frame, robot), names, read, where)
 
     def nearestMessages(
         self,
@@ -538,3 +546,35 @@ class RosCassandra:
         return lookup_transform(
             self.catalog.get, nodeID, writers, target, source, time, tf, tf_static
         )
+
+
+def _near_rows(
+    catalog: Catalog,
+    asked: NearDisk,
+    topics: Optional[Iterable[str]],
+    read: Read,
+    where: Conditions,
+) -> Iterator[StoredRow]:
+    """Yield the rows of topics (None = all) whose robot was on a disk; see RosCassandra.near."""
+    tables = catalog.tables(topics)
+    names = sorted({table.metadata.topic for table in tables})
+    catalog.filters(where, names, read.whose)  # raises for invalid conditions
+    given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
+    conditions: Dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
+    try:
+        with catalog.places.shared():
+            filters = catalog.filters(conditions, names, read.whose)
+            return catalog.merged(tables, filters, read)
+    except InvalidQuery as exc:
+        raise InvalidOption(exc.reason) from exc
+
+
+def _and_near(where: Optional[Where], asked: NearDisk) -> Where:
+    """Return the condition NEAR, joined with another condition if there is one."""
+    values = list(asked if asked[-1] else asked[:-1])
+    near = f"NEAR({', '.join('?' * len(values))})"
+    if where is None:
+        return near, values
+    text, params = (where, ()) if isinstance(where, str) else where
+    # On separate lines, because the condition may end with a comment.
+    return f"(\n{text}\n) AND {near}", [*params, *values]

@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""All messages of a selection as one stream, in the order of reception."""
+"""All messages of a selection as one stream, in the order of reception.
+
+With the option ``around`` only windows around certain messages are played.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,12 @@ from dataclasses import replace
 from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption, MessageNotFound
-from cassandra_ros.keys import MAX_NS, split_seq
+from cassandra_ros.keys import MAX_NS, SECOND_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
 from cassandra_ros.overview.latched_messages import Source, is_latched
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
 from cassandra_ros.playing.play_source import LatchedRecord, PlaySource, with_first_times
 from cassandra_ros.playing.play_times import check_length, read_when, resolve_times
-from cassandra_ros.playing.play_windows import PIECE_NS, WindowRule
 from cassandra_ros.playing.robot_alignment import (
     aligned,
     check_alignment,
@@ -27,7 +29,51 @@ from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
 from cassandra_ros.read import TimeRange
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.hit_windows import WindowPart, joined, merge_windows
+from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.topics.stored_row import StoredRow
+
+PIECE_NS = 60 * SECOND_NS
+"""Maximum length of a piece of a window, ns.
+
+Longer windows are played in pieces, so that playing can begin before all hits are known.
+"""
+
+
+class WindowRule(NamedTuple):
+    """The messages around which windows are played (hits), and the lengths of a window."""
+
+    topic: str
+    condition: Where
+    before: int
+    """Length of a window before a hit, ns."""
+    after: int
+    """Length of a window after a hit, ns."""
+
+    @classmethod
+    def of(cls, around: object, before: object, after: object) -> Optional[WindowRule]:
+        """Read the options around ('TOPIC: condition' or a pair), before and after (seconds).
+
+        Returns:
+            None if ``around`` is not given.
+
+        Raises:
+            InvalidOption: One of the options cannot be read.
+        """
+        reach = check_length("before", before), check_length("after", after)
+        if around is None:
+            return None
+        pair = around.split(":", 1) if isinstance(around, str) else around
+        if isinstance(pair, (tuple, list)) and len(pair) == 2 and isinstance(pair[0], str):
+            topic, condition = pair[0].strip(), pair[1]
+            if isinstance(condition, str):
+                condition = condition.strip()
+            if topic and condition:
+                return cls(topic, condition, reach[0] or 0, reach[1] or 0)
+        raise InvalidOption(
+            f"around {around!r:.80} names no hits: write 'TOPIC: condition', for example "
+            "'/battery: voltage < 11.0'"
+        )
+
 
 _Timed = Tuple[int, StoredRow]
 """Time on the replay's time line, ns, and row."""

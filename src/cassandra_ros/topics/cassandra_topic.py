@@ -18,8 +18,7 @@ from cassandra_ros.arguments import (
     check_text,
     check_user_keys,
 )
-from cassandra_ros.arrays.data_frame import as_frame
-from cassandra_ros.arrays.field_arrays import FieldArray, as_arrays, gather_fields
+from cassandra_ros.arrays.field_arrays import FieldArray, as_arrays, as_frame, gather_fields
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
 from cassandra_ros.installation import optional_module

@@ -234,7 +234,8 @@ class TopicTables:
                     self._heir,
                     self._robots,
                 )
-            table.follow(metadata)
+            elif table.metadata is not metadata:
+                table.follow(metadata)
             return table
 
     def by_name(self, name: str) -> Optional[TopicTable]:

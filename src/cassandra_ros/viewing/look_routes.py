@@ -1,6 +1,9 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Routes of messages for the Studio: topics, pages of a time range, and last messages."""
+"""Routes of messages for the Studio: topics, pages of a time range, and last messages.
+
+Look opens a time range with the number of messages of each topic in it.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,10 @@ import threading
 import time
 from collections import OrderedDict
 from dataclasses import replace
-from typing import Iterator, Sequence
+from typing import Iterable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.errors import InvalidOption
-from cassandra_ros.keys import decode_cursor
+from cassandra_ros.keys import SECOND_NS, decode_cursor
 from cassandra_ros.overview.latest_messages import Latest
 from cassandra_ros.overview.timeline.lanes import Lane, View
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
@@ -21,7 +24,6 @@ from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.viewing.answers import Json, Stream
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import shown_ns
-from cassandra_ros.viewing.look_window import WindowContent, default_window
 from cassandra_ros.viewing.message_frames import CONTENT_TYPE, describe_channel, frames
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.selection_parameters import (
@@ -243,3 +245,57 @@ ROUTES: tuple[Route, ...] = (
         CONTENT_TYPE,
     ),
 )
+
+
+DAY_NS = 24 * 3600 * SECOND_NS
+
+
+def default_window(
+    start: int | None, end: int | None, time: int | None, newest: int | None
+) -> TimeRange:
+    """Return the time range to open; one day if start or end is missing.
+
+    It is half a day on both sides of ``time``, else one day from the given end on, else the last
+    day with messages.
+
+    Args:
+        start, end, time: Times of the request, ns; None = not given.
+        newest: Time of reception of the last message, ns; None = no message is stored.
+    """
+    if start is not None and end is not None:
+        return TimeRange(start, end)
+    if time is not None:
+        half = DAY_NS // 2
+        return TimeRange(
+            max(0, time - half) if start is None else start,
+            min(LAST_NS, time + half) if end is None else end,
+        )
+    if start is not None:
+        return TimeRange(start, min(LAST_NS, start + DAY_NS))
+    end = newest or 0 if end is None else end
+    return TimeRange(max(0, end - DAY_NS), end)
+
+
+class WindowContent(NamedTuple):
+    """The messages in a time range, as accurate as the directory."""
+
+    messages: int = 0
+    """Number of messages."""
+    size: int = 0
+    """Size of the messages, bytes."""
+    first: int | None = None
+    """Time of reception of the first message, ns; None = no message."""
+    last: int | None = None
+    """Time of reception of the last message, ns; None = no message."""
+
+    @classmethod
+    def of_lanes(cls, lanes: Iterable[Lane]) -> WindowContent:
+        """Return the sum over some lanes."""
+        lanes = list(lanes)
+        firsts, lasts = ([lane.times[end] for lane in lanes] for end in (0, 1))
+        return cls(
+            sum(lane.messages for lane in lanes),
+            sum(lane.bytes for lane in lanes),
+            min((t for t in firsts if t is not None), default=None),
+            max((t for t in lasts if t is not None), default=None),
+        )

@@ -12,25 +12,113 @@ that looks at a topic while it is recorded gets all parts of one file.
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Iterator
+from typing import Iterator, Mapping
 
 from cassandra_ros.bag.exporter import export_bag, why_empty
 from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption, MessageNotFound
-from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.overview.content_version import content_version
 from cassandra_ros.overview.latched_messages import latched_before
-from cassandra_ros.read import Read
+from cassandra_ros.read import Nodes, Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.row_finder import Where, range_between
 from cassandra_ros.viewing.answers import Answer, CachedFile, Stream
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.download_cache import DownloadCache
-from cassandra_ros.viewing.message_selection import SELECTION, MessageSelection, read_selection
 from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, TOPICS, whose_of
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
+
+_WHERE = Parameter(
+    "where",
+    "lines",
+    "'TOPIC: CONDITION': only messages of the topic that satisfy the condition, written as in CQL; "
+    "other topics are complete.",
+)
+SELECTION = (TOPICS, START, END, NODES, RUNS, _WHERE)
+"""Parameters that ``read_selection`` reads."""
+
+
+@dataclass(frozen=True)
+class MessageSelection:
+    """A selection of messages."""
+
+    topics: tuple[str, ...] | None
+    """Stored names of the topics, sorted; None = all."""
+    start: Stamp | None
+    """First time of reception, included; None = not limited."""
+    end: Stamp | None
+    """Last time of reception, included; None = not limited."""
+    whose: Whose
+    where: Mapping[str, Where]
+    """Condition by topic. If several robots are selected, it restricts the messages to them."""
+
+    @property
+    def node(self) -> str | None:
+        """NodeID of the selected robot; None = all, or several, which ``where`` selects."""
+        nodes = self.whose.nodes
+        return nodes[0] if nodes is not None and len(nodes) == 1 else None
+
+    @property
+    def time_range(self) -> TimeRange:
+        """Selected time range, ns."""
+        return range_between(self.start, self.end)
+
+
+def read_selection(call: ApiCall) -> MessageSelection:
+    """Read the parameters SELECTION of a call.
+
+    Raises:
+        TopicNotFound, RunNotFound: A topic or run is not stored.
+        InvalidOption: The start lies after the end, a condition has no topic, or a topic has two
+            conditions.
+    """
+    start, end = (_stamp(call.time_ns(name)) for name in ("start", "end"))
+    if start is not None and end is not None and start > end:
+        raise InvalidOption(f"start {start} lies after end {end}")
+    catalog, names, whose = call.catalog, call.texts("topics"), whose_of(call)
+    topics = tuple(sorted({catalog.get(name).name for name in names})) if names else None
+    where = _of_nodes(catalog, topics, _conditions(catalog, call.lines("where")), whose.nodes)
+    return MessageSelection(topics, start, end, whose, where)
+
+
+def _stamp(ns: int | None) -> Stamp | None:
+    # A stamp instead of an integer, which would mean seconds if it is small.
+    return None if ns is None else Stamp.from_ns(ns)
+
+
+def _conditions(catalog: Catalog, lines: tuple[str, ...]) -> dict[str, Where]:
+    conditions: dict[str, Where] = {}
+    for line in lines:
+        topic, _, condition = (text.strip() for text in line.partition(":"))
+        if not (topic and condition):
+            raise InvalidOption(f"where {line[:200]!r} is not of the form 'TOPIC: CONDITION'")
+        name = catalog.get(topic).name
+        if name in conditions:
+            raise InvalidOption(f"where has two conditions for {name}; join them with AND or OR")
+        conditions[name] = condition
+    return conditions
+
+
+def _of_nodes(
+    catalog: Catalog, topics: tuple[str, ...] | None, where: dict[str, Where], nodes: Nodes
+) -> dict[str, Where]:
+    """Add the selected robots to the conditions if there are several: reads take one, or all."""
+    if nodes is None or len(nodes) == 1:
+        return where
+    names = [topic.name for topic in catalog.all(None)] if topics is None else topics
+    of_them = f"NODE IN ({', '.join('?' * len(nodes))})"
+    conditions: dict[str, Where] = dict(where)
+    for name in names:
+        own = where.get(name)
+        conditions[name] = (of_them if own is None else f"({own}) AND {of_them}", nodes)
+    return conditions
+
 
 _CONTENT_TYPES = {"bag": "application/x-rosbag", "mcap": "application/x-mcap"}
 _COMPRESSIONS = {"bag": ("none", "lz4", "bz2"), "mcap": ("none", "lz4", "zstd")}

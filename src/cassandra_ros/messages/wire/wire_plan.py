@@ -1,19 +1,255 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Wire plans: conversion of serialised messages to columns in CQL's encoding, and back."""
+"""Wire plans: conversion of serialised messages to columns in CQL's encoding, and back.
+
+Wire bytes become columns by closures over structs, compiled once per definition. A segment becomes
+a head (one little-endian unpack, one big-endian pack, one split into columns; returns the length of
+the tail), the head's size, and a tail. Steps raise only struct.error, and allocate no more memory
+than the buffer justifies. A step may return an offset after the end of the bytes: then the next
+step fails, and the caller checks the last offset.
+"""
 
 from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Callable, Sequence, cast
+from typing import Any, Callable, Container, Iterator, List, Optional, Sequence, Tuple, cast
 
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.cql_values import compile_decoder
-from cassandra_ros.messages.wire.layout import FieldColumn, columns_of, layout
+from cassandra_ros.messages.wire.cql_values import (
+    EMPTY_LIST,
+    TO_NS,
+    compile_decoder,
+    pack_equal,
+    pack_list,
+    pack_numbers,
+    pack_varint,
+)
+from cassandra_ros.messages.wire.field_ends import Skip
+from cassandra_ros.messages.wire.layout import (
+    FieldColumn,
+    FixedField,
+    Segment,
+    VariableField,
+    columns_of,
+    layout,
+)
 from cassandra_ros.messages.wire.wire_builder import BUILD_ERRORS, EncodedColumns, compile_build
-from cassandra_ros.messages.wire.wire_walk import ColumnValues, WalkStep, compile_walk, walk_message
+
+ColumnValues = List[Optional[bytes]]
+"""Encoded columns of a message; None for a column that cannot hold its field exactly."""
+_Head = Callable[[bytes, int, ColumnValues, List[int]], int]
+"""(wire, offset, columns so far, marks of inexact columns) -> length of the tail."""
+_Tail = Callable[[bytes, int, int, ColumnValues, List[int]], int]
+"""(wire, offset, length, columns, marks) -> offset after the field."""
+WalkStep = Tuple[_Head, int, Optional[_Tail]]
+
+_unpack_length = struct.Struct("<I").unpack_from
+
+
+def compile_walk(
+    segments: Sequence[Segment], strict: bool, wanted: Container[str]
+) -> list[WalkStep]:
+    """Return the steps that convert a message to the columns named in ``wanted``.
+
+    If strict, a column that cannot hold its field exactly is None and marked, else it holds the
+    nearest value.
+    """
+    steps: list[WalkStep] = []
+    for fixed, tail in segments:
+        has_length = tail is not None and tail.has_count
+        used, codes = _choose(fixed, wanted)
+        read = struct.Struct(codes + "I" * has_length)
+        head = _head(read, used, has_length, strict)
+        steps.append((head, read.size, None if tail is None else _tail(tail, strict, wanted)))
+    return steps
+
+
+def walk_message(
+    steps: Sequence[WalkStep], wire: bytes, at: int, out: ColumnValues, odd: list[int]
+) -> int:
+    """Append the columns of a message and the marks of inexact ones; return the offset after it."""
+    for head, size, tail in steps:
+        count = head(wire, at, out, odd)
+        at += size
+        if tail is not None:
+            at = tail(wire, at, count, out, odd)
+    return at
+
+
+def _choose(fixed: Sequence[FixedField], wanted: Container[str]) -> tuple[list[FixedField], str]:
+    """Return the wanted fields, and struct codes that read them and skip the other fields."""
+    kept = [f.column.name in wanted for f in fixed]
+    codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, kept)]
+    return [f for f, keep in zip(fixed, kept) if keep], "<" + "".join(codes)
+
+
+def _head(
+    codes: struct.Struct, used: Sequence[FixedField], has_length: bool, strict: bool
+) -> _Head:
+    unpack = codes.unpack_from
+    if not used:  # a struct of padding only still checks that the bytes exist
+        return lambda wire, at, out, odd: (unpack(wire, at) or (0,))[-1]
+    pack = struct.Struct(">" + "".join(f.big for f in used) + "I" * has_length).pack
+    cut = struct.Struct("".join(f"{f.cql_size}s" for f in used) + "4x" * has_length).unpack
+    stamps = [(i, TO_NS[f.special]) for i, f in enumerate(used) if f.special in TO_NS]
+    bools = [i for i, f in enumerate(used) if f.special == "bool"]
+    varints = [i for i, f in enumerate(used) if f.special == "uint64"]
+
+    def head(wire: bytes, at: int, out: ColumnValues, odd: list[int]) -> int:
+        values = unpack(wire, at)
+        out += cut(pack(*values))
+        return values[-1]  # type: ignore[no-any-return]
+
+    def special_head(wire: bytes, at: int, out: ColumnValues, odd: list[int]) -> int:
+        values = list(unpack(wire, at))
+        inexact = []
+        for i in bools:
+            if values[i] > 1:
+                inexact.append(i)
+        for i, convert in stamps:
+            value = values[i]
+            if not 0 <= value >> 32 < SECOND_NS:
+                inexact.append(i)
+            values[i] = convert(value)
+        columns: Sequence[bytes | None] = cut(pack(*values))
+        if varints or inexact:
+            columns = own = list(columns)
+            for i in varints:
+                own[i] = pack_varint(values[i])
+            if strict:
+                odd += inexact
+                for i in inexact:
+                    own[i] = None
+        out += columns
+        return values[-1]  # type: ignore[no-any-return]
+
+    return special_head if stamps or bools or varints else head
+
+
+def _tail(tail: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
+    skip, unit = tail.skip, tail.unit
+    if not any(column.name in wanted for column in tail.columns):
+        if tail.kind in ("text", "bytes"):
+            return lambda wire, at, count, out, odd: at + count * unit
+        back = 4 if tail.has_count else 0
+        return lambda wire, at, count, out, odd: skip(wire, at - back)
+    if tail.kind == "text" and strict:
+        return _text
+    if tail.kind in ("text", "bytes"):
+        return _bytes(unit)
+    if tail.kind == "wire":
+        return _wire(skip)
+    if tail.kind == "texts":
+        return _texts(tail.length, strict)
+    if len(tail.element) == 1 and tail.element[0].tail is None:
+        return _numbers(tail.element[0].fixed, tail.length, strict, wanted)
+    return _elements(tail, strict, wanted)
+
+
+def _text(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+    end = at + count
+    text = wire[at:end]
+    if _is_utf8(text):
+        out.append(text)
+    else:
+        out.append(None)
+        odd.append(1)
+    return end
+
+
+def _is_utf8(text: bytes) -> bool:
+    if text.isascii():
+        return True
+    try:
+        text.decode()  # stricter than Cassandra's own check
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _bytes(unit: int) -> _Tail:
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+        end = at + count * unit
+        out.append(wire[at:end])
+        return end
+
+    return tail
+
+
+def _wire(skip: Skip) -> _Tail:
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+        end = skip(wire, at)
+        out.append(wire[at:end])
+        return end
+
+    return tail
+
+
+def _texts(length: int | None, strict: bool) -> _Tail:
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+        texts = []
+        for _ in range(count if length is None else length):
+            start = at + 4
+            at = start + _unpack_length(wire, at)[0]
+            texts.append(wire[start:at])
+        if strict and not all(map(_is_utf8, texts)):
+            odd.append(1)
+            out.append(None)
+        else:
+            out.append(pack_list(texts))
+        return at
+
+    return tail
+
+
+def _numbers(
+    fixed: Sequence[FixedField], length: int | None, strict: bool, wanted: Container[str]
+) -> _Tail:
+    """Return the tail for elements of fixed size: all at once, column by column."""
+    used, codes = _choose(fixed, wanted)
+    unpack, size = struct.Struct(codes).iter_unpack, struct.calcsize(codes)
+    encoders = [pack_numbers(f, strict) for f in used]
+
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+        end = at + (count if length is None else length) * size
+        if at == end:
+            out.extend([EMPTY_LIST] * len(encoders))
+        for encode, values in zip(encoders, zip(*unpack(wire[at:end]))):
+            column = encode(values)
+            if column is None:
+                odd.append(1)
+            out.append(column)
+        return end
+
+    return tail
+
+
+def _elements(field: VariableField, strict: bool, wanted: Container[str]) -> _Tail:
+    """Return the tail for elements of variable size: each is walked like a message."""
+    steps, length = compile_walk(field.element, strict, wanted), field.length
+    sizes = [size for column, size in columns_of(field.element) if column.name in wanted]
+    encoders = [pack_list if size is None else pack_equal(size) for size in sizes]
+
+    def tail(wire: bytes, at: int, count: int, out: ColumnValues, odd: list[int]) -> int:
+        rows: list[ColumnValues] = []
+        marks: list[int] = []
+        for _ in range(count if length is None else length):
+            row: ColumnValues = []
+            at = walk_message(steps, wire, at, row, marks)
+            rows.append(row)
+        if not rows:
+            out.extend([EMPTY_LIST] * len(encoders))
+        columns = cast("Iterator[Sequence[bytes]]", zip(*rows))  # a None among them is marked
+        for encode, column in zip(encoders, columns):
+            out.append(None if marks and None in column else encode(column))
+        odd += marks
+        return at
+
+    return tail
+
 
 MAX_COLUMNS = 64
 
