@@ -38,7 +38,8 @@ from cassandra_ros.connection.driver_errors import (
     translate,
     translated,
 )
-from cassandra_ros.connection.login import explain_refusal, read_login
+from cassandra_ros.connection.login import read_login
+from cassandra_ros.connection.login_errors import explain_refusal
 from cassandra_ros.connection.outage import Outage
 from cassandra_ros.connection.paging import (
     REQUEST_TIMEOUT_SEC,
