@@ -306,6 +306,24 @@ def test_a_live_message_passes_few_files(walks):
     assert sum(a != b for a, b in zip(rooms, rooms[1:])) <= 6
 
 
+LIMITS = {
+    "A live message": (14, 5),
+    "A live message in packed": (18, 7),
+    "A statement": (35, 10),
+    "A statement in packed": (41, 13),
+    "A bag": (40, 15),
+}
+"""Maximum number of files on each walk, and of changes of room. Aimed at are 25 and 8 for a
+statement, 18 and 7 for a bag. Lower a limit when a walk has become shorter, and never raise one."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_walk_grows(walks, name):
+    files, changes = LIMITS[name]
+    assert len(walks[name].files) <= files
+    assert walks[name].changes <= changes
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_no_walk_goes_up(walks, name):
     assert not walks[name].upwards()
