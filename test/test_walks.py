@@ -281,7 +281,6 @@ NOT_MEASURED = {
     "nodes/subscription.py": "it calls Recording.received, with which the test begins",
     "cli/verbs/import_.py": "it calls import_bag, with which the test begins",
     "query/tree/expressions.py": "only for what is computed",
-    "query/rows/result_groups.py": "only for groups, distinct rows and another order",
     "blocks/block_lookup.py": "only for single messages",
     "store/page_rows.py": "only for messages that are wanted whole",
     "topics/stored_row.py": "only for objects",

@@ -29,9 +29,8 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp
 from cassandra_ros.errors import InvalidQuery
-from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.rows.projection import Projections
-from cassandra_ros.query.rows.result_groups import make_groups
+from cassandra_ros.query.rows.result_groups import analyse_select, make_groups
 from cassandra_ros.query.tree.parse import parse_select
 from cassandra_ros.topics.query_result import Condition
 

@@ -31,8 +31,8 @@ from cassandra_ros.messages.wire import message_stacks
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.plan.block_filter import compile_sift
 from cassandra_ros.query.plan.pushdown import Pushdown
-from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.rows.projection import Projections
+from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.parse import parse_select
 
 SIGNS = {"=": operator.eq, "<=": operator.le, ">=": operator.ge}

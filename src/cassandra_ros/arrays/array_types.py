@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.name_resolution import Output
 from cassandra_ros.query.rows.projection import Projection, Projections
+from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.expressions import INTEGER
 from cassandra_ros.query.tree.field_names import Array
 from cassandra_ros.query.tree.syntax import Select

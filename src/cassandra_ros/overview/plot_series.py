@@ -29,8 +29,8 @@ from cassandra_ros.overview.plot_columns import (
 )
 from cassandra_ros.query.plan.bounds import Bounds, bounds_of, spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
-from cassandra_ros.query.plan.select_analysis import analyse_select
 from cassandra_ros.query.rows.projection import ResultRow
+from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected
 from cassandra_ros.read import EVERYBODY, Read, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic

@@ -13,7 +13,7 @@ from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidOptio
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
-from cassandra_ros.query.plan.select_analysis import analyse_select
+from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.parse import parse_select
 from cassandra_ros.query.tree.statement_completion import NameSource, complete
 from cassandra_ros.query.tree.syntax import (
