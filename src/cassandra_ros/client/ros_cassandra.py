@@ -285,6 +285,7 @@ class RosCassandra:
             options: ``writer_id format ttl linger_sec block_sec give_up_after_sec run on_loss``, as
                 in class MessageWriter.
         """
+        self.cassandra.require_open()
         return make_writer(self.catalog.keyspace, node=nodeID, **options)
 
     def info(
