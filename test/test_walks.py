@@ -307,10 +307,10 @@ def test_a_live_message_passes_few_files(walks):
 
 LIMITS = {
     "A live message": (14, 5),
-    "A live message in packed": (18, 7),
+    "A live message in packed": (18, 6),
     "A statement": (35, 10),
     "A statement in packed": (41, 13),
-    "A bag": (40, 15),
+    "A bag": (40, 13),
 }
 """Maximum number of files on each walk, and of changes of room. Aimed at are 25 and 8 for a
 statement, 18 and 7 for a bag. Lower a limit when a walk has become shorter, and never raise one."""
