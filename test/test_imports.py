@@ -70,7 +70,6 @@ DOORS = {
     "genmsg": {"messages", "formats"},
     "roslib": {"messages", "formats"},
     "rosbag": {"bag"},
-    "roslz4": {"bag"},
     "lz4": {"bag"},
     "mcap": {"bag"},
     "isal": {"tables/checksum.py"},

@@ -11,29 +11,43 @@ from contextlib import suppress
 from io import BytesIO
 from itertools import permutations
 from struct import Struct
-from types import ModuleType
-from typing import Iterator, NamedTuple, Optional, Sequence, Tuple, cast
+from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.errors import BagError, MissingDependency
+from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 
 COMPRESSIONS = ("none", "bz2", "lz4")
 _FEED_BYTES = 1 << 16
 """Number of compressed bytes given to the decompressor at once."""
 _PIECE_BYTES = 1 << 24
-"""Maximum number of bytes that bz2 unpacks at once."""
+"""Maximum number of bytes that are unpacked at once."""
+_DAMAGE = (OSError, EOFError, ValueError, RuntimeError)
+"""What the decompressors raise for damaged data; RuntimeError is lz4's."""
 
 
 def compress_chunk(name: str, data: bytes) -> bytes:
     """Compress the records of a chunk with one of COMPRESSIONS."""
     if name == "bz2":
         return bz2.compress(data)
-    return bytes(_roslz4().compress(data)) if name == "lz4" else data
+    if name == "lz4":
+        import lz4.frame  # when it is needed: few bags are compressed, and programs start sooner
+
+        # The frame of roslz4, which reads no other: it refuses linked blocks, a frame without
+        # checksum, and one that states its size.
+        packed: bytes = lz4.frame.compress(
+            data,
+            block_size=lz4.frame.BLOCKSIZE_MAX1MB,
+            block_linked=False,
+            content_checksum=True,
+            store_size=False,
+        )
+        return packed
+    return data
 
 
 def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
@@ -62,7 +76,7 @@ def _unpack(name: str, data: bytes, size: int, where: str) -> bytes:
             content.write(piece)
             if content.tell() > size:
                 break
-    except (OSError, EOFError, ValueError) as exc:
+    except _DAMAGE as exc:
         raise BagError(f"{where} is damaged: its compressed data is not valid ({exc})") from exc
     if content.tell() > size:
         raise BagError(f"{where} is damaged: it unpacks to more than {size} bytes")
@@ -73,10 +87,11 @@ def _pieces(name: str, data: bytes) -> Iterator[bytes]:
     """Unpack a chunk in pieces, so that the caller can stop before it fills the memory."""
     parts = (data[n : n + _FEED_BYTES] for n in range(0, len(data), _FEED_BYTES))
     if name == "lz4":
-        # The output of one call is at most one block of 4 MiB and 255 times the input.
-        yield from map(_roslz4().LZ4Decompressor().decompress, parts)
-        return
-    unpacker = bz2.BZ2Decompressor()
+        import lz4.frame
+
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+    else:
+        unpacker = bz2.BZ2Decompressor()
     for part in parts:
         yield unpacker.decompress(part, _PIECE_BYTES)
         while not (unpacker.needs_input or unpacker.eof):
@@ -92,23 +107,12 @@ def unpack_part(name: str, data: bytes, most: int) -> bytes:
     if name not in ("bz2", "lz4"):
         return data if name == "none" else b""
     content = BytesIO()
-    with suppress(OSError, EOFError, ValueError):
+    with suppress(*_DAMAGE):
         for piece in _pieces(name, data):
             content.write(piece[: most - content.tell()])
             if content.tell() == most:
                 break
     return content.getvalue()
-
-
-def _roslz4() -> ModuleType:
-    try:
-        import roslz4
-    except ImportError as exc:
-        raise MissingDependency(
-            "chunks compressed with lz4 need the Python package roslz4: "
-            "sudo apt-get install python3-roslz4"
-        ) from exc
-    return cast(ModuleType, roslz4)
 
 
 Longs = NDArray[np.int64]
