@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup grammar demo viewer screenshots test campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms clean distclean
+.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -27,6 +27,8 @@ help:
 	@echo "make grammar        keep the tables of the query language's grammar anew, after a change of it"
 	@echo "make screenshots    take the README's pictures of the viewer anew"
 	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
+	@echo "make test-python    the tests under another Python (PYTHON=python3.8, the default, to python3.13),"
+	@echo "                    with the reasons and numbers of those that cannot run there"
 	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
 	@echo "make faults         the fault table: kill and cut, and account for each message (hours;"
 	@echo "                    ARGS='--short' minutes, --only NAME, --messages N, --list)"
@@ -62,6 +64,11 @@ screenshots: setup
 
 test: setup
 	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 3 $(ARGS)
+
+# What the tests need of the workspace comes from make setup; the rest is made for that Python.
+test-python: PYTHON = python3.8
+test-python: setup
+	@.venv/bin/python test/other_python.py $(PYTHON) -n 3 $(ARGS)
 
 campaign: LENGTH ?= long
 campaign: setup

@@ -15,6 +15,7 @@ import genpy.dynamic
 import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from campaign import FEW_FORMATS, examples, sparing
+from compiled import packed_by_rosbag
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed
 
 from cassandra_ros.bag.bag_writer import BagWriter
@@ -47,7 +48,7 @@ class BagMaker:
     def write(self, path):
         """Write it; return its messages as (connection, time, wire bytes) in the bag's order."""
         rand, messages = self.random, []
-        kind, chunk = rand.choice(("none", "bz2", "lz4")), rand.choice((500, 5000, 768 * 1024))
+        kind, chunk = rand.choice(packed_by_rosbag()), rand.choice((500, 5000, 768 * 1024))
         with BagWriter(path, compression=kind, chunk_bytes=chunk) as writer:
             sources = [self._connection() for _ in range(rand.randint(1, 7))]
             numbers = [writer.connection(connection) for connection, _ in sources]

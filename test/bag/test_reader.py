@@ -8,6 +8,7 @@ import genpy
 import pytest
 import rosbag
 from bag.truth import read_with_rosbag, string_connection, string_wire
+from compiled import compiled
 from std_msgs.msg import String
 
 from cassandra_ros.bag.bag_reader import BagReader
@@ -58,6 +59,8 @@ def test_it_knows_the_compressions(bags):
 
 @pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
 def test_chunks_of_any_size_written_by_rosbag(tmp_path, compression):
+    if compression == "lz4":
+        compiled("roslz4")
     path = tmp_path / "a.bag"
     with rosbag.Bag(str(path), "w", compression=compression, chunk_threshold=2000) as bag:
         for i in range(500):

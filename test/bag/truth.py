@@ -7,6 +7,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import rosbag
+from compiled import compiled
 
 from cassandra_ros.messages.connection_header import Connection, live_connection
 
@@ -25,6 +26,8 @@ class Read(NamedTuple):
 def read_with_rosbag(path):
     """Return the connections [(id, topic, header)] and the messages in the order of rosbag."""
     with rosbag.Bag(str(path)) as bag:
+        if bag.get_compression_info().compression == rosbag.Compression.LZ4:
+            compiled("roslz4")
         messages = [
             Read(topic, t.to_nsec(), raw[0], raw[2], raw[1], header)
             for topic, raw, t, header in bag.read_messages(raw=True, return_connection_header=True)

@@ -12,6 +12,7 @@ import sys
 
 import numpy as np
 import pytest
+from compiled import compiled
 from conftest import ROOT
 from mapping.room import OFFSET, SHIFT, T0, Drive, assert_room
 from mapping.test_grid import read_as_map_server
@@ -202,12 +203,14 @@ def test_only_what_has_no_stamp_is_placed_by_its_reception(wheels):
 
 
 def test_odometry_beside_tf_knows_where_the_sensor_is(store):
+    compiled("tf2_py")
     made = makeMap(store, "/scan", nodeID="tidy", poses=PoseChoice(odom="/odom"))
     assert made.sources == ["/odom, sensor on base as tf has it"]
     assert_room(made.map)
 
 
 def test_what_no_map_can_be_made_of_says_why(store, fresh):
+    compiled("tf2_py")
     with pytest.raises(TypeMismatch, match="/odom holds nav_msgs/Odometry: a map is made of"):
         makeMap(store, "/odom")
     with pytest.raises(TopicNotFound):

@@ -9,11 +9,14 @@ import subprocess
 import uuid
 
 import pytest
+from compiled import compiled
 from geometry_msgs.msg import TransformStamped
 from nodes.children import start_client, start_node
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
+
+compiled("tf2_py")
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC + 123_456_789

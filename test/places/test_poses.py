@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 import pytest
-import tf2_py
 from campaign import campaign
+from compiled import compiled
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
@@ -23,6 +23,8 @@ from cassandra_ros.places.frame_poses import FrameChain
 from cassandra_ros.places.pose_samples import Samples
 from cassandra_ros.places.poses import poses_in_frame, poses_of_topic
 from cassandra_ros.places.rigid import Rigid, between
+
+tf2_py = compiled("tf2_py")
 
 HUSKY = ROOT / "examples/data/husky_gps_data.bag"
 TURTLES = ROOT / "examples/data/turtlesim_tf.bag"

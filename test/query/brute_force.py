@@ -16,7 +16,7 @@ import random
 from collections import namedtuple
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Optional
+from typing import Any
 
 import genpy
 import genpy.dynamic
@@ -64,7 +64,7 @@ class Types:
 class Path:
     """A field: names with their indexes; part is 'secs' or 'nsecs'."""
 
-    steps: tuple[tuple[str, Optional[int]], ...]
+    steps: tuple[tuple[str, int | None], ...]
     part: str = ""
 
     @property
@@ -451,7 +451,7 @@ class Statement:
     columns: tuple[Any, ...]
     condition: Any = None
     descending: bool = False
-    limit: Optional[int] = None
+    limit: int | None = None
     distinct: bool = False
     group: tuple[Any, ...] = ()
     """Each of them is one of the columns."""

@@ -13,8 +13,8 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-import tf2_py
 from campaign import campaign, sparing
+from compiled import compiled
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -39,6 +39,8 @@ from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.transforms import transform_samples as samples
+
+tf2_py = compiled("tf2_py")
 
 SEC = 10**9
 HOUR = 3600 * SEC

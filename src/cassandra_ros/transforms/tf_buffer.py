@@ -8,8 +8,9 @@ times shifted to a small base: near it a double is exact to the nanosecond.
 
 from __future__ import annotations
 
+import sys
 from collections import Counter
-from typing import Callable, Iterable, Optional, Sequence, Type
+from typing import Callable, Iterable, Sequence
 
 from geometry_msgs.msg import TransformStamped
 
@@ -28,8 +29,9 @@ try:
     import tf2_py
 except ImportError as exc:
     raise MissingDependency(
-        "transforms are looked up with tf2's own buffer, and tf2_py is not installed: install "
-        "ros-noetic-tf2-py, or python3-tf2 on Debian"
+        "transforms are looked up with tf2's own buffer, and there is no tf2_py for Python "
+        f"{sys.version_info[0]}.{sys.version_info[1]}: it is compiled for the Python of your ROS; "
+        "use that Python, and install ros-noetic-tf2-py, or python3-tf2 on Debian"
     ) from exc
 
 REACH_NS = 100_000 * SECOND_NS
@@ -46,10 +48,10 @@ _ERRORS = {
 def look_up(
     target: str,
     source: str,
-    time: Optional[int],
+    time: int | None,
     moving: Sequence[Sample],
     fixed: Iterable[Sample],
-    explain: Callable[[Type[TransformException]], str],
+    explain: Callable[[type[TransformException]], str],
 ) -> TransformStamped:
     """Return the transform that converts points of source to target. Its stamp has no meaning.
 
