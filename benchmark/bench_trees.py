@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, Tuple
 
 SCRIPT = Path(__file__).resolve()
 ROUNDS = {"write": 8, "import": 8, "read": 12, "arrays": 12, "ask": 40}
@@ -43,7 +43,7 @@ class Side:
         kinds: Kinds of messages.
     """
 
-    def __init__(self, tree: Path, address: str, kinds: List[str]) -> None:
+    def __init__(self, tree: Path, address: str, kinds: list[str]) -> None:
         command = 'source .ws/devel/setup.bash && exec .venv/bin/python "$@"'
         arguments = [str(SCRIPT), "--serve", address, str(tree), *kinds]
         self._process = subprocess.Popen(
@@ -82,7 +82,7 @@ class Side:
         self._process.wait()
 
 
-def serve(address: str, tree: Path, kinds: List[str]) -> None:
+def serve(address: str, tree: Path, kinds: list[str]) -> None:
     """Be one side: say which work there is, then do what each line names."""
     sys.path.insert(0, str(tree / "benchmark"))
     from suite.server import Server
@@ -154,7 +154,7 @@ def _write(one: Any) -> None:
     one.finish()
 
 
-def small_reads(server: Any, stored: Any) -> Dict[str, Callable[[], Any]]:
+def small_reads(server: Any, stored: Any) -> dict[str, Callable[[], Any]]:
     """Return reads of few messages of a topic of Imu messages, by name."""
     topic, times, ask = stored.topic, stored.batch.times, server.store.executeCQL
     keys = [topic.getRow(times[i * len(times) // CALLS]).key for i in range(CALLS)]
@@ -166,7 +166,7 @@ def small_reads(server: Any, stored: Any) -> Dict[str, Callable[[], Any]]:
         "condition": f"SELECT KEY FROM {name} WHERE orientation.x > 2.5",
         "count": f"SELECT COUNT(*) FROM {name} WHERE orientation.x > 0",
     }
-    asked: Dict[str, Callable[[], Any]] = {
+    asked: dict[str, Callable[[], Any]] = {
         "exact": lambda: [topic.getData(key) for key in keys],
         "before": lambda: [topic.getData(k.to_nsec() + 1, nearest="before") for k in keys],
         "after": lambda: [topic.getData(k.to_nsec() - 1, nearest="after") for k in keys],
@@ -179,13 +179,13 @@ def small_reads(server: Any, stored: Any) -> Dict[str, Callable[[], Any]]:
     return asked
 
 
-def compare(sides: Dict[str, Side], names: List[str], rounds: int) -> None:
+def compare(sides: dict[str, Side], names: list[str], rounds: int) -> None:
     """Have both do each piece of work in turn; print the ratios."""
     head = f"{'earlier ms':>11} {'median':>7} {'least':>6}"
     print(f"{'':34}{'processor time':>26}{'wall time':>26}\n{'':34}{head}{head}")
     medians = []
     for name in names:
-        samples: Dict[str, List[Times]] = {side: [] for side in sides}
+        samples: dict[str, list[Times]] = {side: [] for side in sides}
         for number in range(ROUNDS[name.split()[0]] * rounds + 1):
             for side in sorted(sides, reverse=number % 2 == 1):
                 samples[side].append(sides[side].do(name))

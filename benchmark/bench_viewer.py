@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Iterator, Tuple
+from typing import Iterator
 
 from suite import machine
 from suite.day import store_day
@@ -54,7 +54,7 @@ def say(text: str) -> None:
 
 
 @contextlib.contextmanager
-def running_viewer(server: Server, folder: Path) -> Iterator[Tuple[str, int]]:
+def running_viewer(server: Server, folder: Path) -> Iterator[tuple[str, int]]:
     """Start the program; yield its address and port."""
     command = [sys.executable, str(ROOT / "scripts/viewer"), "--port", "0", "--cache", str(folder)]
     command += ["--store-host", server.host, "--store-port", str(server.port)]

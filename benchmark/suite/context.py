@@ -11,7 +11,7 @@ import time
 import traceback
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Callable, Dict, Iterator, List, Optional, Tuple, TypeVar
+from typing import Any, Callable, Iterator, TypeVar
 
 from suite.results import Results, quartiles
 from suite.server import Server
@@ -31,7 +31,7 @@ class Context:
     results: Results
     experiment: str = ""
     """The one that runs."""
-    shared: Dict[str, Any] = field(default_factory=dict)
+    shared: dict[str, Any] = field(default_factory=dict)
     """What one experiment leaves to the others, by name."""
 
     def say(self, text: str) -> None:
@@ -79,11 +79,11 @@ class Costs:
     seconds: float
     client_cpu: float
     """Processor time of this process, s."""
-    server_cpu: Optional[float]
+    server_cpu: float | None
     """Of the server, s; None where it is not ours."""
 
 
-def measure(server: Server, work: Callable[[], Value]) -> Tuple[Costs, Value]:
+def measure(server: Server, work: Callable[[], Value]) -> tuple[Costs, Value]:
     """Do something; return its costs and its result."""
     before, cpu, start = server.cpu(), time.process_time(), time.perf_counter()
     found = work()
@@ -100,7 +100,7 @@ def timed(work: Callable[[], Any]) -> float:
     return time.perf_counter() - start
 
 
-def rotated(names: List[str], number: int) -> List[str]:
+def rotated(names: list[str], number: int) -> list[str]:
     """Return the names in another order for each round."""
     at = number % len(names)
     return names[at:] + names[:at]

@@ -12,7 +12,7 @@ import io
 import math
 import struct
 from dataclasses import dataclass, field
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Iterator
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped
@@ -42,7 +42,7 @@ class Topic:
     name: str
     msg: Any
     hz: float
-    signals: List[Signal] = field(default_factory=list)
+    signals: list[Signal] = field(default_factory=list)
     """Of the marked numbers of the message, in their order."""
     latched: bool = False
 
@@ -65,7 +65,7 @@ class Topic:
         fields = [f"{name}={value}".encode() for name, value in found.items()]
         return Connection(self.name, b"".join(struct.pack("<I", len(f)) + f for f in fields))
 
-    def chunks(self) -> Iterator[Tuple[np.ndarray, np.ndarray, List[bytes]]]:
+    def chunks(self) -> Iterator[tuple[np.ndarray, np.ndarray, list[bytes]]]:
         """Yield times (ns), counters and wire bytes of some messages after the other."""
         wire = serialized(self.msg)
         stamp_at = 4 if self.msg._type == TFMessage._type else 0
@@ -84,7 +84,7 @@ class Topic:
             yield times, numbers, [data[at : at + size] for at in range(0, len(data), size)]
 
 
-def _places(wire: bytes, count: int) -> List[int]:
+def _places(wire: bytes, count: int) -> list[int]:
     """Return the offsets of the marked numbers of a template."""
     found, mark = [], struct.pack("<d", _MARK)
     at = wire.find(mark)
@@ -110,7 +110,7 @@ def _turn(function: Callable[..., Any], factor: float, part: float) -> Signal:
     return lambda seconds: factor * function(seconds * (2 * math.pi / LAP_SEC) * part)
 
 
-def topics(imu_count: int) -> List[Topic]:
+def topics(imu_count: int) -> list[Topic]:
     """Return the topics of a day with so many messages of the IMU."""
     imu, scan = Imu(), LaserScan()
     imu.header.frame_id, scan.header.frame_id = "imu_link", "laser"
@@ -143,9 +143,9 @@ def topics(imu_count: int) -> List[Topic]:
     ]
 
 
-def store_day(store: RosCassandra, imu_count: int, node: str = "robot") -> Dict[str, int]:
+def store_day(store: RosCassandra, imu_count: int, node: str = "robot") -> dict[str, int]:
     """Store a day, packed; return how many messages each topic has."""
-    counts: Dict[str, int] = {}
+    counts: dict[str, int] = {}
     with store.messageWriter(nodeID=node, format="packed") as writer:
         for topic in topics(imu_count):
             size = len(serialized(topic.msg))

@@ -11,7 +11,7 @@ import platform
 import sqlite3
 import subprocess
 from pathlib import Path
-from typing import Any, Dict
+from typing import Any
 
 import psutil
 
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("cassandra-driver", "numpy", "zstandard", "mcap", "mcap-ros1-support", "rosbag")
 
 
-def describe() -> Dict[str, Any]:
+def describe() -> dict[str, Any]:
     """Return machine, versions, commit and date."""
     versions = {"python": platform.python_version(), "sqlite": sqlite3.sqlite_version}
     for name in PACKAGES:

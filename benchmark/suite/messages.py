@@ -12,7 +12,7 @@ import struct
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Iterator, List, Tuple
 
 import numpy as np
 from genpy.dynamic import generate_dynamic
@@ -37,9 +37,9 @@ class Batch:
     topic: str
     cls: Any
     """Class of the message objects."""
-    times: List[int]
+    times: list[int]
     """ns since 1970, ascending, each once."""
-    wires: List[bytes]
+    wires: list[bytes]
     hz: float
 
     def __len__(self) -> int:
@@ -51,12 +51,12 @@ class Batch:
         return sum(map(len, self.wires))
 
     @property
-    def rate(self) -> Tuple[float, float]:
+    def rate(self) -> tuple[float, float]:
         """Messages and bytes a second of the time in which they were received."""
         return self.hz, self.hz * self.total_bytes / max(1, len(self))
 
     @property
-    def header(self) -> Dict[str, str]:
+    def header(self) -> dict[str, str]:
         """What the publisher says when it connects."""
         return {
             "callerid": "/benchmark",
@@ -110,7 +110,7 @@ def _fill_text(rows: Any, name: str, text: str) -> None:
     rows[f"{name}_length"], rows[name] = len(text), text.encode()
 
 
-def _split(rows: Any) -> List[bytes]:
+def _split(rows: Any) -> list[bytes]:
     size, data = rows.dtype.itemsize, rows.tobytes()
     return [data[at : at + size] for at in range(0, len(data), size)]
 
@@ -148,7 +148,7 @@ IMU_PARTS = (
 )
 
 
-def imu_rows(count: int, hz: float = 100.0) -> Tuple[np.ndarray, Any]:
+def imu_rows(count: int, hz: float = 100.0) -> tuple[np.ndarray, Any]:
     """Return receive times and the fields of Imu messages, each a row of wire bytes (320)."""
     rand = np.random.default_rng(2)
     parts: Layout = [(name, "<f8", (n,)) for name, n in IMU_PARTS]
@@ -269,7 +269,7 @@ def cloud(count: int, hz: float = 10.0) -> Batch:
     return _large("cloud", msg, 16 * points, count, hz)
 
 
-KINDS: Dict[str, Callable[..., Batch]] = {
+KINDS: dict[str, Callable[..., Batch]] = {
     "paper": paper,
     "imu": imu,
     "tf": tf,

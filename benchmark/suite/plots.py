@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import statistics
 from pathlib import Path
-from typing import Any, Callable, Dict, List
+from typing import Any, Callable
 
 import matplotlib
 
@@ -30,9 +30,9 @@ COLOURS = {
 DPI = 110
 
 
-def save_all(results: Results, folder: Path, name: str) -> List[Path]:
+def save_all(results: Results, folder: Path, name: str) -> list[Path]:
     """Draw what was measured; return the files."""
-    figures: Dict[str, Callable[[Results, Any], None]] = {
+    figures: dict[str, Callable[[Results, Any], None]] = {
         "fig5a-size": _size,
         "fig5b-write": _write_time,
         "fig6-lookups": _lookups,
@@ -60,8 +60,8 @@ def _legend(axes: Any) -> None:
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
 
 
-def _by_contender(series: List[Series]) -> Dict[str, List[Series]]:
-    found: Dict[str, List[Series]] = {}
+def _by_contender(series: list[Series]) -> dict[str, list[Series]]:
+    found: dict[str, list[Series]] = {}
     for one in sorted(series, key=lambda one: one.x or 0):
         found.setdefault(one.contender, []).append(one)
     return found

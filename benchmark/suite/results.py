@@ -8,7 +8,7 @@ import json
 import statistics
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Iterable
 
 SCHEMA = 1
 
@@ -24,12 +24,12 @@ class Series:
     unit: str
     kind: str = ""
     """Kind of message, or bag."""
-    x: Optional[float] = None
+    x: float | None = None
     """Messages that were stored, or whatever the samples are drawn over."""
-    values: List[float] = field(default_factory=list)
+    values: list[float] = field(default_factory=list)
 
     @property
-    def key(self) -> Tuple[object, ...]:
+    def key(self) -> tuple[object, ...]:
         return self.experiment, self.what, self.contender, self.kind, self.x
 
 
@@ -37,11 +37,11 @@ class Series:
 class Results:
     """All series of a run, and what it ran on."""
 
-    machine: Dict[str, Any] = field(default_factory=dict)
-    series: List[Series] = field(default_factory=list)
-    failures: List[Dict[str, str]] = field(default_factory=list)
+    machine: dict[str, Any] = field(default_factory=dict)
+    series: list[Series] = field(default_factory=list)
+    failures: list[dict[str, str]] = field(default_factory=list)
     """What did not run: experiment, part, error."""
-    seconds: Dict[str, float] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
     """How long each experiment took."""
 
     def add(
@@ -52,7 +52,7 @@ class Results:
         values: Iterable[float],
         unit: str,
         kind: str = "",
-        x: Optional[float] = None,
+        x: float | None = None,
     ) -> None:
         """Add samples, to those of the same name where there are some."""
         new = Series(experiment, what, contender, unit, kind, x)
@@ -66,20 +66,20 @@ class Results:
         ]
 
     def find(
-        self, experiment: str, what: str, contender: str, kind: str = "", x: Optional[float] = None
-    ) -> List[float]:
+        self, experiment: str, what: str, contender: str, kind: str = "", x: float | None = None
+    ) -> list[float]:
         """Return samples; [] where there are none."""
         key = (experiment, what, contender, kind, x)
         return next((one.values for one in self.series if one.key == key), [])
 
     def median(
-        self, experiment: str, what: str, contender: str, kind: str = "", x: Optional[float] = None
-    ) -> Optional[float]:
+        self, experiment: str, what: str, contender: str, kind: str = "", x: float | None = None
+    ) -> float | None:
         """Return the median of samples; None where there are none."""
         values = self.find(experiment, what, contender, kind, x)
         return statistics.median(values) if values else None
 
-    def of(self, experiment: str, what: str = "") -> List[Series]:
+    def of(self, experiment: str, what: str = "") -> list[Series]:
         """Return the series of an experiment."""
         return [s for s in self.series if s.experiment == experiment and what in ("", s.what)]
 
@@ -119,13 +119,13 @@ class Results:
         return results
 
 
-def _short(one: Series) -> Dict[str, Any]:
+def _short(one: Series) -> dict[str, Any]:
     found = {name: value for name, value in asdict(one).items() if value not in ("", None)}
     found["values"] = [int(v) if v == int(v) else v for v in one.values]
     return found
 
 
-def quartiles(values: List[float]) -> Tuple[float, float, float]:
+def quartiles(values: list[float]) -> tuple[float, float, float]:
     """Return the lower quartile, the median and the upper quartile of at least one value."""
     if len(values) < 2:
         return values[0], values[0], values[0]

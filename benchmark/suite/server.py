@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import uuid
 from pathlib import Path
-from typing import Optional, Sequence
+from typing import Sequence
 
 import psutil
 
@@ -23,9 +23,9 @@ class Server:
         nodes: 1 to 3.
     """
 
-    def __init__(self, folder: Path, address: Optional[str] = None, nodes: int = 1) -> None:
-        self._cluster: Optional[LocalCluster] = None
-        self._store: Optional[RosCassandra] = None
+    def __init__(self, folder: Path, address: str | None = None, nodes: int = 1) -> None:
+        self._cluster: LocalCluster | None = None
+        self._store: RosCassandra | None = None
         self.keyspace = f"bench_{uuid.uuid4().hex[:12]}"
         if address:
             self.host, _, port = address.rpartition(":")
@@ -76,7 +76,7 @@ class Server:
         cql = f'DROP KEYSPACE IF EXISTS "{keyspace}"'
         self.store.cassandra.schema_change(cql, what="ending the benchmark")
 
-    def cpu(self) -> Optional[float]:
+    def cpu(self) -> float | None:
         """Return the processor time of all its nodes so far, s; None where it is not ours."""
         if self._cluster is None:
             return None
@@ -84,7 +84,7 @@ class Server:
         times = [psutil.Process(pid).cpu_times() for pid in pids]
         return sum(one.user + one.system for one in times)
 
-    def table_bytes(self, table: str) -> Optional[int]:
+    def table_bytes(self, table: str) -> int | None:
         """Return the size of the files of a table and of its chunks; None where it is not ours."""
         if self._cluster is None:
             return None

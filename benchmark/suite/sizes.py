@@ -5,14 +5,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Optional, Tuple
 
 
 @dataclass(frozen=True)
 class Size:
     """Counts of a run."""
 
-    counts: Dict[str, int]
+    counts: dict[str, int]
     """Messages of each kind that are written and read back."""
     warm_ups: int
     """Rounds that do not count, for the server's Java to warm up."""
@@ -20,7 +19,7 @@ class Size:
     """Measured ones."""
     long_rounds: int
     """Of scans, images and clouds, whose times differ most."""
-    steps: Tuple[int, ...]
+    steps: tuple[int, ...]
     """Messages stored in the growing tables (fig. 5, 6, 7); the last is the largest."""
     lookups: int
     slow_lookups: int
@@ -31,14 +30,14 @@ class Size:
     """Random WHERE clauses (fig. 7)."""
     bag_bytes: int
     """Real bags are repeated until they have so many wire bytes."""
-    bag_messages: Optional[int]
+    bag_messages: int | None
     """So many of the first bag alone; None = all of all."""
-    writers: Tuple[int, ...]
+    writers: tuple[int, ...]
     writer_messages: int
     """Of each writer."""
-    rates: Tuple[int, ...]
+    rates: tuple[int, ...]
     """Messages a second that recorders are tried with, ascending."""
-    image_rates: Tuple[int, ...]
+    image_rates: tuple[int, ...]
     """Images of 2 MB a second."""
     live_sec: float
     nodes: int

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Optional, Sequence
+from typing import Callable, Sequence
 
 from suite import paper, targets, viewer
 from suite.messages import LARGE, NAMES
@@ -23,7 +23,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def number(value: Optional[float], digits: int = 3) -> str:
+def number(value: float | None, digits: int = 3) -> str:
     """Show a number with so many digits, '-' where there is none."""
     if value is None:
         return "-"
@@ -255,7 +255,7 @@ def of_viewer(results: Results) -> str:
     return markdown(["asked", "must be", "median", ""], viewer.rows(results))
 
 
-TABLES: Dict[str, Callable[[Results], str]] = {
+TABLES: dict[str, Callable[[Results], str]] = {
     "machine": machine,
     "done": done,
     "writing": writing,
@@ -283,7 +283,7 @@ def fill(text: str, results: Results) -> str:
     Raises:
         ValueError: A marker has no end, or there is no such table.
     """
-    parts: List[str] = []
+    parts: list[str] = []
     while True:
         before, begin, rest = text.partition("<!-- bench:")
         parts.append(before)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Callable, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Iterable, Iterator, Optional, Sequence, Tuple
 
 from suite.messages import LARGE, SMALL
 from suite.results import Results
@@ -28,13 +28,13 @@ class Target:
     """What the numbers are multiples of, or their unit."""
     wanted: float
     at_least: bool
-    reached: Optional[float]
+    reached: float | None
     """The worst of its cases; None where nothing was measured."""
     case: str = ""
     """Which case that was."""
 
     @property
-    def ok(self) -> Optional[bool]:
+    def ok(self) -> bool | None:
         """Whether it was reached; None where nothing was measured."""
         if self.reached is None:
             return None
@@ -57,7 +57,7 @@ def _part(ratio: float) -> str:
     return f"{ratio:.0%}" if ratio < 0.995 else f"{math.floor(ratio * 1000) / 10}%"
 
 
-def targets(results: Results) -> List[Target]:
+def targets(results: Results) -> list[Target]:
     """Return all targets of the issue with what a run has reached."""
     return [
         *_importing(results),
@@ -80,7 +80,7 @@ def at_most(work: str, unit: str, wanted: float, cases: Cases) -> Target:
     return Target(work, unit, wanted, False, *_worst(cases, max))
 
 
-def _worst(cases: Cases, worst: Callable[..., Tuple[float, str]]) -> Tuple[Optional[float], str]:
+def _worst(cases: Cases, worst: Callable[..., tuple[float, str]]) -> tuple[float | None, str]:
     """Return the worst case and its name; a case that failed is named, too."""
     cases = list(cases)
     found = [(value, case) for case, value in cases if value is not None]
@@ -91,14 +91,14 @@ def _worst(cases: Cases, worst: Callable[..., Tuple[float, str]]) -> Tuple[Optio
     return value, name + f"; without {', '.join(missing)}" * bool(missing)
 
 
-def ratio(value: Optional[float], base: Optional[float]) -> Optional[float]:
+def ratio(value: float | None, base: float | None) -> float | None:
     """Return value / base; None where one is missing."""
     return None if value is None or not base else value / base
 
 
 def _against(
     results: Results, what: str, mine: str, other: str, kinds: Sequence[str]
-) -> Iterator[Tuple[str, Optional[float]]]:
+) -> Iterator[tuple[str, float | None]]:
     for kind in kinds:
         value = results.median("writing", what, mine, kind)
         yield kind, ratio(value, results.median("writing", what, other, kind))
@@ -126,7 +126,7 @@ def _importing(results: Results) -> Iterator[Target]:
 def _large(results: Results) -> Iterator[Target]:
     for name in FORMATS:
         for what, done, rate in (("write", "written", 100.0), ("read", "read", 250.0)):
-            cases: List[Tuple[str, Optional[float]]] = [
+            cases: list[tuple[str, float | None]] = [
                 (kind, results.median("writing", f"{what} MB", name, kind)) for kind in LARGE
             ]
             yield at_least(f"images, clouds {done}, {name}", "MB/s", rate, cases)
@@ -148,7 +148,7 @@ def _conditions(results: Results) -> Iterator[Target]:
         for one in results.of("conditions", "condition")
     }
 
-    def speed(kind: str, name: str) -> List[Tuple[str, Optional[float]]]:
+    def speed(kind: str, name: str) -> list[tuple[str, float | None]]:
         scan = found.get((kind.replace(", index", ""), "rosbag"))
         return [(kind, ratio(scan, found.get((kind, name))))]
 
@@ -221,7 +221,7 @@ def _live(results: Results) -> Iterator[Target]:
     yield at_most("memory of the recorder", "MB", MEMORY_MB, memory)
 
 
-def rows(results: Results) -> List[List[str]]:
+def rows(results: Results) -> list[list[str]]:
     """Return the table as text: work, target, reached, verdict; the head first."""
     found = [["work", "must reach", "reached", ""]]
     for one in targets(results):
@@ -237,7 +237,7 @@ def _short(value: float) -> str:
     return f"{value:,.0f}" if value >= 1000 else f"{value:.3g}"
 
 
-def text_table(table: List[List[str]]) -> str:
+def text_table(table: list[list[str]]) -> str:
     """Lay a table out in columns."""
     widths = [max(map(len, column)) for column in zip(*table)]
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)) for row in table]

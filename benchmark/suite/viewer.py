@@ -8,7 +8,7 @@ import http.client
 import json
 import time
 from dataclasses import dataclass
-from typing import Any, Callable, Dict, List, Mapping, Optional
+from typing import Any, Callable, Mapping
 from urllib.parse import urlencode
 
 from suite.day import DAY_NS
@@ -23,7 +23,7 @@ FIRST_NS = 20 * 10**9
 PIXELS = 1200
 PLOT = "select linear_acceleration.x from /imu"
 
-TARGETS: Dict[str, Optional[float]] = {
+TARGETS: dict[str, float | None] = {
     "timeline of the day": 1.0,
     "timeline of an hour of it": 1.0,
     "timeline of a second of it": 1.0,
@@ -50,7 +50,7 @@ class Client:
     port: int
     bytes: int = 0
 
-    def ask(self, path: str, parameters: Mapping[str, Any], most: Optional[int] = None) -> bytes:
+    def ask(self, path: str, parameters: Mapping[str, Any], most: int | None = None) -> bytes:
         """Return an answer, or its first bytes."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=600)
         try:
@@ -69,7 +69,7 @@ class Client:
         return json.loads(self.ask(path, parameters))
 
 
-def timeline(client: Client, start: int, length: int) -> Dict[str, Any]:
+def timeline(client: Client, start: int, length: int) -> dict[str, Any]:
     """Ask for what Home draws of a time range."""
     found = client.json("/api/timeline", start=start, end=start + length - 1, pixels=PIXELS)
     assert any(lane["counts"] for lane in found["lanes"])
@@ -104,7 +104,7 @@ def plot_whole(client: Client, **window: int) -> None:
 def measure(results: Results, client: Client, rounds: int, say: Callable[[str], None]) -> None:
     """Measure everything that needs no browser; a first round does not count."""
     hour = [NOON_NS + n * HOUR_NS // 7 for n in range(-20, 20, 3)]
-    works: Dict[str, Callable[[int], object]] = {
+    works: dict[str, Callable[[int], object]] = {
         "timeline of the day": lambda n: timeline(client, START_NS, DAY_NS),
         "timeline of an hour of it": lambda n: timeline(client, hour[n], HOUR_NS),
         "timeline of a second of it": lambda n: timeline(client, hour[n], 10**9),
@@ -155,7 +155,7 @@ def told(results: Results, what: str, say: Callable[[str], None]) -> None:
         say(f"  {what:40} {middle:8.3f} s ({low:.3f} to {high:.3f}){limit}")
 
 
-def rows(results: Results) -> List[List[str]]:
+def rows(results: Results) -> list[list[str]]:
     """Return the lines of the table: work, what must be reached, what was, verdict."""
     found = []
     for what, wanted in TARGETS.items():

@@ -9,7 +9,7 @@ is printed passes one of these functions, so that no escape sequence reaches the
 from __future__ import annotations
 
 import html
-from typing import Callable, Container, Iterable, List, Mapping, Optional, Sequence, TypeVar
+from typing import Callable, Container, Iterable, List, Mapping, Sequence, TypeVar
 
 MOST_ROWS = 60
 """Maximum number of rows of a table that is shown in a notebook, as in pandas."""
@@ -54,7 +54,7 @@ def public_names(thing: object, inner: Container[str]) -> list[str]:
 
 
 def html_table(
-    columns: Sequence[str], rows: Sequence[Sequence[object]], of: Optional[int] = None
+    columns: Sequence[str], rows: Sequence[Sequence[object]], of: int | None = None
 ) -> str:
     """Return the first MOST_ROWS rows of a table as HTML for a notebook; texts are escaped.
 

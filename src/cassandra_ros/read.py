@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Callable, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Tuple, Union
+from typing import Callable, FrozenSet, NamedTuple, Optional, Protocol, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,11 @@ class Place(Protocol):
     """A row, its position, or a key that the store returned."""
 
     @property
-    def node(self) -> Optional[str]:
+    def node(self) -> str | None:
         """The nodeID."""
 
     @property
-    def seq(self) -> Optional[int]:
+    def seq(self) -> int | None:
         """Writer id << 32 | counter."""
 
 
@@ -48,12 +48,12 @@ class Whose(NamedTuple):
     """Writer ids of the recordings, imports and clients that stored them; None = all."""
 
     @classmethod
-    def of(cls, node: Optional[str], writers: Writers = None) -> Whose:
+    def of(cls, node: str | None, writers: Writers = None) -> Whose:
         """Return an object for one robot (None = all robots) and some writers."""
         return cls(None if node is None else (node,), writers)
 
     @property
-    def node(self) -> Optional[str]:
+    def node(self) -> str | None:
         """The nodeID if there is exactly one robot, else None."""
         return self.nodes[0] if self.nodes is not None and len(self.nodes) == 1 else None
 
@@ -127,7 +127,7 @@ class Chooser(Protocol):
         """Whether there is a condition to check."""
 
     @property
-    def choose(self) -> Callable[..., Optional[Sequence[Query]]]:
+    def choose(self) -> Callable[..., Sequence[Query] | None]:
         """Function of table and bucket that returns queries for rows that may match; None = all."""
 
     @property
@@ -139,7 +139,7 @@ class Chooser(Protocol):
         """Function that gets a table, a bucket, and the number of messages that were found."""
 
     @property
-    def sift(self) -> Callable[..., Optional[Sift]]:
+    def sift(self) -> Callable[..., Sift | None]:
         """Function of a table that returns its Sift; None = keep all messages of its blocks."""
 
     @property
@@ -157,17 +157,17 @@ class Read:
     time_range: TimeRange = ALWAYS
     """Time range of the keys, or of the receive times if the caller asks for these."""
     whose: Whose = EVERYBODY
-    only: Union[Named, Valued, None] = None
+    only: Named | Valued | None = None
     """Name of the messages, or value of their key field; None = all messages."""
-    after: Optional[Position] = None
+    after: Position | None = None
     """Position (of a cursor) after which rows are read, in the order of reading; None = all."""
     reverse: bool = False
     """Whether the newest messages come first."""
-    columns: Optional[Columns] = None
+    columns: Columns | None = None
     """Columns to read; None = all. A row fetches the other columns when they are needed."""
-    chooser: Optional[Chooser] = None
+    chooser: Chooser | None = None
     """Object that decides which comparisons the server checks; None = it checks none."""
-    wanted: Optional[int] = None
+    wanted: int | None = None
     """Number of rows that the caller will probably take; None = all. More rows can be read."""
 
 

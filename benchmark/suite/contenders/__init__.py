@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import functools
 from pathlib import Path
-from typing import Callable, Dict
+from typing import Callable
 
 from suite.contenders.bare import Bare
 from suite.contenders.contender import Contender, NotEqual, verify
@@ -37,9 +37,9 @@ __all__ = [
 ]
 
 
-def all_contenders(server: Server) -> Dict[str, Make]:
+def all_contenders(server: Server) -> dict[str, Make]:
     """Return what makes each contender that writes and reads, by name."""
-    found: Dict[str, Make] = {"rosbag": Rosbag, "rosbag objects": RosbagObjects}
+    found: dict[str, Make] = {"rosbag": Rosbag, "rosbag objects": RosbagObjects}
     found.update({"mcap": Mcap, "mcap objects": McapObjects, "sqlite": Sqlite})
     for name in FORMAT_NAMES:
         found[name] = functools.partial(Store, server=server, format=name)

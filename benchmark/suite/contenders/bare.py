@@ -12,7 +12,7 @@ from __future__ import annotations
 import socket
 from collections import deque
 from pathlib import Path
-from typing import Any, Deque, Iterator, List, Optional, Tuple
+from typing import Any, Iterator
 
 from cassandra.cluster import EXEC_PROFILE_DEFAULT, Cluster, ExecutionProfile, Session
 from cassandra.policies import WhiteListRoundRobinPolicy
@@ -63,7 +63,7 @@ class Bare(Contender):
     def __init__(self, batch: Batch, folder: Path, server: Server) -> None:
         super().__init__(batch, folder)
         self.server, self.keyspace = server, server.keyspace
-        self._cluster: Optional[Cluster] = None
+        self._cluster: Cluster | None = None
         self.large = max(map(len, batch.wires)) > CHUNK
 
     @property
@@ -79,7 +79,7 @@ class Bare(Contender):
         self.bucket_ns = bucket_for(*self.batch.rate)
         with self.server.store.messageWriter(format="binary") as writer:
             self.table = writer.connect(self.batch.connection, self.bucket_ns).table.name
-        self._on_way: Deque[Any] = deque()
+        self._on_way: deque[Any] = deque()
         name = f'"{self.keyspace}"."{self.table}"'
         self._all = f'SELECT "_t", "_data" FROM {name} WHERE "_node" = ? AND "_bucket" = ?'
         row = '"_node", "_bucket", "_t", "_seq", "_conn", "_size", "_data"'
@@ -104,7 +104,7 @@ class Bare(Contender):
             self._extend_large(first, last)
             return
         batch, bucket_ns, insert = self.batch, self.bucket_ns, self._insert
-        rows: List[Tuple[Any, ...]] = []
+        rows: list[tuple[Any, ...]] = []
         size, at = 0, batch.times[first] // bucket_ns
         for i in range(first, last):
             t_ns, wire = batch.times[i], batch.wires[i]
@@ -116,7 +116,7 @@ class Bare(Contender):
             size += len(wire)
         self._send(insert, rows)
 
-    def _send(self, insert: Any, rows: List[Tuple[Any, ...]]) -> None:
+    def _send(self, insert: Any, rows: list[tuple[Any, ...]]) -> None:
         together = BatchStatement(BatchType.UNLOGGED)
         for row in rows:
             together.add(insert, row)
@@ -153,7 +153,7 @@ class Bare(Contender):
         for _, wire in self.raw():
             yield cls().deserialize(wire)
 
-    def raw(self) -> Iterator[Tuple[int, bytes]]:
+    def raw(self) -> Iterator[tuple[int, bytes]]:
         statement = self.session.prepare(self._all)
         statement.fetch_size = PAGE
         if self.large:
@@ -163,8 +163,8 @@ class Bare(Contender):
         for bucket in range(self.batch.times[0] // self.bucket_ns, last + 1):
             yield from self.session.execute(statement, ("", bucket))
 
-    def _raw_large(self, statement: Any) -> Iterator[Tuple[int, bytes]]:
-        waiting: Deque[Tuple[int, Any]] = deque()
+    def _raw_large(self, statement: Any) -> Iterator[tuple[int, bytes]]:
+        waiting: deque[tuple[int, Any]] = deque()
         for i, t_ns in enumerate([*self.batch.times, *[None] * LARGE_ON_THE_WAY]):
             if t_ns is not None:
                 row = ("", t_ns // self.bucket_ns, t_ns, i)
@@ -173,7 +173,7 @@ class Bare(Contender):
                 t, asked = waiting.popleft()
                 yield t, b"".join(chunk for (chunk,) in asked.result())
 
-    def size(self) -> Optional[int]:
+    def size(self) -> int | None:
         return self.server.table_bytes(self.table)
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import struct
 from pathlib import Path
-from typing import Any, Iterable, Iterator, Optional, Tuple
+from typing import Any, Iterable, Iterator
 
 from suite.messages import Batch
 
@@ -48,7 +48,7 @@ class Contender:
         """Yield all messages as objects, in order."""
         raise NotImplementedError
 
-    def raw(self) -> Iterator[Tuple[int, bytes]]:
+    def raw(self) -> Iterator[tuple[int, bytes]]:
         """Yield time and bytes of all messages, in order."""
         raise NotImplementedError
 
@@ -56,7 +56,7 @@ class Contender:
         """Return the message that was received then."""
         raise NotImplementedError
 
-    def size(self) -> Optional[int]:
+    def size(self) -> int | None:
         """Return the size on disk; None where it cannot be told."""
         raise NotImplementedError
 
@@ -69,7 +69,7 @@ class Contender:
         Path(self.path).unlink()
 
 
-def digest(messages: Iterable[Tuple[int, bytes]]) -> Tuple[int, str]:
+def digest(messages: Iterable[tuple[int, bytes]]) -> tuple[int, str]:
     """Return number and hash of messages: of their times, lengths and bytes."""
     found, count = hashlib.sha256(), 0
     for t_ns, wire in messages:

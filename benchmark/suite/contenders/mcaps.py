@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import IO, Any, Iterator, Optional, Tuple
+from typing import IO, Any, Iterator
 
 from mcap.reader import SeekingReader
 from mcap.writer import Writer
@@ -19,7 +19,7 @@ class Mcap(Contender):
     """Writer.add_message of serialised messages."""
 
     name = "mcap"
-    _file: Optional[IO[bytes]] = None
+    _file: IO[bytes] | None = None
 
     @property
     def path(self) -> str:
@@ -52,7 +52,7 @@ class Mcap(Contender):
             for found in reader.iter_decoded_messages():
                 yield found.decoded_message
 
-    def raw(self) -> Iterator[Tuple[int, bytes]]:
+    def raw(self) -> Iterator[tuple[int, bytes]]:
         with open(self.path, "rb") as file:
             for _, _channel, message in SeekingReader(file).iter_messages():
                 yield message.log_time, message.data

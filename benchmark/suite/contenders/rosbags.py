@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Iterator, Optional, Tuple
+from typing import Any, Iterator
 
 import rosbag
 from genpy import Time
@@ -18,8 +18,8 @@ class Rosbag(Contender):
 
     name = "rosbag"
     compression = rosbag.Compression.NONE
-    _reader: Optional[rosbag.Bag] = None
-    _writer: Optional[rosbag.Bag] = None
+    _reader: rosbag.Bag | None = None
+    _writer: rosbag.Bag | None = None
 
     @property
     def path(self) -> str:
@@ -48,7 +48,7 @@ class Rosbag(Contender):
             for _, msg, _t in bag.read_messages():
                 yield msg
 
-    def raw(self) -> Iterator[Tuple[int, bytes]]:
+    def raw(self) -> Iterator[tuple[int, bytes]]:
         with rosbag.Bag(self.path) as bag:
             for _, message, t in bag.read_messages(raw=True):
                 yield t.to_nsec(), message[1]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import sqlite3
 from pathlib import Path
-from typing import Any, Iterator, Optional, Tuple
+from typing import Any, Iterator
 
 from suite.contenders.contender import Contender
 
@@ -30,7 +30,7 @@ class Sqlite(Contender):
     """Serialised messages; the layout and pragmas of rosbag2 (preset 'none': written fast)."""
 
     name = "sqlite"
-    _db: Optional[sqlite3.Connection] = None
+    _db: sqlite3.Connection | None = None
 
     @property
     def path(self) -> str:
@@ -69,7 +69,7 @@ class Sqlite(Contender):
         for _, wire in self.raw():
             yield cls().deserialize(wire)
 
-    def raw(self) -> Iterator[Tuple[int, bytes]]:
+    def raw(self) -> Iterator[tuple[int, bytes]]:
         self.open_reading()
         yield from self._db.execute(ALL)
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Iterator, Optional, Tuple
+from typing import Any, Iterator
 
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.formats.table import FORMATS
@@ -68,14 +68,14 @@ class Store(Contender):
         for _, msg in self.topic.items():
             yield msg
 
-    def raw(self) -> Iterator[Tuple[int, bytes]]:
+    def raw(self) -> Iterator[tuple[int, bytes]]:
         for row in self.topic.rows():
             yield row.key.to_nsec(), row.wire
 
     def lookup(self, t_ns: int) -> Any:
         return self._topic.getData(t_ns)
 
-    def size(self) -> Optional[int]:
+    def size(self) -> int | None:
         return self.server.table_bytes(self.table)
 
     def discard(self) -> None:

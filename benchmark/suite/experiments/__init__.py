@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict
+from typing import Callable
 
 from suite.context import Context
 from suite.experiments import bags, conditions, growth, live, lookups, writers, writing
 
-EXPERIMENTS: Dict[str, Callable[[Context], None]] = {
+EXPERIMENTS: dict[str, Callable[[Context], None]] = {
     "writing": writing.run,
     "bags": bags.run,
     "growth": growth.run,

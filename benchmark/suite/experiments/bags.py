@@ -14,7 +14,7 @@ import functools
 import os
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, Tuple
 
 import rosbag
 from genpy import Time
@@ -64,7 +64,7 @@ def run(context: Context) -> None:
         context.server.start()
 
 
-def messages_of(path: Path) -> List[Message]:
+def messages_of(path: Path) -> list[Message]:
     """Return the messages of a bag in the order of their times."""
     with BagReader(path) as reader:
         of = reader.connections
@@ -72,12 +72,12 @@ def messages_of(path: Path) -> List[Message]:
     return sorted(found, key=lambda message: message[0])
 
 
-def bytes_of(messages: List[Message]) -> int:
+def bytes_of(messages: list[Message]) -> int:
     """Return their serialised bytes together."""
     return sum(len(wire) for _, _, wire in messages)
 
 
-def repeated(once: List[Message], least: int) -> List[Message]:
+def repeated(once: list[Message], least: int) -> list[Message]:
     """Return messages, repeated until they have so many bytes."""
     size = bytes_of(once)
     period = once[-1][0] - once[0][0] + GAP_NS
@@ -88,9 +88,9 @@ def repeated(once: List[Message], least: int) -> List[Message]:
     ]
 
 
-def write_bag(messages: List[Message], path: Path, compression: str) -> None:
+def write_bag(messages: list[Message], path: Path, compression: str) -> None:
     """Write them with rosbag."""
-    headers: Dict[Any, Dict[str, str]] = {}
+    headers: dict[Any, dict[str, str]] = {}
     with rosbag.Bag(str(path), "w", compression=compression) as bag:
         for t_ns, connection, wire in messages:
             if connection not in headers:
@@ -103,9 +103,9 @@ def write_bag(messages: List[Message], path: Path, compression: str) -> None:
             bag.write(connection.topic, raw, t, raw=True, connection_header=header)
 
 
-def write_mcap(messages: List[Message], path: Path) -> None:
+def write_mcap(messages: list[Message], path: Path) -> None:
     """Write them as MCAP, compressed as it does by default."""
-    channels: Dict[Any, int] = {}
+    channels: dict[Any, int] = {}
     writer = Writer(str(path))
     writer.start(profile="ros1")
     for t_ns, connection, wire in messages:
@@ -121,7 +121,7 @@ def _one(context: Context, path: Path, folder: Path, stored: Stored) -> None:
     name, once = path.name, messages_of(path)[: context.size.bag_messages]
     messages = repeated(once, context.size.bag_bytes)
     context.say(f" {name}: {len(messages):,} messages, {bytes_of(messages) / 1e6:.1f} MB")
-    files: Dict[str, Callable[[List[Message], Path], None]] = {
+    files: dict[str, Callable[[list[Message], Path], None]] = {
         "rosbag": functools.partial(write_bag, compression="none"),
         "rosbag bz2": functools.partial(write_bag, compression="bz2"),
         "rosbag lz4": functools.partial(write_bag, compression="lz4"),

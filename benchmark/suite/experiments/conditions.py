@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import random
 import time
-from typing import Any, Dict, List, Tuple
+from typing import Any, List, Tuple
 
 import numpy as np
 
@@ -47,7 +47,7 @@ def run(context: Context) -> None:
     plant(rows)
     batch = imu_batch(times, rows)
     with context.new_folder("conditions") as folder:
-        contenders: List[Contender] = [cls(batch, folder) for cls in (Rosbag, Mcap, Sqlite)]
+        contenders: list[Contender] = [cls(batch, folder) for cls in (Rosbag, Mcap, Sqlite)]
         for name in FORMATS:
             mine = batch.first(count, f"/imu_{name}")
             contenders.append(Store(mine, folder, context.server, name))
@@ -106,10 +106,10 @@ def ask(store: Store, condition: str) -> Answer:
 
 
 def _measure(
-    context: Context, kept: List[Contender], condition: str, wanted: Answer, suffix: str = ""
+    context: Context, kept: list[Contender], condition: str, wanted: Answer, suffix: str = ""
 ) -> None:
     """Time a condition on each contender, round by round."""
-    samples: Dict[str, List[float]] = {}
+    samples: dict[str, list[float]] = {}
     few = len(wanted) < context.size.condition_messages // 10
     for number in range(context.size.condition_rounds):
         for one in kept:
@@ -120,7 +120,7 @@ def _measure(
                         work()
             elif number and one.name != "rosbag":
                 continue  # beside rosbag the other files are scanned once
-            found: List[Answer] = []
+            found: list[Answer] = []
             with context.part(f"{condition}{suffix}, {one.name}"):
                 seconds = timed(lambda work=work, found=found: found.append(work()))
                 assert found[0] == wanted, f"{len(found[0]):,} found, {len(wanted):,} wanted"
@@ -129,7 +129,7 @@ def _measure(
         context.add("condition", name, seconds, "s", kind=f"{condition}{suffix}", x=len(wanted))
 
 
-def _with_index(context: Context, kept: List[Contender], wanted: Answer) -> None:
+def _with_index(context: Context, kept: list[Contender], wanted: Answer) -> None:
     field, _ = CONDITIONS[INDEXED]
     stores = [one for one in kept if isinstance(one, Store) and one.format == "ros"]
     for one in stores:
@@ -165,7 +165,7 @@ def run_clauses(context: Context) -> None:
                 context.add("scan", name, seconds, "s", x=step)
 
 
-def random_clause(rand: random.Random, fields: Any) -> Tuple[str, List[int], Any]:
+def random_clause(rand: random.Random, fields: Any) -> tuple[str, list[int], Any]:
     """Return a random condition of one to three terms, its parameters, and what it selects."""
     names = rand.sample(["a", "b", "c", "d"], rand.randint(1, 3))
     share = (10 ** rand.uniform(-5, 0)) ** (1 / len(names))

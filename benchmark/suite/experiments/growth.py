@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import time
 from pathlib import Path
-from typing import Dict, List, Tuple
 
 from suite.contenders import FORMAT_NAMES, Contender, Make, Mcap, Rosbag, Sqlite, Store, verify
 from suite.context import Context
@@ -42,9 +41,9 @@ class Grown:
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
-        self.stored: Dict[Tuple[str, int], Contender] = {}
+        self.stored: dict[tuple[str, int], Contender] = {}
 
-    def of(self, name: str) -> Dict[int, Contender]:
+    def of(self, name: str) -> dict[int, Contender]:
         """Return what one has stored, by number of messages."""
         return {n: one for (other, n), one in self.stored.items() if other == name}
 
@@ -69,7 +68,7 @@ def run(context: Context) -> None:
 def _grow(context: Context) -> Grown:
     steps, server = context.size.steps, context.server
     found = Grown(paper(steps[-1]))
-    makers: Dict[str, Make] = {"rosbag": Rosbag, "mcap": Mcap, "sqlite": Sqlite}
+    makers: dict[str, Make] = {"rosbag": Rosbag, "mcap": Mcap, "sqlite": Sqlite}
     for name in FORMAT_NAMES:
         makers[name] = functools.partial(Store, server=server, format=name)
     makers[INDEXED] = functools.partial(IndexedStore, server=server)
@@ -104,7 +103,7 @@ def _store(context: Context, name: str, contender: Contender) -> Contender:
     seconds = time.perf_counter() - marks[0]
     context.add("write all", name, seconds / count * 1e6, "µs/msg", x=count)
     if count == context.size.steps[-1]:
-        every: List[float] = [
+        every: list[float] = [
             (after - before) / (count / slices) * 1e6 for before, after in zip(marks, marks[1:])
         ]
         context.add("write, by part of all", name, every, "µs/msg", x=count)

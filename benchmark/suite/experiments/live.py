@@ -18,7 +18,7 @@ import time
 import xmlrpc.client
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Dict, Iterator, List, Tuple
+from typing import Iterator
 
 import psutil
 import rosbag
@@ -72,7 +72,7 @@ def run(context: Context) -> None:
 
 
 @contextlib.contextmanager
-def roscore(context: Context) -> Iterator[Dict[str, str]]:
+def roscore(context: Context) -> Iterator[dict[str, str]]:
     """Run a master; yield the environment of its nodes."""
     port, home = free_port(), context.folder / "ros_home"
     home.mkdir(exist_ok=True)
@@ -101,7 +101,7 @@ def _await_master(uri: str) -> None:
 
 
 def _rates(
-    context: Context, env: Dict[str, str], name: str, kind: str, size: int, rates: List[int]
+    context: Context, env: dict[str, str], name: str, kind: str, size: int, rates: list[int]
 ) -> None:
     """Try one rate after the other, until one is lost."""
     held = 0
@@ -123,7 +123,7 @@ def _rates(
 
 
 def _record(
-    context: Context, env: Dict[str, str], name: str, size: int, count: int, rate: int
+    context: Context, env: dict[str, str], name: str, size: int, count: int, rate: int
 ) -> Recorded:
     server, bag = context.server, context.folder / "live.bag"
     command = ["rosbag", "record", "-q", "-O", str(bag), "-b", str(BUFFER_MB), TOPIC]
@@ -155,7 +155,7 @@ def _record(
     return Recorded(count, stored, rate_sent, times[0], server_cpu, times[1], drain)
 
 
-def _publish(env: Dict[str, str], size: int, count: int, rate: int) -> float:
+def _publish(env: dict[str, str], size: int, count: int, rate: int) -> float:
     """Publish; return the rate that was reached."""
     uri = env["ROS_MASTER_URI"]
     done = subprocess.run(
@@ -170,7 +170,7 @@ def _publish(env: Dict[str, str], size: int, count: int, rate: int) -> float:
     return count / max(seconds, 0.1)
 
 
-def _end(recorder: subprocess.Popen[bytes], processes: List[psutil.Process]) -> Tuple[float, float]:
+def _end(recorder: subprocess.Popen[bytes], processes: list[psutil.Process]) -> tuple[float, float]:
     """Interrupt the recorder; return its processor time, s, and its peak memory, MB."""
     cpu, peak = 0.0, 0.0
     target = processes[-1] if len(processes) > 1 else processes[0]

@@ -7,7 +7,7 @@ from __future__ import annotations
 import contextlib
 import random
 import time
-from typing import Any, Callable, Dict, Iterator, List, Tuple
+from typing import Any, Callable, Iterator
 
 from cassandra.cluster import Session
 
@@ -65,11 +65,11 @@ def bare_lookup(one: Store, session: Session) -> Callable[[int], Any]:
 
 
 def _store_lookups(
-    context: Context, data: Grown, session: Session, count: int, keys: List[int]
+    context: Context, data: Grown, session: Session, count: int, keys: list[int]
 ) -> None:
     """Time the formats and bare SELECTs in turn, key by key."""
     stored = {n: data.stored[n, count] for n in FORMAT_NAMES if (n, count) in data.stored}
-    ways: Dict[Tuple[str, str], Callable[[int], Any]] = {}
+    ways: dict[tuple[str, str], Callable[[int], Any]] = {}
     for name, one in stored.items():
         assert isinstance(one, Store)
         one.open_reading()
@@ -79,7 +79,7 @@ def _store_lookups(
         # A row of packed is a block; what a lookup in it must reach is the SELECT of binary.
         if name != "packed":
             ways["lookup", f"bare SELECT, {name}"] = bare_lookup(one, session)
-    samples: Dict[Tuple[str, str], List[float]] = {way: [] for way in ways}
+    samples: dict[tuple[str, str], list[float]] = {way: [] for way in ways}
     for number, i in enumerate(keys[:WARM] + keys):
         t_ns, wire = data.batch.times[i], data.batch.wires[i]
         for (what, name), ask in ways.items():
@@ -95,7 +95,7 @@ def _store_lookups(
         context.add(what, name, values[-len(keys) :], "ms", x=count)
 
 
-def _file_lookups(context: Context, data: Grown, name: str, count: int, keys: List[int]) -> None:
+def _file_lookups(context: Context, data: Grown, name: str, count: int, keys: list[int]) -> None:
     contender: Contender = data.stored[name, count]
     contender.open_reading()
     began, values = time.perf_counter(), []
@@ -118,10 +118,10 @@ def _small_reads(context: Context, one: Store) -> None:
     keys = [topic.getRow(rand.choice(times)).key for _ in range(count)]
     name, ten = topic.name, times[:10]
 
-    def keys_of(rows: Any) -> List[int]:
+    def keys_of(rows: Any) -> list[int]:
         return [row[0].to_nsec() for row in rows]
 
-    reads: Dict[str, Tuple[Callable[[Any], Any], Any]] = {
+    reads: dict[str, tuple[Callable[[Any], Any], Any]] = {
         "exact": (topic.getData, None),
         "nearest before": (lambda key: topic.getData(key.to_nsec() + 1, nearest="before"), None),
         "nearest after": (lambda key: topic.getData(key.to_nsec() - 1, nearest="after"), None),
@@ -139,7 +139,7 @@ def _small_reads(context: Context, one: Store) -> None:
             times[-1:],
         ),
     }
-    samples: Dict[str, List[float]] = {what: [] for what in reads}
+    samples: dict[str, list[float]] = {what: [] for what in reads}
     for key in [*keys[:10], *keys]:
         for what, (read, wanted) in reads.items():
             start = time.perf_counter()

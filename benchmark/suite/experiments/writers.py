@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, List
+from typing import Any
 
 from suite.contenders import FORMAT_NAMES, Store, verify
 from suite.context import Context, measure
@@ -97,7 +97,7 @@ def _on_cluster(context: Context, store: Store, measured: bool) -> None:
         context.add("lookup", store.format, values, "ms", kind="imu", x=nodes)
 
 
-def _lookups(store: Store, count: int) -> List[float]:
+def _lookups(store: Store, count: int) -> list[float]:
     """Return the times of random lookups, ms."""
     topic, rand, values = store.topic, random.Random(1), []
     for _ in range(count):

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional
+from typing import Any, Callable
 
 import numpy as np
 
@@ -36,8 +36,8 @@ class _Rounds:
 
     def __init__(self, context: Context, batch: Batch, folder: Path) -> None:
         self.context, self.batch, self.folder = context, batch, folder
-        self._failed: List[str] = []
-        self._samples: Dict[Any, List[float]] = {}
+        self._failed: list[str] = []
+        self._samples: dict[Any, list[float]] = {}
         size = context.size
         rounds = size.long_rounds if batch.kind in ("scan", *LARGE) else size.rounds
         self._numbers = range(-size.warm_ups, rounds)
@@ -90,7 +90,7 @@ class _Rounds:
         if number < 0:
             return
         count, name = len(self.batch), contender.name
-        rates: Dict[str, Optional[float]] = {
+        rates: dict[str, float | None] = {
             f"{what}|msg/s": count / costs.seconds,
             f"{what} MB|MB/s": self.batch.total_bytes / 1e6 / costs.seconds,
             f"{what} client cpu|µs/msg": costs.client_cpu / count * 1e6,
@@ -109,12 +109,12 @@ def _write(contender: Contender, count: int) -> None:
     contender.finish()
 
 
-def read_arrays(contender: Contender, fields: List[str]) -> List[Any]:
+def read_arrays(contender: Contender, fields: list[str]) -> list[Any]:
     """Read fields of all messages as numpy arrays, in the way that the contender offers."""
     if isinstance(contender, Store):
         found = contender.topic.getArrays(fields)
         return [found[name] for name in fields]
-    columns: List[List[Any]] = [[] for _ in fields]
+    columns: list[list[Any]] = [[] for _ in fields]
     getters = [getter(name) for name in fields]
     for msg in contender.objects():
         for column, get in zip(columns, getters):

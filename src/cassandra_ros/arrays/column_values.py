@@ -9,7 +9,7 @@ tables are joined.
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, Callable, List, NamedTuple, Optional, Sequence
+from typing import TYPE_CHECKING, Any, Callable, NamedTuple, Optional, Sequence
 
 import numpy as np
 
@@ -51,7 +51,7 @@ Convert = Callable[[Raws], ColumnArray]
 
 def compile_convert(
     ref: FieldRef, column: FieldColumn, kind: ArrayType, inside: bool
-) -> Optional[Convert]:
+) -> Convert | None:
     """Return the function from the columns of many rows to a field's values.
 
     None: the values must be decoded one by one. ``inside``: the column is a list over an array that
@@ -179,7 +179,7 @@ def _element(index: int, kind: str, raws: Raws) -> ColumnArray:
 
 def _split(convert: Convert, raws: Raws) -> ColumnArray:
     """Convert all elements of lists, list after list."""
-    cut: List[Optional[bytes]] = []
+    cut: list[bytes | None] = []
     for raw in raws:
         cut += [None] if raw is None else split_list(raw)
     return convert(cut)
@@ -226,7 +226,7 @@ def objects_of(cells: Sequence[object]) -> AnyArray:
     return values
 
 
-def _arrays_of(cells: Sequence[Optional[AnyArray]], kind: ArrayType) -> ColumnArray:
+def _arrays_of(cells: Sequence[AnyArray | None], kind: ArrayType) -> ColumnArray:
     """Return one-dimensional arrays as the rows of one array, if their length is fixed."""
     missing = np.fromiter((cell is None for cell in cells), bool, len(cells))
     if kind.length is None:

@@ -12,7 +12,7 @@ A pixel is NaN only if it contains no number.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Optional
+from typing import NamedTuple
 
 import numpy as np
 
@@ -111,7 +111,7 @@ class Envelope:
         lasts: AnyArray,
         low: AnyArray,
         high: AnyArray,
-        rows: Optional[AnyArray],
+        rows: AnyArray | None,
     ) -> None:
         """Add the minimum and maximum of groups of rows. Each group lies in one pixel.
 

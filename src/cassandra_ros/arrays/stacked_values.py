@@ -8,7 +8,7 @@ caller cuts the fields out of messages that share no layout with others, one by 
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class MessageBlock(NamedTuple):
 
 def join_blocks(blocks: Sequence[MessageBlock]) -> SizeGroups:
     """Join the groups of blocks: if sizes vary, each block has only few messages of a size."""
-    found: Dict[int, List[Tuple[Int64Array, ByteArray]]] = {}
+    found: dict[int, list[tuple[Int64Array, ByteArray]]] = {}
     first = 0
     for block in blocks:
         for members, planes in block.groups:
@@ -97,7 +97,7 @@ class StackedField(NamedTuple):
                 found.values[stack.members] = numbers
         found.missing[stack.members] = False
 
-    def _numbers(self, stack: Stack) -> Optional[AnyArray]:
+    def _numbers(self, stack: Stack) -> AnyArray | None:
         """Return one number per message, or one row of numbers per message."""
         ref, path = self.ref, self.column.name
         base = self.column.field_type.partition("[")[0]
@@ -128,7 +128,7 @@ def _texts(stack: Stack, path: str) -> AnyArray:
     return values  # type: ignore[no-any-return]
 
 
-def group_by_size(wires: Sequence[Optional[bytes]]) -> SizeGroups:
+def group_by_size(wires: Sequence[bytes | None]) -> SizeGroups:
     """Group messages by size; None stands for a missing message."""
     places = np.array([n for n, wire in enumerate(wires) if wire is not None], np.int64)
     for members, planes in by_size([wire for wire in wires if wire is not None]):
@@ -137,7 +137,7 @@ def group_by_size(wires: Sequence[Optional[bytes]]) -> SizeGroups:
 
 def read_stacked(
     definition: Definition, fields: Sequence[StackedField], count: int, groups: SizeGroups
-) -> Tuple[List[ColumnArray], RestMessages]:
+) -> tuple[list[ColumnArray], RestMessages]:
     """Read fields of ``count`` messages.
 
     Returns:
@@ -145,7 +145,7 @@ def read_stacked(
         the groups that were not read.
     """
     found = [empty_values(field.kind, count) for field in fields]
-    rest: List[Tuple[int, bytes]] = []
+    rest: list[tuple[int, bytes]] = []
     for members, planes in groups:
         stacks, others = stacker(definition).stacks(planes, members)
         rest += [(n, planes[:, np.searchsorted(members, n)].tobytes()) for n in others.tolist()]

@@ -84,7 +84,7 @@ class TableValues:
         self._kinds = [kind for group in self.groups for _, kind in group]
         self._arrays = [".".join(s.name for s in array) for array in self._projection.unnested]
         self._names: list[str] = []
-        self._places: dict[int, Optional[list[int]]] = {}
+        self._places: dict[int, list[int] | None] = {}
         plan = None if table.definition is None else wire_plan(table.definition)
         known = {} if plan is None else {column.name: column for column in plan.all_columns}
         # Source of each output; None: the output has no column of its own.
@@ -129,7 +129,7 @@ class TableValues:
 
     def _origin(
         self, ref: FieldRef, kind: ArrayType, known: Mapping[str, FieldColumn]
-    ) -> Optional[Origin]:
+    ) -> Origin | None:
         column = known.get(ref.column)
         inside = column is not None and column.array in self._arrays
         convert = None if column is None else compile_convert(ref, column, kind, inside)
@@ -147,7 +147,7 @@ class TableValues:
             return every
         return [name for name in every if name in self._names]
 
-    def _read(self, row: Row) -> Optional[Sequence[Optional[bytes]]]:
+    def _read(self, row: Row) -> Sequence[bytes | None] | None:
         """Return the columns of a row, each None if the message is unreadable.
 
         Return None if the message was deleted after the row was read.
@@ -171,7 +171,7 @@ class TableValues:
             _log.warning("message %s of topic %s cannot be read: %s", row.key, row.topic, exc)
             return [None] * (1 if self._stacked else len(self._names))
 
-    def _where(self, width: int) -> Optional[list[int]]:
+    def _where(self, width: int) -> list[int] | None:
         """Return the index of each needed column in a row with ``width`` columns, or None."""
         if not self._table.by_field:
             return None
@@ -186,7 +186,7 @@ class TableValues:
     def _clear(self) -> None:
         self._numbers: list[int] = []
         self._own: list[RowIdentity] = []
-        self._raws: list[Sequence[Optional[bytes]]] = []
+        self._raws: list[Sequence[bytes | None]] = []
         self._hits: list[list[bool]] = []
         self._decoded: list[Sequence[object]] = []
         self._blocks: list[MessageBlock] = []
@@ -268,7 +268,7 @@ class TableValues:
         self._orders.append(_order(self._numbers))
         return chunks
 
-    def _cut_one(self, n: int, wire: bytes, cut: Cut) -> Sequence[Optional[bytes]]:
+    def _cut_one(self, n: int, wire: bytes, cut: Cut) -> Sequence[bytes | None]:
         try:
             return cut(wire)
         except CorruptMessage as exc:
@@ -352,7 +352,7 @@ def _order(numbers: Sequence[int]) -> AnyArray:
     return np.array(numbers) if numbers[-1] else np.broadcast_to(np.int64(0), (len(numbers),))
 
 
-def _chosen(values: AnyArray, counts: Optional[AnyArray], kept: Optional[AnyArray]) -> AnyArray:
+def _chosen(values: AnyArray, counts: AnyArray | None, kept: AnyArray | None) -> AnyArray:
     """Repeat the values of a message for each of its elements, and keep those that match."""
     if counts is not None:
         values = np.repeat(values, counts, axis=0)

@@ -11,7 +11,7 @@ from contextlib import suppress
 from io import BytesIO
 from itertools import permutations
 from struct import Struct
-from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -185,7 +185,7 @@ MAX_AT_ONCE = 2**20
 _NOTHING = np.zeros((_COLUMNS, 0), np.int64)
 
 
-def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -> ChunkMessages:
+def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> ChunkMessages:
     """List the messages in the unpacked content of a chunk. Its records must fill it exactly.
 
     Args:
@@ -224,7 +224,7 @@ def find_messages(content: bytes, where: str, offsets: Optional[Longs] = None) -
     return ChunkMessages(*columns)
 
 
-def _messages_at(content: bytes, where: str, offsets: Longs) -> Optional[ChunkMessages]:
+def _messages_at(content: bytes, where: str, offsets: Longs) -> ChunkMessages | None:
     """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
     if offsets[0] < 0 or offsets[-1] > len(content) - _FIXED_BYTES:
         return None
@@ -267,7 +267,7 @@ def _other_record(content: bytes, position: int, where: str, found: array[int]) 
     return stop
 
 
-def record_at(content: bytes, position: int, where: str) -> Tuple[int, bagformat.Fields, int, int]:
+def record_at(content: bytes, position: int, where: str) -> tuple[int, bagformat.Fields, int, int]:
     """Read the record at an offset of a chunk's content.
 
     Returns:
@@ -291,7 +291,7 @@ def record_at(content: bytes, position: int, where: str) -> Tuple[int, bagformat
     return bagformat.number(fields, b"op", place), fields, start, stop
 
 
-def message_of(fields: bagformat.Fields, where: str) -> Tuple[int, int]:
+def message_of(fields: bagformat.Fields, where: str) -> tuple[int, int]:
     """Return the connection id and the time, ns, in the header of a message record."""
     return bagformat.number(fields, b"conn", where), bagformat.time_ns(fields, b"time", where)
 

@@ -17,7 +17,7 @@ from array import array
 from contextlib import suppress
 from io import BytesIO
 from struct import Struct
-from typing import BinaryIO, Iterator, NamedTuple, Type, TypeVar
+from typing import BinaryIO, Iterator, NamedTuple, TypeVar
 
 import lz4.frame
 import numpy as np
@@ -127,7 +127,7 @@ def walk(file: BinaryIO, path: str) -> Iterator[Record]:
         yield Record(CUT, position, file_bytes)
 
 
-def parse(kind: Type[Parsed], raw: bytes, where: str) -> Parsed:
+def parse(kind: type[Parsed], raw: bytes, where: str) -> Parsed:
     """Parse a record by the library mcap.
 
     Raises:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, List, Mapping, Sequence, Tuple
 
 import lz4.block
 
@@ -67,8 +67,8 @@ class TopicSample:
     topic: str
     type: str
     md5sum: str
-    definition: Optional[Definition]
-    rate_hz: Optional[float] = None
+    definition: Definition | None
+    rate_hz: float | None = None
     mean_bytes: float = 0.0
     stored_format: str = ""
     table: str = ""
@@ -90,13 +90,11 @@ class TopicSample:
         return self.mean_bytes or (self.nbytes / len(self.wires) if self.wires else 0.0)
 
 
-def sample_file(
-    reader: MessageFile, topics: Optional[Sequence[str]], most: int
-) -> List[TopicSample]:
+def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) -> list[TopicSample]:
     """Sample the first messages of each topic and type of a bag or an MCAP, at most ``most``."""
     numbers = connections_of_topics(reader, topics)
     seconds = (reader.end_ns - reader.start_ns) / SECOND_NS
-    samples: dict[Tuple[str, str], TopicSample] = {}
+    samples: dict[tuple[str, str], TopicSample] = {}
     of: dict[int, TopicSample] = {}
     for number in sorted(numbers):
         found = reader.connections[number]
@@ -119,7 +117,7 @@ def sample_file(
     return list(samples.values())
 
 
-def sample_topic(topic: CassandraTopic, infos: Sequence[TopicInfo], most: int) -> List[TopicSample]:
+def sample_topic(topic: CassandraTopic, infos: Sequence[TopicInfo], most: int) -> list[TopicSample]:
     """Sample the messages of a stored topic, a sample for each of its tables.
 
     Args:
@@ -154,7 +152,7 @@ def _fill(
 ) -> None:
     """Read messages from several parts of the topic's time."""
     if infos[0].key in NAMED_FORMATS:
-        starts: Sequence[Optional[Stamp]] = [None]
+        starts: Sequence[Stamp | None] = [None]
     else:
         first = min(info.first_ns or 0 for info in infos)
         last = max(info.last_ns or 0 for info in infos)
@@ -170,7 +168,7 @@ def _fill(
                 return
 
 
-def _usable(msg_type: str, text: str, md5sum: str) -> Optional[Definition]:
+def _usable(msg_type: str, text: str, md5sum: str) -> Definition | None:
     try:
         return parse_definition(msg_type, text, md5sum)
     except DefinitionError:
@@ -187,13 +185,13 @@ class FormatSize:
     """Compressed."""
 
 
-def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, Optional[FormatSize]]:
+def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, FormatSize | None]:
     """Return the size of a message of a topic in each format; None = the format cannot hold it.
 
     Args:
         block_sec: Format ``packed``: time that a recorder fills a block at most, s.
     """
-    sizes: dict[str, Optional[FormatSize]] = {}
+    sizes: dict[str, FormatSize | None] = {}
     for name in FORMATS:
         try:
             encoder = format_class(name)(sample.type, sample.md5sum, sample.definition)
@@ -205,7 +203,7 @@ def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, Optional[For
     return sizes
 
 
-def _mean(sample: TopicSample, parts: Iterable[Tuple[bytes, int]]) -> Optional[FormatSize]:
+def _mean(sample: TopicSample, parts: Iterable[tuple[bytes, int]]) -> FormatSize | None:
     """Return the mean size of a message from the encoded bytes of the sample.
 
     Args:
@@ -233,7 +231,7 @@ def _compressed(data: bytes, piece: int) -> int:
     return _PIECE_BYTES + (size if size * worth < len(data) else len(data))
 
 
-def _rows(encoder: CassandraTopic_, sample: TopicSample) -> Iterable[Tuple[bytes, int]]:
+def _rows(encoder: CassandraTopic_, sample: TopicSample) -> Iterable[tuple[bytes, int]]:
     for n, (t_ns, wire) in enumerate(sample.wires):
         columns, _, raw = encoder.encode_wire(wire)
         chunked = len(wire) > CHUNK_BYTES
@@ -249,7 +247,7 @@ def _rows(encoder: CassandraTopic_, sample: TopicSample) -> Iterable[Tuple[bytes
 
 def _blocks(
     encoder: CassandraTopic_, sample: TopicSample, block_sec: float
-) -> Iterable[Tuple[bytes, int]]:
+) -> Iterable[tuple[bytes, int]]:
     at = 0
     rate = sample.rate_hz or float(MAX_MESSAGES)
     most = max(1, min(MAX_MESSAGES, round(rate * block_sec)))
@@ -272,7 +270,7 @@ def _blocks(
         at = stop
 
 
-def _row(t_ns: int, seq: int, size: int, values: Sequence[Optional[bytes]]) -> bytes:
+def _row(t_ns: int, seq: int, size: int, values: Sequence[bytes | None]) -> bytes:
     """Return bytes like those of a row in a file: its key, and each column that is set."""
     written = t_ns // _BATCH_NS % 2**32  # the rows of a batch are written at one time
     head = _ROW.pack(0x24, 40, t_ns, seq, _CELL, written, _CELL, 1, size % 2**31)

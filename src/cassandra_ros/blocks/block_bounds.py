@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Iterator, NamedTuple, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence
 
 from cassandra_ros.blocks.block_row import HEADER, BlockRow, read_block
 from cassandra_ros.blocks.bucket_read import BucketRead, OpenedBlock
@@ -46,7 +46,7 @@ def read_bounds(part: BucketRead, asked: PagedRead) -> Iterator[BlockZones]:
 
 def open_blocks(
     part: BucketRead, headers: Sequence[BlockRow]
-) -> Iterator[Tuple[BucketRead, OpenedBlock]]:
+) -> Iterator[tuple[BucketRead, OpenedBlock]]:
     """Fetch and unpack blocks with known headers; blocks deleted meanwhile are left out."""
     for n in range(0, len(headers), AT_ONCE):
         for row in part.blocks(part.fetch(headers[n : n + AT_ONCE]).page()):

@@ -14,7 +14,7 @@ import math
 import threading
 import time
 from functools import partial
-from typing import AbstractSet, Callable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import AbstractSet, Callable, NamedTuple, Sequence
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -36,7 +36,7 @@ class Block(NamedTuple):
     times: Sequence[int]
     """Key times, ns."""
     seqs: Sequence[int]
-    received: Optional[Sequence[int]]
+    received: Sequence[int] | None
     """Receive times, ns; None = they equal the key times."""
     wires: Sequence[bytes]
     conn: int
@@ -44,13 +44,13 @@ class Block(NamedTuple):
     """Packed messages. For a message in chunks only its times, or b'' if the row has these."""
     crc: int
     """Checksum of ``data``, or of the message in chunks."""
-    zones: Sequence[Optional[bytes]]
+    zones: Sequence[bytes | None]
     """Encoded minimum and maximum values, in the order of the table's zone columns."""
-    nan: Tuple[str, ...]
+    nan: tuple[str, ...]
     """Names of the fields with a NaN value."""
     odd: bool
     """Whether the zones of some field do not hold."""
-    again: Optional[MessageAgain] = None
+    again: MessageAgain | None = None
 
     @property
     def t(self) -> int:
@@ -72,7 +72,7 @@ class Block(NamedTuple):
         """Whether the block is one message that is too large for a row."""
         return len(self.wires[0]) > CHUNK_BYTES
 
-    def rewriters(self) -> List[Optional[Callable[[], object]]]:
+    def rewriters(self) -> list[Callable[[], object] | None]:
         """Return for each message a function that writes it again.
 
         None if there is no such function.
@@ -90,8 +90,8 @@ def make_block(
     times: Sequence[int],
     seqs: Sequence[int],
     wires: Sequence[bytes],
-    received: Optional[Sequence[int]] = None,
-    again: Optional[MessageAgain] = None,
+    received: Sequence[int] | None = None,
+    again: MessageAgain | None = None,
 ) -> Block:
     """Return the block of one or more messages, given in any order."""
     order = None if len(times) == 1 else _order(times, seqs)
@@ -109,12 +109,12 @@ def make_block(
     return Block(times, seqs, received, wires, conn, data, crc, zones, nan, odd, again)
 
 
-def _order(times: Sequence[int], seqs: Sequence[int]) -> Optional[List[int]]:
+def _order(times: Sequence[int], seqs: Sequence[int]) -> list[int] | None:
     """Return the order of messages by time and ``_seq``; None if they are in this order."""
     t, s = np.array(times, np.int64), np.array(seqs, np.int64)
     if ((t[1:] > t[:-1]) | ((t[1:] == t[:-1]) & (s[1:] > s[:-1]))).all():
         return None
-    found: List[int] = np.lexsort((s, t)).tolist()
+    found: list[int] = np.lexsort((s, t)).tolist()
     return found
 
 
@@ -140,8 +140,8 @@ class BlockBuilder:
         node: str,
         conn: int,
         builders: Builders,
-        key_time: Optional[KeyTime] = None,
-        again: Optional[MessageAgain] = None,
+        key_time: KeyTime | None = None,
+        again: MessageAgain | None = None,
     ) -> None:
         self.table, self.node, self.conn = table, node, conn
         self._all = builders
@@ -158,10 +158,10 @@ class BlockBuilder:
         self.since = 0.0
         # An empty range: the next message begins a block, whatever its time.
         self._first, self._latest = 0, -1
-        self._times: List[int] = []
-        self._seqs: List[int] = []
-        self._wires: List[bytes] = []
-        self._received: List[int] = []
+        self._times: list[int] = []
+        self._seqs: list[int] = []
+        self._wires: list[bytes] = []
+        self._received: list[int] = []
 
     def take(self, received: int, seq: int, wire: bytes) -> bool:
         """Add a message to a block; return False if its table was dropped.
@@ -302,8 +302,8 @@ class Builders:
         table: RowTable,
         node: str,
         conn: int,
-        key_time: Optional[KeyTime] = None,
-        again: Optional[MessageAgain] = None,
+        key_time: KeyTime | None = None,
+        again: MessageAgain | None = None,
     ) -> BlockBuilder:
         """Return the builder for the messages of a connection."""
         key = (table.name, node, conn)

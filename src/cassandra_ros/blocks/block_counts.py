@@ -31,8 +31,8 @@ def headers(
     table: RowTable,
     node: str,
     bucket: int,
-    low: Optional[int] = None,
-    high: Optional[int] = None,
+    low: int | None = None,
+    high: int | None = None,
     writers: Writers = None,
 ) -> Iterator[BlockRow]:
     """Read, without their bytes, the blocks with a time range that meets [low, high].
@@ -86,7 +86,7 @@ def count_part(
 class RemainingMessages:
     """Number, bytes and time range of the messages that are left in a block."""
 
-    def __init__(self, row: BlockRow, block: Optional[Block] = None) -> None:
+    def __init__(self, row: BlockRow, block: Block | None = None) -> None:
         self.count, self.bytes = row.left, row.size
         self.t_min, self.t_max = row.t, row.last
         self.largest = 0 if row.nchunks else -(-row.size // row.messages)
@@ -101,7 +101,7 @@ class RemainingMessages:
 
 def measure(
     table: RowTable, node: str, bucket: int
-) -> Iterator[Tuple[BlockRow, RemainingMessages]]:
+) -> Iterator[tuple[BlockRow, RemainingMessages]]:
     """Yield the counts of each block; only blocks with deleted messages are unpacked."""
     cut = []
     for row in headers(table, node, bucket):

@@ -9,7 +9,7 @@ is deleted too.
 
 from __future__ import annotations
 
-from typing import Collection, Dict, List, Mapping, Sequence, Set, Tuple
+from typing import Collection, Mapping, Sequence
 
 from cassandra_ros.blocks.block_counts import opened, positions
 from cassandra_ros.blocks.block_row import HEADER, BlockRow, ask_blocks, read_block
@@ -29,7 +29,7 @@ class BlockDeletion:
         self._table = table
         self._where = node, bucket
         self._what = f"deleting from topic {table.metadata.topic}"
-        self.large: List[Order] = []
+        self.large: list[Order] = []
 
     def time_range(self, rows: Sequence[BlockRow], low: int, high: int) -> int:
         """Delete the messages with a time in [low, high] from some blocks; return their number."""
@@ -38,7 +38,7 @@ class BlockDeletion:
         self.large += [row.key for row in whole if row.nchunks]
         count = sum(row.left for row in whole)
         others = [row for row in rows if not (low <= row.t and row.last <= high)]
-        cuts: Dict[BlockKey, Set[int]] = {}
+        cuts: dict[BlockKey, set[int]] = {}
         for block in opened(self._table, *self._where, iter(others)):
             found = positions(block, low, high)
             if len(found):
@@ -75,6 +75,6 @@ class BlockDeletion:
         self._run(self._table.delete_one(), keys)
 
     def _run(self, statement: str, keys: Sequence[Order]) -> None:
-        params: List[Tuple[object, ...]] = [(*self._where, *key) for key in keys]
+        params: list[tuple[object, ...]] = [(*self._where, *key) for key in keys]
         if params:
             self._cassandra.execute_many(statement, params, what=self._what)

@@ -4,8 +4,6 @@
 
 from __future__ import annotations
 
-from typing import List, Optional
-
 from cassandra_ros.blocks.block_row import WHOLE, Block, read_blocks
 from cassandra_ros.connection.paging import PagedRead
 from cassandra_ros.errors import CorruptMessage
@@ -17,7 +15,7 @@ KEPT_BLOCKS = 16
 _PAGE_BLOCKS = 16
 
 
-def ask_over(table: RowTable, node: str, t: int, writer: Optional[int] = None) -> PagedRead:
+def ask_over(table: RowTable, node: str, t: int, writer: int | None = None) -> PagedRead:
     """Request the blocks that may hold a message of a time; writer None = of all writers.
 
     The table's metadata limit the time range of a block, so earlier blocks are left out.
@@ -40,7 +38,7 @@ def ask_one(table: RowTable, position: Position, *, any_seq: bool) -> PagedRead:
 
 def answer_one(
     table: RowTable, position: Position, asked: PagedRead, *, any_seq: bool = False
-) -> Optional[TableRow]:
+) -> TableRow | None:
     """Return the row of a message in the requested blocks; None if they do not hold it.
 
     Raises:
@@ -48,8 +46,8 @@ def answer_one(
     """
     t, node, seq = position[:3]
     ends = ((t, MIN_SEQ), (t, MAX_SEQ)) if any_seq else ((t, seq), (t, seq))
-    found: List[TableRow] = []
-    problem: Optional[CorruptMessage] = None
+    found: list[TableRow] = []
+    problem: CorruptMessage | None = None
     for row in read_blocks(table, asked.rows()):
         try:
             block = Block(table, node, row)
@@ -68,9 +66,9 @@ class MessageFinder:
 
     def __init__(self, table: RowTable) -> None:
         self._table = table
-        self._kept: List[tuple[str, Block]] = []
+        self._kept: list[tuple[str, Block]] = []
 
-    def find(self, position: Position) -> Optional[TableRow]:
+    def find(self, position: Position) -> TableRow | None:
         """Return the row of a message, None if there is no such row; raises like answer_one."""
         found = self._known(position)
         if found is None:
@@ -78,7 +76,7 @@ class MessageFinder:
             found = self._known(position)
         return found
 
-    def _known(self, position: Position) -> Optional[TableRow]:
+    def _known(self, position: Position) -> TableRow | None:
         t, node, seq = position[:3]
         for number, (owner, block) in enumerate(self._kept):
             inside = block.row.t <= t <= block.row.last
@@ -91,8 +89,8 @@ class MessageFinder:
 
     def _read(self, position: Position) -> None:
         t, node, seq = position[:3]
-        problem: Optional[CorruptMessage] = None
-        blocks: List[Block] = []
+        problem: CorruptMessage | None = None
+        blocks: list[Block] = []
         for row in read_blocks(self._table, ask_one(self._table, position, any_seq=False).rows()):
             try:
                 blocks.append(Block(self._table, node, row))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import struct
 from functools import partial
 from itertools import repeat
-from typing import FrozenSet, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, NamedTuple, Sequence
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class BlockRow(NamedTuple):
     odd: bool
     gone: Longs
     """Positions of deleted messages."""
-    data: Optional[bytes]
+    data: bytes | None
     """Packed bytes; None if only the header was read, or if all bytes are in chunks."""
 
     @property
@@ -76,7 +76,7 @@ class BlockRow(NamedTuple):
         return self.messages - len(self.gone)
 
 
-def read_block(table: RowTable, values: RawRow) -> Optional[BlockRow]:
+def read_block(table: RowTable, values: RawRow) -> BlockRow | None:
     """Return a block from the values of HEADER or WHOLE; None if the row is not a block.
 
     Such a row remains when a message is deleted from a block that was deleted or has expired.
@@ -100,15 +100,15 @@ def read_block(table: RowTable, values: RawRow) -> Optional[BlockRow]:
 
 
 def read_blocks(
-    table: RowTable, page: Iterable[RawRow], writers: Optional[FrozenSet[int]] = None
-) -> List[BlockRow]:
+    table: RowTable, page: Iterable[RawRow], writers: frozenset[int] | None = None
+) -> list[BlockRow]:
     """Return the blocks of a page that have one of these writers (None = all)."""
     found = (read_block(table, values) for values in page)
     blocks = [block for block in found if block is not None]
     return blocks if writers is None else [b for b in blocks if b.writer in writers]
 
 
-def _positions(gone: Optional[bytes], count: int) -> Longs:
+def _positions(gone: bytes | None, count: int) -> Longs:
     if gone is None:
         return _NONE
     # The number of positions as an int, then each position after its length.
@@ -120,7 +120,7 @@ _NONE: Longs = np.empty(0, np.int64)
 
 
 def ask_blocks(
-    table: RowTable, place: Tuple[bytes, bytes], keys: Sequence[Order], names: str = WHOLE
+    table: RowTable, place: tuple[bytes, bytes], keys: Sequence[Order], names: str = WHOLE
 ) -> PagedRead:
     """Request blocks by their keys, in one page; blocks deleted meanwhile are left out."""
     size = encode_int(_PAIR_BYTES)
@@ -152,8 +152,8 @@ class Block:
         self.row = row
         self._table = table
         self._node = node
-        self.unpacked: Optional[Unpacked] = None
-        self._received: Optional[Longs] = None
+        self.unpacked: Unpacked | None = None
+        self._received: Longs | None = None
         if row.nchunks:
             self._open_chunked()
             return
@@ -193,7 +193,7 @@ class Block:
         last = int(self.times.searchsorted(t, "right"))
         return first + sum(1 for each in self.seqs[first:last].tolist() if each < seq)
 
-    def first(self, low: Order, high: Order) -> Optional[TableRow]:
+    def first(self, low: Order, high: Order) -> TableRow | None:
         """Return the row of the first message from low to high, both included, not deleted."""
         place = self._first_from(low)
         if len(self.row.gone):
@@ -211,7 +211,7 @@ class Block:
         own = t, self._node, seq, self._table.name, row.conn, int(self.sizes[place])
         return TableRow(*own, *sent, received, row.block_key, place)
 
-    def rows(self, places: Longs, *, bare: bool = False) -> List[TableRow]:
+    def rows(self, places: Longs, *, bare: bool = False) -> list[TableRow]:
         """Return the rows of some of its messages; bare: without their bytes."""
         row, table = self.row, self._table
         whole = len(places) == len(self)
@@ -219,7 +219,7 @@ class Block:
             (every if whole else every[places]).tolist()
             for every in (self.times, self.seqs, self.sizes)
         )
-        columns: Iterable[Tuple[Optional[bytes], ...]] = repeat(())
+        columns: Iterable[tuple[bytes | None, ...]] = repeat(())
         if self.unpacked is None:
             columns = repeat(() if bare else (None,))
         elif not bare:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Callable, FrozenSet, Iterable, List, Optional, Sequence, Tuple
+from typing import Callable, Iterable, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,13 +63,13 @@ class BucketRead:
     table: RowTable
     node: str
     bucket: int
-    ends: Tuple[Order, Order] = ALL
+    ends: tuple[Order, Order] = ALL
     reverse: bool = False
-    writers: Optional[FrozenSet[int]] = None
+    writers: frozenset[int] | None = None
     bare: bool = False
-    filters: Optional[Sequence[Terms]] = None
-    sift: Optional[Sift] = None
-    opened: Optional[Callable[[int, int], None]] = None
+    filters: Sequence[Terms] | None = None
+    sift: Sift | None = None
+    opened: Callable[[int, int], None] | None = None
     wanted: int = 0
     early: int = EARLY_BLOCKS
     page_bytes: int = 2 * 1024 * 1024
@@ -83,7 +83,7 @@ class BucketRead:
         self.reaching: Terms = (("_last", ">=", encode_long(low)),) if self.first < low else ()
 
     def ask(
-        self, names: str, count: int, last: Optional[RawRow] = None, terms: Terms = ()
+        self, names: str, count: int, last: RawRow | None = None, terms: Terms = ()
     ) -> PagedRead:
         """Request ``count`` blocks a page, those after the last row that was read."""
         low, high = self.ends
@@ -104,7 +104,7 @@ class BucketRead:
         """Request blocks with known headers."""
         return ask_blocks(self.table, self._place, [header.key for header in headers])
 
-    def blocks(self, page: Iterable[RawRow]) -> List[BlockRow]:
+    def blocks(self, page: Iterable[RawRow]) -> list[BlockRow]:
         """Return the blocks of a page that may hold messages to read."""
         found = (read_block(self.table, values) for values in page)
         return [block for block in found if block is not None and self.wants(block)]
@@ -138,7 +138,7 @@ class BucketRead:
             self.opened(len(block), len(places))
         return OpenedBlock(row, block, places)
 
-    def rows(self, opened: OpenedBlock) -> List[TableRow]:
+    def rows(self, opened: OpenedBlock) -> list[TableRow]:
         """Return the rows of the remaining messages of a block, in order."""
         if opened.block is None:
             return [stand_in(self.table, self.node, opened.row)] * len(opened.places)
@@ -157,7 +157,7 @@ class OpenedBlock:
     size = 0
     """Number of bytes that are still to be fetched."""
 
-    def __init__(self, row: BlockRow, block: Optional[Block], places: Longs) -> None:
+    def __init__(self, row: BlockRow, block: Block | None, places: Longs) -> None:
         self.row, self.block, self.places = row, block, places
 
     @property
@@ -190,10 +190,10 @@ class WaitingRows:
     """Sorted rows of overlapping blocks, kept until no earlier row can come."""
 
     def __init__(self) -> None:
-        self._rows: List[TableRow] = []
+        self._rows: list[TableRow] = []
         self._sorted = True
 
-    def add(self, rows: List[TableRow]) -> None:
+    def add(self, rows: list[TableRow]) -> None:
         """Add the rows of a block, which are in order."""
         if not rows:
             return
@@ -211,21 +211,21 @@ class WaitingRows:
             self._rows.sort()  # sorted runs, which sort() merges
             self._sorted = True
 
-    def until(self, key: Order, node: str) -> List[TableRow]:
+    def until(self, key: Order, node: str) -> list[TableRow]:
         """Take the rows up to a key, which is included."""
         self._sort()
         cut = _bisect(self._rows, (key[0], node, key[1] + 1))
         found, self._rows = self._rows[:cut], self._rows[cut:]
         return found
 
-    def beyond(self, t: int) -> List[TableRow]:
+    def beyond(self, t: int) -> list[TableRow]:
         """Take the rows after a time, newest first."""
         self._sort()
         cut = _bisect(self._rows, (t + 1,))
         found, self._rows = self._rows[cut:], self._rows[:cut]
         return found[::-1]
 
-    def rest(self) -> List[TableRow]:
+    def rest(self) -> list[TableRow]:
         """Take all rows."""
         self._sort()
         found, self._rows = self._rows, []

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from typing import TYPE_CHECKING, Callable, Iterable, List
+from typing import TYPE_CHECKING, Callable, Iterable
 
 from cassandra_ros.cli.options import open_store
 from cassandra_ros.errors import CassandraRosError
@@ -53,8 +53,8 @@ _Offer = Callable[["RosCassandra", argparse.Namespace], Iterable[str]]
 """Function of the store and the options typed so far that returns candidates."""
 
 
-def _completer(offer: _Offer) -> Callable[..., List[str]]:
-    def complete(parsed_args: argparse.Namespace, **_: object) -> List[str]:
+def _completer(offer: _Offer) -> Callable[..., list[str]]:
+    def complete(parsed_args: argparse.Namespace, **_: object) -> list[str]:
         try:
             of_files = _topics_of_files(parsed_args) if offer is _topics else None
             if of_files is not None:
@@ -72,7 +72,7 @@ def _topics(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str
     return [topic.name for topic in ros_cas.getAllTopics()]
 
 
-def _topics_of_files(options: argparse.Namespace) -> List[str] | None:
+def _topics_of_files(options: argparse.Namespace) -> list[str] | None:
     """Return the topics of the files of import or verify; None for all other verbs."""
     if getattr(options, "verb", "") not in ("import", "verify"):
         return None

@@ -8,7 +8,7 @@ import os
 import select
 import sys
 import termios
-from typing import Any, Optional
+from typing import Any
 
 
 class Keyboard:
@@ -19,7 +19,7 @@ class Keyboard:
 
     def __init__(self) -> None:
         self._fd = -1
-        self._before: Optional[list[Any]] = None
+        self._before: list[Any] | None = None
 
     @property
     def is_there(self) -> bool:

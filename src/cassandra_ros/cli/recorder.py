@@ -17,7 +17,7 @@ import shutil
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Callable, Mapping, Optional, Sequence
+from typing import Callable, Mapping, Sequence
 
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.cli.candidates import answer_shell
@@ -324,7 +324,7 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
     return RecorderOptions(**values)
 
 
-def local_space(hosts: Sequence[str]) -> Optional[Callable[[], Optional[int]]]:
+def local_space(hosts: Sequence[str]) -> Callable[[], int | None] | None:
     """Return a function that returns the free disk space of the local Cassandra, bytes.
 
     The function returns None while the local Cassandra has no data directory.

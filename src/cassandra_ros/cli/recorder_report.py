@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import shutil
-from typing import TYPE_CHECKING, Optional, Sequence, TextIO
+from typing import TYPE_CHECKING, Sequence, TextIO
 
 from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table, format_time
 from cassandra_ros.printable import shown, shown_lines
@@ -28,7 +28,7 @@ class StatusLine:
         terminal: The terminal; None = show no line.
     """
 
-    def __init__(self, terminal: Optional[TextIO]) -> None:
+    def __init__(self, terminal: TextIO | None) -> None:
         self._terminal = terminal
         self._stands = False
 

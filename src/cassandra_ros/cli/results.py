@@ -143,7 +143,7 @@ def write_ndjson(columns: ColumnNames, rows: Rows, stream: IO[str]) -> None:
         stream.write("\n")
 
 
-def _write_object(columns: ColumnNames, row: Tuple[object, ...], stream: IO[str]) -> None:
+def _write_object(columns: ColumnNames, row: tuple[object, ...], stream: IO[str]) -> None:
     """Write a row as a JSON object, value by value: the whole row may be very large."""
     opening = "{"
     for name, value in dict(zip(columns, row)).items():
@@ -188,8 +188,8 @@ def write_parquet(columns: ColumnTypes, rows: Rows, stream: IO[bytes]) -> None:
             writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
 
 
-def _groups(rows: Rows) -> Iterator[list[Tuple[object, ...]]]:
-    group: list[Tuple[object, ...]] = []
+def _groups(rows: Rows) -> Iterator[list[tuple[object, ...]]]:
+    group: list[tuple[object, ...]] = []
     size = 0
     for row in rows:
         bound = AnswerBound("a row", "select fewer columns, or write it by --output csv or ndjson")

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import chain
-from typing import Iterator, Optional
+from typing import Iterator
 
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.source import Source
@@ -68,7 +68,7 @@ class Explanation:
     counts."""
     counted: bool = False
     """Whether the directory of buckets had the answer, so that no row was read."""
-    time_ranges: Optional[int] = None
+    time_ranges: int | None = None
     """Number of time ranges selected by NEAR; None: no NEAR, or it selects all time."""
 
     def __repr__(self) -> str:
@@ -131,7 +131,7 @@ def explain(result: QueryResult, source: Source[Row]) -> Explanation:
     )
 
 
-def _alone(condition: Optional[Expression], pushed: set[Leaf]) -> Iterator[str]:
+def _alone(condition: Expression | None, pushed: set[Leaf]) -> Iterator[str]:
     """Yield the parts of a condition that the server did not check at all."""
     for part in conjuncts(condition):
         terms = chain.from_iterable(map(terms_of, leaves(part)))

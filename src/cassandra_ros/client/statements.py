@@ -11,7 +11,7 @@ that are stored while it runs may be deleted or not.
 from __future__ import annotations
 
 from contextlib import contextmanager
-from typing import Any, Iterator, Mapping, Optional, Sequence, Union
+from typing import Any, Iterator, Mapping, Sequence
 
 from cassandra_ros.arguments import check_limit, check_nodes
 from cassandra_ros.client.explanation import Explanation, explain
@@ -55,16 +55,16 @@ class Statements:
 
     def run(
         self,
-        statement: Union[str, Select, Change],
+        statement: str | Select | Change,
         params: Sequence[Any] = (),
-        node: Optional[str] = None,
-        limit: Optional[int] = None,
+        node: str | None = None,
+        limit: int | None = None,
         run: RunName = None,
     ) -> Rows:
         """Run a statement, or its parsed tree, and return all its rows; see executeCQL."""
         check_nodes(node)
         if isinstance(statement, (Select, Delete, Truncate, CreateIndex, DropIndex)):
-            parsed: Union[Select, Change] = statement
+            parsed: Select | Change = statement
         else:
             parsed = parse_statement(statement, params)
         if isinstance(parsed, Select):
@@ -91,11 +91,11 @@ class Statements:
 
     def select(
         self,
-        statement: Union[str, Select],
+        statement: str | Select,
         params: Sequence[Any] = (),
         *,
-        node: Optional[str] = None,
-        limit: Optional[int] = None,
+        node: str | None = None,
+        limit: int | None = None,
         after: Cursor = None,
         plan: str = "auto",
         run: RunName = None,
@@ -114,9 +114,9 @@ class Statements:
 
     def explain(
         self,
-        statement: Union[str, Select],
+        statement: str | Select,
         params: Sequence[Any] = (),
-        node: Optional[str] = None,
+        node: str | None = None,
         run: RunName = None,
         watch: Watch = unwatched,
     ) -> Explanation:
@@ -126,13 +126,13 @@ class Statements:
 
     def series(
         self,
-        statement: Union[str, Select],
+        statement: str | Select,
         params: Sequence[Any] = (),
         window: Window = WHOLE,
         *,
-        node: Optional[str] = None,
+        node: str | None = None,
         run: RunName = None,
-        cache: Optional[EnvelopeCache] = None,
+        cache: EnvelopeCache | None = None,
         watch: Watch = unwatched,
     ) -> Series:
         """Read the numbers that a SELECT statement gives over time, for a plot.
@@ -149,7 +149,7 @@ class Statements:
         asker = SeriesRequest(self._catalog.whose(node, run), cache, watch)
         return read_series(self._keyspace, self.topic_of(select), select, window, asker)
 
-    def topic_of(self, statement: Union[Select, Delete, Truncate]) -> CassandraTopic:
+    def topic_of(self, statement: Select | Delete | Truncate) -> CassandraTopic:
         """Return the topic that a statement names; raises InvalidQuery if it is not stored."""
         return self._find(statement.text, statement.topic, statement.topic_position)
 
@@ -158,7 +158,7 @@ class Statements:
         with _at(text, position):
             return self._catalog.get(topic)
 
-    def _delete(self, statement: Delete, node: Optional[str], run: RunName) -> int:
+    def _delete(self, statement: Delete, node: str | None, run: RunName) -> int:
         self._keyspace.schema.tables(fresh=True)  # so that tables just made by others are included
         topic = self.topic_of(statement)
         named = any(table.named for table in topic.tables)
@@ -205,7 +205,7 @@ class Statements:
 
     def _index_named(
         self, statement: DropIndex, name: IndexName
-    ) -> Optional[tuple[CassandraTopic, str]]:
+    ) -> tuple[CassandraTopic, str] | None:
         known = names_of_indexes(self._keyspace.schema.tables(fresh=True))
         columns = known.get(name.text, [])
         if len(columns) == 1:
@@ -221,9 +221,7 @@ class Statements:
         reason += "; DROP INDEX ON topic (field) removes an index whatever its name"
         raise InvalidQuery(statement.text, name.position, reason)
 
-    def _index_on(
-        self, statement: DropIndex, index: Indexed
-    ) -> Optional[tuple[CassandraTopic, str]]:
+    def _index_on(self, statement: DropIndex, index: Indexed) -> tuple[CassandraTopic, str] | None:
         self._keyspace.schema.tables(fresh=True)
         if statement.if_exists and not self._catalog.exists(index.topic):
             return None

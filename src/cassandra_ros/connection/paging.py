@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from typing import Callable, Deque, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, Union
+from typing import Callable, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, Union
 
 from cassandra.cluster import ResponseFuture, ResultSet
 from cassandra.query import Statement
@@ -45,7 +45,7 @@ class Patience:
 
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
-        self._hurried: Optional[float] = None
+        self._hurried: float | None = None
         self._left = self._answered = 0.0
 
     def hurry(self, seconds: float) -> None:
@@ -126,7 +126,7 @@ def sent_ahead(requests: Iterable[_T], count: int) -> Iterator[_T]:
 
     Taking one from the input sends it.
     """
-    sent: Deque[_T] = deque()
+    sent: deque[_T] = deque()
     for request in requests:
         sent.append(request)
         if len(sent) >= count:
@@ -168,12 +168,12 @@ class PagedRead:
     def __init__(
         self,
         send: Callable[[Statement], ResponseFuture],
-        statement_from: Callable[[Optional[RawRow]], Statement],
+        statement_from: Callable[[RawRow | None], Statement],
         what: str,
-        refused: Optional[IsRefused] = None,
-        on_page: Optional[OnPage] = None,
+        refused: IsRefused | None = None,
+        on_page: OnPage | None = None,
         first_rows: int = 0,
-        outage: Optional[Outage] = None,
+        outage: Outage | None = None,
     ) -> None:
         self._send = send
         self._outage = outage
@@ -182,14 +182,14 @@ class PagedRead:
         self._refused = refused
         self._on_page = on_page
         self._small = first_rows
-        self._last: Optional[RawRow] = None
+        self._last: RawRow | None = None
         self._read: Sequence[RawRow] = ()
         self.more = True
         self._failed = False
         self._future = self._ask()
 
     @property
-    def last(self) -> Optional[RawRow]:
+    def last(self) -> RawRow | None:
         """Last row that was read."""
         if self._read:  # not earlier: the page may not be cut into rows yet
             self._last, self._read = self._read[-1], ()

@@ -27,14 +27,10 @@ from functools import cached_property
 from typing import (
     Any,
     Callable,
-    Dict,
     Iterator,
-    List,
     Mapping,
-    Optional,
     Sequence,
     Tuple,
-    Union,
     cast,
     overload,
 )
@@ -116,9 +112,9 @@ class RawPage(Sequence[RawRow]):
         self.body = body
         self._count, self._at = _size(body, at)[0], at + 4
         self._width = width
-        self._cut: Optional[Callable[[], Sequence[RawRow]]] = cut
+        self._cut: Callable[[], Sequence[RawRow]] | None = cut
         self._rows: Sequence[RawRow] = ()
-        self._last: Optional[int] = None
+        self._last: int | None = None
 
     def __len__(self) -> int:
         return int(self._count)
@@ -132,7 +128,7 @@ class RawPage(Sequence[RawRow]):
     @overload
     def __getitem__(self, place: slice) -> Sequence[RawRow]: ...
 
-    def __getitem__(self, place: Union[int, slice]) -> Union[RawRow, Sequence[RawRow]]:
+    def __getitem__(self, place: int | slice) -> RawRow | Sequence[RawRow]:
         if place == -1 and self._cut is not None and self._last is not None:
             return self.row(self._last)
         return self._every()[place]
@@ -167,7 +163,7 @@ class RawPage(Sequence[RawRow]):
             at = self.end(at)
         return rows
 
-    def bounds(self, sized_at: int, mark: bytes) -> Optional[Tuple[Offsets, Offsets]]:
+    def bounds(self, sized_at: int, mark: bytes) -> tuple[Offsets, Offsets] | None:
         """Guess where the rows begin and end; None if that is not possible.
 
         Rows with the same value in one column of four bytes are taken to be equally long, unless
@@ -180,7 +176,7 @@ class RawPage(Sequence[RawRow]):
             mark: Bytes with which each row begins.
         """
         body, at, ends = self.body, self._at, []
-        lengths: Dict[int, int] = {}
+        lengths: dict[int, int] = {}
         try:
             offsets = self._alike(mark)
             if offsets is not None:
@@ -203,7 +199,7 @@ class RawPage(Sequence[RawRow]):
         self._last = int(offsets[-2])
         return offsets[:-1], offsets[1:]
 
-    def _alike(self, mark: bytes) -> Optional[Offsets]:
+    def _alike(self, mark: bytes) -> Offsets | None:
         """Return where rows of one length begin, and the end of the last.
 
         None if lengths differ.
@@ -228,7 +224,7 @@ class RawPage(Sequence[RawRow]):
         return self._cut_row(self.body, at)
 
     def _cut_row(self, body: bytes, at: int) -> RawRow:
-        found: List[Optional[bytes]] = []
+        found: list[bytes | None] = []
         for _ in range(self._width):
             (size,) = _size(body, at)
             at += 4

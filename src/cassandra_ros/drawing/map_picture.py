@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import io
 import json
-from typing import Any, Dict
+from typing import Any
 
 import numpy as np
 
@@ -53,7 +53,7 @@ def map_png(made: OccupancyMap, transparent: bool = False) -> bytes:
     return out.getvalue()
 
 
-def map_info(made: OccupancyMap) -> Dict[str, Any]:
+def map_info(made: OccupancyMap) -> dict[str, Any]:
     """Return the metadata of a map's picture: x, y, yaw are those of its lower left corner."""
     return {
         "frame": made.frame,

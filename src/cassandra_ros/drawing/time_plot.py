@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import IO, TYPE_CHECKING, Any, NamedTuple, Optional, Sequence, Tuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, Sequence
 
 import numpy as np
 
@@ -69,7 +69,7 @@ class Curve(NamedTuple):
     """One column over another: for each pixel of time the rectangle that contains its messages."""
 
     label: str
-    columns: Tuple[Column, Column]
+    columns: tuple[Column, Column]
     """Columns along x and along y."""
     low: AnyArray
     """Smallest x and y of each rectangle, (2, points); NaN where the curve is broken."""
@@ -81,7 +81,7 @@ class Curve(NamedTuple):
         return np.asarray(self.low + (self.high - self.low) / 2)
 
 
-def curves_of(series: Sequence[Series], names: Tuple[str, str]) -> Sequence[Curve]:
+def curves_of(series: Sequence[Series], names: tuple[str, str]) -> Sequence[Curve]:
     """Return the curves of some statements: for each the second column over the first.
 
     Args:
@@ -110,7 +110,7 @@ def curves_of(series: Sequence[Series], names: Tuple[str, str]) -> Sequence[Curv
 
 
 def draw_xy(
-    stream: IO[bytes], ending: str, curves: Sequence[Curve], size: Tuple[int, int], title: str = ""
+    stream: IO[bytes], ending: str, curves: Sequence[Curve], size: tuple[int, int], title: str = ""
 ) -> None:
     """Draw one column of statements over another into one picture.
 
@@ -161,7 +161,7 @@ def _named(column: Column) -> str:
     return _plain(column.name) + (f" [{column.unit}]" if column.unit else "")
 
 
-def _aspect(curve: Curve) -> Optional[float]:
+def _aspect(curve: Curve) -> float | None:
     """Return the ratio of the y to the x unit length; None if the units cannot be compared."""
     units = tuple(column.unit for column in curve.columns)
     if units[0] == units[1] != "":
@@ -176,7 +176,7 @@ def _aspect(curve: Curve) -> Optional[float]:
 
 
 def draw_plot(
-    stream: IO[bytes], ending: str, series: Sequence[Series], size: Tuple[int, int], title: str = ""
+    stream: IO[bytes], ending: str, series: Sequence[Series], size: tuple[int, int], title: str = ""
 ) -> None:
     """Draw statements into one picture over time.
 

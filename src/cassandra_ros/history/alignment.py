@@ -13,7 +13,7 @@ import hashlib
 from bisect import bisect_left
 from collections import Counter
 from statistics import median
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 
@@ -45,7 +45,7 @@ def digest_of(wire: bytes) -> bytes:
     return wire if len(wire) <= _INLINE else hashlib.blake2b(wire, digest_size=_INLINE + 1).digest()
 
 
-def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False) -> Optional[int]:
+def first_live(stored: Sequence[Mark], live: Sequence[Mark], sure: bool = False) -> int | None:
     """Find the first stored message of a publisher that is also among the live ones.
 
     Args:
@@ -79,7 +79,7 @@ class Live:
     """
 
     def __init__(self, marks: Sequence[Mark], sure: bool) -> None:
-        self._times: Dict[bytes, List[int]] = {}
+        self._times: dict[bytes, list[int]] = {}
         for mark in marks:
             self._times.setdefault(mark.digest, []).append(mark.t)
         self._sure = sure or len(marks) == len(self._times) >= CERTAIN
@@ -104,9 +104,9 @@ class _Overlap(NamedTuple):
     """Median difference of the times of the last pairs, ns."""
 
 
-def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> List[_Overlap]:
+def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> list[_Overlap]:
     """Return the possible overlaps; if there are more than NEAREST, those with the best times."""
-    numbers: Dict[bytes, int] = {}
+    numbers: dict[bytes, int] = {}
     ours = [numbers.setdefault(mark.digest, len(numbers)) for mark in live]
     theirs = [numbers.setdefault(mark.digest, len(numbers)) for mark in stored]
     # Positions of the first live message among the stored ones or, if the recorder started later,
@@ -114,7 +114,7 @@ def _overlaps(stored: Sequence[Mark], live: Sequence[Mark]) -> List[_Overlap]:
     places = [(k, 0) for k in _beginnings(theirs, ours)]
     places += [(0, j) for j in _beginnings(ours, theirs) if j]
 
-    def last_apart(place: Tuple[int, int]) -> int:
+    def last_apart(place: tuple[int, int]) -> int:
         k, j = place
         count = min(len(stored) - k, len(live) - j)
         return abs(stored[k + count - 1].t - live[j + count - 1].t)
@@ -131,13 +131,13 @@ def _overlap(stored: Sequence[Mark], live: Sequence[Mark], k: int, j: int) -> _O
     return _Overlap(k, j, count, median(abs(stored[k + i].t - live[j + i].t) for i in last))
 
 
-def _beginnings(text: Sequence[int], other: Sequence[int]) -> List[int]:
+def _beginnings(text: Sequence[int], other: Sequence[int]) -> list[int]:
     """Return the positions from which a text equals another one to the end of one of both."""
     lengths = _z_function([*other, -1, *text])[len(other) + 1 :]
     return [k for k, n in enumerate(lengths) if n == min(len(text) - k, len(other))]
 
 
-def _z_function(text: Sequence[int]) -> List[int]:
+def _z_function(text: Sequence[int]) -> list[int]:
     """Return for each position the length of the text from there that equals its beginning."""
     size = len(text)
     lengths = [0] * size
@@ -178,9 +178,9 @@ def _all_differ(marks: Sequence[Mark]) -> bool:
     return len({mark.digest for mark in marks}) == len(marks)
 
 
-def _scattered(stored: Sequence[Mark], live: Sequence[Mark], sure: bool) -> Optional[int]:
+def _scattered(stored: Sequence[Mark], live: Sequence[Mark], sure: bool) -> int | None:
     """Find the first common message if some are missing, by a filter or a full queue."""
-    times: Dict[bytes, List[int]] = {}
+    times: dict[bytes, list[int]] = {}
     for mark in live:
         times.setdefault(mark.digest, []).append(mark.t)
     counts = Counter(mark.digest for mark in stored)

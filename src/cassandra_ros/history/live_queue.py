@@ -14,7 +14,7 @@ import logging
 import threading
 import time
 from collections import deque
-from typing import Callable, Deque, Dict, List, Mapping, NamedTuple, Optional
+from typing import Callable, Mapping, NamedTuple
 
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.history.alignment import Mark, digest_of
@@ -55,7 +55,7 @@ class LiveMessage:
         """
         self.wanted = True
         """Whether it is handed out; False where the same message was handed out from the store."""
-        self._digest: Optional[bytes] = None
+        self._digest: bytes | None = None
 
     @property
     def mark(self) -> Mark:
@@ -76,7 +76,7 @@ class DroppedMessages(NamedTuple):
 class WaitingMessages(NamedTuple):
     """The waiting messages of one publisher."""
 
-    messages: List[LiveMessage]
+    messages: list[LiveMessage]
     since: float
     """Time at which the first message of the publisher arrived, monotonic clock, s."""
 
@@ -93,18 +93,18 @@ class LiveQueue:
     def __init__(self, bound: int, clock: Callable[[], int]) -> None:
         self._bound, self._clock = bound, clock
         self._changed = threading.Condition()
-        self._messages: Deque[LiveMessage] = deque()
+        self._messages: deque[LiveMessage] = deque()
         self._bytes = 0
         self._closed = self._joined = False
-        self._connections: Dict[int, Mapping[str, str]] = {}
-        self._since: Dict[Publisher, float] = {}
+        self._connections: dict[int, Mapping[str, str]] = {}
+        self._since: dict[Publisher, float] = {}
         self.recorded = False
         """Whether a recorder stores the topic, so that waiting messages may be dropped here."""
         self.epoch = 0
         """Number of times that the waiting messages were dropped."""
         self.began_ns = self.now_ns()
         """Time from which on the queue has every received message, ns; 0 = time not known yet."""
-        self.dropped: Dict[Publisher, DroppedMessages] = {}
+        self.dropped: dict[Publisher, DroppedMessages] = {}
         """Dropped messages by publisher."""
 
     def now_ns(self) -> int:
@@ -189,9 +189,9 @@ class LiveQueue:
         self._bytes = 0
         self.began_ns = self.now_ns()
 
-    def waiting(self) -> Dict[Publisher, WaitingMessages]:
+    def waiting(self) -> dict[Publisher, WaitingMessages]:
         """Return the waiting messages by publisher, in order of reception."""
-        waiting: Dict[Publisher, WaitingMessages] = {}
+        waiting: dict[Publisher, WaitingMessages] = {}
         with self._changed:
             for message in self._messages:
                 who = message.publisher
@@ -206,12 +206,12 @@ class LiveQueue:
             self._joined = self.epoch == epoch
             return self._joined
 
-    def first(self) -> Optional[LiveMessage]:
+    def first(self) -> LiveMessage | None:
         """Return the oldest message without taking it; None if the queue is empty."""
         with self._changed:
             return self._messages[0] if self._messages else None
 
-    def take(self, timeout_sec: float) -> Optional[LiveMessage]:
+    def take(self, timeout_sec: float) -> LiveMessage | None:
         """Take the oldest message; None after the timeout or when the queue is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._messages or self._closed, timeout_sec)

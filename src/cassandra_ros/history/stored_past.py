@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Iterator, List, Optional, Union
+from typing import Iterator
 
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import SECOND_NS
@@ -39,8 +39,8 @@ class StoredPast:
         self,
         catalog: Catalog,
         topic: str,
-        node: Optional[str] = None,
-        run: Union[None, str, int] = None,
+        node: str | None = None,
+        run: None | str | int = None,
     ) -> None:
         catalog.keyspace.runs.writers(run)
         self.topic = topic
@@ -55,12 +55,12 @@ class StoredPast:
         """Return whether the keyspace has the topic."""
         return self._catalog.exists(self.topic)
 
-    def losses(self, low: int) -> List[Loss]:
+    def losses(self, low: int) -> list[Loss]:
         """List the losses of the topic from the time ``low`` on, ns."""
         read = Read(TimeRange(low), self._whose())
         return self._catalog.keyspace.runs.losses([self.topic], read)
 
-    def rows(self, low: int, high: Optional[int] = None) -> Iterator[StoredRow]:
+    def rows(self, low: int, high: int | None = None) -> Iterator[StoredRow]:
         """Yield the rows received from ``low`` to ``high``, ns, both included; None = no end.
 
         A topic that is not stored has no rows.

@@ -17,13 +17,10 @@ from functools import lru_cache
 from typing import (
     Callable,
     Counter,
-    Dict,
     Iterable,
     Iterator,
-    List,
     Mapping,
     NamedTuple,
-    Optional,
     Tuple,
 )
 
@@ -117,19 +114,19 @@ class History:
     ) -> None:
         self._past, self._queue, self._connected = past, queue, connected
         self._since, self._low = since, 0
-        self._done: Dict[MessageIdentity, int] = {}
+        self._done: dict[MessageIdentity, int] = {}
         self._floor, self._room = 0, ROOM
         """All yielded rows from the time _floor on, ns, are in _done; _room is its maximum size."""
-        self._over: Dict[_WriterStream, _Arrival] = {}
-        self._heard: Dict[Publisher, Live] = {}
-        self._late_sec: List[float] = []
-        self._seen: Dict[MessageIdentity, _StoredMark] = {}
+        self._over: dict[_WriterStream, _Arrival] = {}
+        self._heard: dict[Publisher, Live] = {}
+        self._late_sec: list[float] = []
+        self._seen: dict[MessageIdentity, _StoredMark] = {}
         self._newest = 0
-        self._last: Dict[_WriterStream, Mark] = {}
-        self._counted: Dict[Publisher, int] = {}
+        self._last: dict[_WriterStream, Mark] = {}
+        self._counted: dict[Publisher, int] = {}
         self._looked = -LOOK_SEC
         self._written = self._doubtful = False
-        self._unseen: List[Publisher] = []
+        self._unseen: list[Publisher] = []
         self._found = False
         self._epoch, self._begun_sec, self._ready_sec = -1, -1.0, -1.0
         self.live = False
@@ -246,7 +243,7 @@ class History:
         wire = self._wire(row)
         return wire is not None and digest_of(wire) == head.digest
 
-    def _wire(self, row: StoredRow) -> Optional[bytes]:
+    def _wire(self, row: StoredRow) -> bytes | None:
         try:
             return row.wire
         except MessageNotFound:
@@ -282,7 +279,7 @@ class History:
             self._doubtful = self._written or self._past.may_be_written()
             self._queue.note_recorded(self._written)
 
-    def _bounds(self) -> Optional[Dict[_WriterStream, _Arrival]]:
+    def _bounds(self) -> dict[_WriterStream, _Arrival] | None:
         """Return for each stream the first row that comes live instead; None = not known yet."""
         self._look()
         now = time.monotonic()
@@ -292,11 +289,11 @@ class History:
         waiting = self._queue.waiting()
         if self._queue.epoch != self._epoch:
             return None
-        streams: Dict[_WriterStream, List[_StoredMark]] = {}
+        streams: dict[_WriterStream, list[_StoredMark]] = {}
         for seen in sorted(self._seen.values()):
             streams.setdefault(seen.stream, []).append(seen)
         bounds = {stream: _just_after(rows[-1].arrival) for stream, rows in streams.items()}
-        unseen: Dict[Publisher, float] = {}
+        unseen: dict[Publisher, float] = {}
         for who, live in waiting.items():
             places = self._places(who, live, streams)
             bounds.update(places)
@@ -324,13 +321,13 @@ class History:
         self,
         who: Publisher,
         live: WaitingMessages,
-        streams: Mapping[_WriterStream, List[_StoredMark]],
-    ) -> Dict[_WriterStream, _Arrival]:
+        streams: Mapping[_WriterStream, list[_StoredMark]],
+    ) -> dict[_WriterStream, _Arrival]:
         """Find a publisher's first live message among the rows of each writer that stored it."""
         marks = [message.mark for message in live.messages]
         sure = _is_stamped(live.messages[0].header.get("message_definition", ""))
         repeated = live.messages[0].repeated
-        places: Dict[_WriterStream, _Arrival] = {}
+        places: dict[_WriterStream, _Arrival] = {}
         mine = {s for s in (*streams, *self._last) if s.publisher == who}
         for stream in mine:
             rows = streams.get(stream, [])
@@ -389,7 +386,7 @@ class History:
     def _late(self) -> Iterator[HistoryMessage]:
         """Yield rows before the bounds that were stored after the past had been read."""
         low = max(self._floor, self._queue.began_ns - KEPT_NS)
-        times: List[int] = []
+        times: list[int] = []
         try:
             for row in self._past.rows(low, max(b[0] for b in self._over.values())):
                 bound = self._over.get(_stream(row))

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Mapping, NamedTuple
 
 import numpy as np
 
@@ -33,7 +33,7 @@ class Beams(NamedTuple):
     """Whether the beam hit something at its end; else it is free up to there."""
 
 
-def beams_of_scan(scan: Any, max_range: Optional[float]) -> Beams:
+def beams_of_scan(scan: Any, max_range: float | None) -> Beams:
     """Return the beams of a sensor_msgs/LaserScan, by the rules of REP 117.
 
     +Inf, or range_max itself as in older drivers, means that the beam is free up to range_max. NaN,
@@ -46,7 +46,7 @@ def beams_of_scan(scan: Any, max_range: Optional[float]) -> Beams:
     return _beams(scan, np.asarray(scan.ranges, np.float64), max_range)
 
 
-def beams_of_echoes(scan: Any, max_range: Optional[float]) -> Beams:
+def beams_of_echoes(scan: Any, max_range: float | None) -> Beams:
     """Return the beams of a sensor_msgs/MultiEchoLaserScan to their first echoes.
 
     A beam without an echo is ignored; otherwise like beams_of_scan.
@@ -55,7 +55,7 @@ def beams_of_echoes(scan: Any, max_range: Optional[float]) -> Beams:
     return _beams(scan, np.array(first, np.float64), max_range)
 
 
-def _beams(scan: Any, ranges: Floats, max_range: Optional[float]) -> Beams:
+def _beams(scan: Any, ranges: Floats, max_range: float | None) -> Beams:
     """Return the beams of a scan or multi-echo scan with these ranges."""
     angles = scan.angle_min + scan.angle_increment * np.arange(len(ranges))
     most = scan.range_max if scan.range_max > 0 else math.inf  # some drivers leave range_max at 0
@@ -73,7 +73,7 @@ def _beams(scan: Any, ranges: Floats, max_range: Optional[float]) -> Beams:
     return Beams(ends, hit[told])
 
 
-def beams_of_cloud(cloud: Any, max_range: Optional[float]) -> Beams:
+def beams_of_cloud(cloud: Any, max_range: float | None) -> Beams:
     """Return the beams to the points of a sensor_msgs/PointCloud2, without points with NaN.
 
     Args:
@@ -132,9 +132,9 @@ def _points(cloud: Any) -> Floats:
 class Sensor(NamedTuple):
     """Conversion of one message type to beams."""
 
-    beams: Callable[[Any, Optional[float]], Beams]
+    beams: Callable[[Any, float | None], Beams]
     """Function from a message and the maximum range to its beams."""
-    heights: Tuple[float, float]
+    heights: tuple[float, float]
     """Default minimum and maximum height of obstacles, metres above the floor."""
 
 

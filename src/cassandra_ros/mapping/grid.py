@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from typing import Iterator, Tuple
+from typing import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,7 +120,7 @@ class LogOddsGrid:
         odds[row : row + self._odds.shape[0], column : column + self._odds.shape[1]] = self._odds
         self._odds, self._low = odds, first
 
-    def trimmed(self) -> Tuple[Odds, Tuple[float, float]]:
+    def trimmed(self) -> tuple[Odds, tuple[float, float]]:
         """Return the log-odds of the seen area, by rows of y and columns of x, and its origin.
 
         The origin is the corner with the smallest x and y, metres. Log-odds of 0 mean unknown.

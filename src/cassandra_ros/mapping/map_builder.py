@@ -10,7 +10,7 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, NamedTuple, Sequence
 
 import numpy as np
 
@@ -55,19 +55,19 @@ class MapOptions:
 
     resolution: float = DEFAULT_RESOLUTION
     """Length of a cell, metres."""
-    max_range: Optional[float] = None
+    max_range: float | None = None
     """Maximum range, metres; farther hits are ignored. None = scans: their range_max, clouds:
     30."""
-    min_height: Optional[float] = None
+    min_height: float | None = None
     """Minimum height of an obstacle, metres in the map's frame; lower hits are floor. None = scans:
     no minimum, clouds: 0.1."""
-    max_height: Optional[float] = None
+    max_height: float | None = None
     """Maximum height, metres; higher hits are ignored. None = scans: no maximum, clouds: 2."""
     hit: float = 0.7
     """Probability that a cell in which a beam ended is occupied."""
     miss: float = 0.4
     """Probability that a cell which a beam crossed is occupied."""
-    most: Optional[int] = None
+    most: int | None = None
     """Maximum number of messages, evenly spaced; None = all messages."""
 
     def __post_init__(self) -> None:
@@ -79,7 +79,7 @@ class MapOptions:
         if self.most is not None and self.most < 1:
             raise InvalidOption(f"most={self.most!r}: give at least one message")
 
-    def heights(self, sensor: Sensor) -> Tuple[float, float]:
+    def heights(self, sensor: Sensor) -> tuple[float, float]:
         """Return the minimum and maximum height of obstacles, metres."""
         low, high = sensor.heights
         return (
@@ -115,15 +115,15 @@ _BEST = PoseChoice()
 def makeMap(
     rosCas: RosCassandra,
     topic: str,
-    key: Optional[Time] = None,
-    to_key: Optional[Time] = None,
+    key: Time | None = None,
+    to_key: Time | None = None,
     *,
-    nodeID: Union[None, str, Sequence[str]] = None,
+    nodeID: None | str | Sequence[str] = None,
     run: RunName = None,
-    name: Optional[str] = None,
+    name: str | None = None,
     options: MapOptions = _ALL,
     poses: PoseChoice = _BEST,
-    progress: Optional[Progress] = None,
+    progress: Progress | None = None,
 ) -> MadeMap:
     """Make an occupancy grid from stored sensor_msgs/LaserScan or PointCloud2.
 
@@ -185,9 +185,9 @@ class _SelectedRows:
     """The selected messages."""
 
     topic: CassandraTopic
-    key: Optional[Time]
-    to_key: Optional[Time]
-    nodes: Sequence[Optional[str]]
+    key: Time | None
+    to_key: Time | None
+    nodes: Sequence[str | None]
     """nodeIDs of the robots; None = all robots."""
     writers: Writers
 
@@ -195,7 +195,7 @@ class _SelectedRows:
         count = partial(self.topic.countTopicData, self.key, self.to_key, run=self.writers)
         return sum(count(node) for node in self.nodes)
 
-    def read(self, reverse: bool = False, limit: Optional[int] = None) -> Iterator[StoredRow]:
+    def read(self, reverse: bool = False, limit: int | None = None) -> Iterator[StoredRow]:
         read = partial(self.topic.rows, self.key, self.to_key, run=self.writers, limit=limit)
         streams = [read(nodeID=node, reverse=reverse) for node in self.nodes]
         rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
@@ -206,7 +206,7 @@ class _SelectedRows:
         ends = [None if end is None else to_ns(end) for end in (self.key, self.to_key)]
         return Measurements(catalog, self.topic.name, ends[0], ends[1], node, self.writers)
 
-    def some_times(self, node: str) -> List[int]:
+    def some_times(self, node: str) -> list[int]:
         """Return the row keys of the first, a middle and the last message of a robot, ns."""
         mine = replace(self, nodes=[node])
         first, last = (next((row.t for row in mine.read(way, 1)), 0) for way in (False, True))
@@ -214,7 +214,7 @@ class _SelectedRows:
         return [first, next((row.t for row in later.read(limit=1)), last), last]
 
 
-def _stored_map(wanted: _SelectedRows, name: Optional[str]) -> MadeMap:
+def _stored_map(wanted: _SelectedRows, name: str | None) -> MadeMap:
     """Return the newest stored map, or the newest with a name, unchanged."""
     topic = wanted.topic
     if name is None:
@@ -236,9 +236,9 @@ def _stored_map(wanted: _SelectedRows, name: Optional[str]) -> MadeMap:
     return MadeMap(OccupancyMap.of_message(row.message()), 1, 0, 0, 0, [f"stored on {topic.name}"])
 
 
-def _batches(rows: Iterator[StoredRow], step: int) -> Iterator[Tuple[int, List[StoredRow]]]:
+def _batches(rows: Iterator[StoredRow], step: int) -> Iterator[tuple[int, list[StoredRow]]]:
     """Yield every step-th row in batches, and the number of rows read before each batch."""
-    batch: List[StoredRow] = []
+    batch: list[StoredRow] = []
     size = begun = number = 0
     for number, row in enumerate(rows):
         if number % step:
@@ -280,17 +280,17 @@ class _MapBuilder:
         self._choice, self._wanted = choice, wanted
         self._low, self._high = options.heights(sensor)
         self._grid = LogOddsGrid(options.resolution, options.hit, options.miss)
-        self._robots: Dict[str, SensorPoses] = {}
-        self._frames: Dict[str, str] = {}
+        self._robots: dict[str, SensorPoses] = {}
+        self._frames: dict[str, str] = {}
         """Frame of the map, by robot and sensor."""
-        self._lost: Optional[Tuple[Poses, _Measurement]] = None
+        self._lost: tuple[Poses, _Measurement] | None = None
         """The first message without a known pose."""
         self.seen = self._used = self._without_pose = self._unreadable = 0
         self._stamp = 0
 
     def add(self, rows: Sequence[StoredRow]) -> None:
         """Add some messages to the map."""
-        measured: Dict[Tuple[str, str], List[_Measurement]] = defaultdict(list)
+        measured: dict[tuple[str, str], list[_Measurement]] = defaultdict(list)
         for row in rows:
             self.seen += 1
             try:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import Union
 
 import numpy as np
 import yaml
@@ -32,7 +31,7 @@ def trinary(made: OccupancyMap) -> np.ndarray:  # type: ignore[type-arg]
     return greys[::-1]
 
 
-def map_paths(path: Union[str, Path]) -> tuple[Path, Path]:
+def map_paths(path: str | Path) -> tuple[Path, Path]:
     """Return the paths of a map's image and YAML file, given one of them.
 
     Raises:
@@ -44,7 +43,7 @@ def map_paths(path: Union[str, Path]) -> tuple[Path, Path]:
     return path.with_suffix(".pgm"), path.with_suffix(".yaml")
 
 
-def save_map(made: OccupancyMap, path: Union[str, Path]) -> tuple[Path, Path]:
+def save_map(made: OccupancyMap, path: str | Path) -> tuple[Path, Path]:
     """Write a map for map_server; return the paths of the image and of the YAML file.
 
     Args:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Iterable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterable, Mapping, NamedTuple, Sequence
 
 import numpy as np
 
@@ -38,16 +38,16 @@ class Measurements:
 
     catalog: Catalog
     topic: str
-    start: Optional[int] = None
+    start: int | None = None
     """First key, ns, included; None = that of the first message."""
-    end: Optional[int] = None
+    end: int | None = None
     """Last key, ns, included; None = that of the last message."""
-    node: Optional[str] = None
+    node: str | None = None
     """nodeID of the robot; None = all robots."""
     writers: Writers = None
     """Writer ids of the runs; None = all runs."""
 
-    def offers(self, ranks: Mapping[str, int], gap_ns: int) -> List[PoseOffer]:
+    def offers(self, ranks: Mapping[str, int], gap_ns: int) -> list[PoseOffer]:
         """Return for each topic the share of messages with poses, by counts in the directory.
 
         Args:
@@ -63,13 +63,13 @@ class Measurements:
         shares = self._shares(sorted(ranks), gap_ns)
         good = _AS_GOOD * max(shares.values())
 
-        def order(name: str) -> Tuple[float, int, str]:
+        def order(name: str) -> tuple[float, int, str]:
             share = shares[name]
             return (-1.0 if share >= good else 1.0 - share, ranks[name], name)
 
         return [PoseOffer(name, shares[name]) for name in sorted(ranks, key=order)]
 
-    def _shares(self, names: Sequence[str], gap_ns: int) -> Dict[str, float]:
+    def _shares(self, names: Sequence[str], gap_ns: int) -> dict[str, float]:
         shares = dict.fromkeys(names, 0.0)
         nodes = None if self.node is None else [self.node]
         timeline, whose = Timeline(self.catalog), Whose(nodes, self.writers)
@@ -116,12 +116,12 @@ def _covered(filled: Bools, gap: float) -> Bools:
     return np.asarray(known & (after - before <= gap + 1))
 
 
-def merge_offers(robots: Iterable[Sequence[PoseOffer]]) -> List[PoseOffer]:
+def merge_offers(robots: Iterable[Sequence[PoseOffer]]) -> list[PoseOffer]:
     """Return the offers of several robots as one list.
 
     Of each topic the offer with most messages.
     """
-    found: Dict[str, PoseOffer] = {}
+    found: dict[str, PoseOffer] = {}
     for offer in (offer for offers in robots for offer in offers):
         other = found.get(offer.topic, offer)
         share, taken = max(offer.share, other.share), offer.taken or other.taken

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, List, Optional, Sequence
+from typing import Sequence
 
 import numpy as np
 
@@ -35,12 +35,12 @@ of the first type is chosen."""
 class PoseChoice:
     """The source of poses."""
 
-    frame: Optional[str] = None
+    frame: str | None = None
     """Frame of the map; None = the best of the robot's frames."""
-    odom: Optional[str] = None
+    odom: str | None = None
     """Topic of poses; None = tf if it knows the sensor, else the topic whose poses cover most
     messages."""
-    sensor_offset: Optional[Rigid] = None
+    sensor_offset: Rigid | None = None
     """Pose of the sensor on the robot, for a topic of poses; None = from tf if known, else no
     offset."""
     tf: str = TF
@@ -69,12 +69,12 @@ class SensorPoses:
         self._node, self._writers = measured.node, measured.writers
         by_topic = choice.odom or choice.sensor_offset is not None
         self._frames = None if by_topic else self._recorded_tf()
-        self._known: Dict[str, Poses] = {}
-        self._sources: Dict[str, str] = {}
-        self.offers: List[PoseOffer] = []
+        self._known: dict[str, Poses] = {}
+        self._sources: dict[str, str] = {}
+        self.offers: list[PoseOffer] = []
         self.received = 0
 
-    def _recorded_tf(self) -> Optional[TfRecording]:
+    def _recorded_tf(self) -> TfRecording | None:
         choice = self._choice
         try:
             return TfRecording(
@@ -151,7 +151,7 @@ class SensorPoses:
         own = choice.frame is not None and choice.frame.strip("/") == sensor.strip("/")
         return own and not choice.odom and choice.sensor_offset is None
 
-    def _best(self, sensor: str, above: Sequence[str]) -> Optional[str]:
+    def _best(self, sensor: str, above: Sequence[str]) -> str | None:
         """Return the best ancestor frame of a sensor for the map; None if a topic is better."""
         for wanted in FRAMES:
             for name in above:
@@ -182,7 +182,7 @@ class SensorPoses:
             "PoseStamped or PoseWithCovarianceStamped; name a topic with poses by odom="
         )
 
-    def _pose_offers(self) -> List[PoseOffer]:
+    def _pose_offers(self) -> list[PoseOffer]:
         """Return the topics with poses of this robot, best first."""
         kinds = {
             topic.name: min(_TYPES.index(t.msg_type) for t in topic.tables if t.msg_type in _TYPES)
@@ -232,7 +232,7 @@ class _OriginPoses:
     def on_way(self, samples: Samples) -> Flags:
         return np.zeros(len(samples), bool)
 
-    def next_key(self, time: int) -> Optional[int]:
+    def next_key(self, time: int) -> int | None:
         return None
 
     def explain(self, time: int) -> str:

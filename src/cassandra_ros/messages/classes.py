@@ -12,7 +12,7 @@ from functools import lru_cache
 from io import BytesIO
 from itertools import repeat
 from types import ModuleType
-from typing import Any, Callable, Iterator, Optional, Sequence, cast
+from typing import Any, Callable, Iterator, Sequence, cast
 
 import genmsg
 import genmsg.msg_loader
@@ -183,7 +183,7 @@ def deserialize_all(cls: Any, wires: Sequence[bytes]) -> Iterator[Any]:
 
 
 @lru_cache(maxsize=1024)
-def _object_maker(cls: Any) -> Optional[ObjectMaker]:
+def _object_maker(cls: Any) -> ObjectMaker | None:
     if issubclass(cls, RawMessage):
         return None
     try:

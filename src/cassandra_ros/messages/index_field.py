@@ -116,14 +116,14 @@ def _is_nested(column: FieldColumn) -> bool:
     return column.kind == "wire" or (column.is_list and column.kind == "array")
 
 
-def _split_column(raw: bytes) -> Optional[List[bytes]]:
+def _split_column(raw: bytes) -> list[bytes] | None:
     return None if int.from_bytes(raw[:4], "big") > MAX_ELEMENTS else split_list(raw)
 
 
 def _split_numbers(fixed: FixedField) -> _Split:
     unit, encode = struct.calcsize("<" + fixed.little), pack_numbers(fixed, True)
 
-    def split(raw: bytes) -> Optional[List[bytes]]:
+    def split(raw: bytes) -> list[bytes] | None:
         count = len(raw) // unit
         if count > MAX_ELEMENTS:
             return None

@@ -9,7 +9,7 @@ import http.client
 import logging
 import socket
 import xmlrpc.client
-from typing import Any, Iterable, Tuple
+from typing import Any, Iterable
 
 import rosgraph
 
@@ -92,7 +92,7 @@ def topic_type(topic: str) -> str | None:
     return None if types.get(name) == "*" else types.get(name)
 
 
-def set_parameters(parameters: Iterable[Tuple[str, object]]) -> int:
+def set_parameters(parameters: Iterable[tuple[str, object]]) -> int:
     """Set parameters, given by their full names, on the parameter server; return their number.
 
     Raises:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Any, Callable, Mapping, Optional, Set, Tuple, Union
+from typing import Any, Callable, Mapping
 
 import rospy
 
@@ -89,10 +89,10 @@ class HistorySubscriber:
         callback: Callable[..., object],
         callback_args: Any = None,
         *,
-        since: Union[None, Time, Any] = None,
-        rosCas: Optional[RosCassandra] = None,
-        nodeID: Optional[str] = None,
-        run: Union[None, str, int] = None,
+        since: None | Time | Any = None,
+        rosCas: RosCassandra | None = None,
+        nodeID: str | None = None,
+        run: None | str | int = None,
         buff_size: int = DEFAULT_BUFFER_BYTES,
         tcp_nodelay: bool = False,
     ) -> None:
@@ -105,7 +105,7 @@ class HistorySubscriber:
         self._own = rosCas is None
         keyspace = from_environment("KEYSPACE") or "ros"
         self._rosCas = RosCassandra(keyspace=keyspace) if rosCas is None else rosCas
-        self._strange: Set[Tuple[str, str]] = set()
+        self._strange: set[tuple[str, str]] = set()
         self._until = time.monotonic() + CONNECT_SEC
         self._is_connected = False
         self.failed = 0

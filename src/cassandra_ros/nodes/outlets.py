@@ -9,7 +9,7 @@ import struct
 import threading
 import time
 from collections import Counter
-from typing import Callable, Hashable, NamedTuple, Optional, Sequence
+from typing import Callable, Hashable, NamedTuple, Sequence
 
 import rospy
 from rosgraph_msgs.msg import Clock
@@ -65,8 +65,8 @@ class Outlets:
         self._publications: dict[str, AnyPublication] = {}
         self._left_out: Counter[str] = Counter()
         self._said: set[Hashable] = set()
-        self._ways: dict[Hashable, tuple[Optional[AnyPublication], Optional[Hashable]]] = {}
-        self._clock: Optional[AnyPublication] = None
+        self._ways: dict[Hashable, tuple[AnyPublication | None, Hashable | None]] = {}
+        self._clock: AnyPublication | None = None
         self._clock_lock = threading.Lock()
         if clock:
             kind = MessageKind.of(Clock._type, Clock._md5sum, Clock._full_text)
@@ -132,7 +132,7 @@ class Outlets:
 
     def _way(
         self, played: PlayedMessage, key: Hashable
-    ) -> tuple[Optional[AnyPublication], Optional[Hashable]]:
+    ) -> tuple[AnyPublication | None, Hashable | None]:
         """Return the publisher for the messages of a connection, and ``key`` if it was latching."""
         publication, row = self._publications.get(played.topic), played.row
         if publication is None or publication.kind._md5sum != (row.md5sum or ANY):
@@ -154,7 +154,7 @@ class Outlets:
             with self._clock_lock:
                 self._clock.publish_wire(_stamp(*divmod(t, SECOND_NS)))
 
-    def run_clock(self, now: Callable[[], Optional[int]], hz: float) -> None:
+    def run_clock(self, now: Callable[[], int | None], hz: float) -> None:
         """Publish the time on /clock at a rate until ``close``.
 
         Args:

@@ -9,7 +9,7 @@ import struct
 import threading
 import time
 from dataclasses import dataclass
-from typing import Mapping, Optional
+from typing import Mapping
 
 import rospy
 
@@ -71,23 +71,23 @@ class Player:
     def __init__(
         self,
         rosCas: RosCassandra,
-        selection: Optional[PlaySelection] = None,
-        options: Optional[PlayerOptions] = None,
+        selection: PlaySelection | None = None,
+        options: PlayerOptions | None = None,
     ) -> None:
         self.options = options = options or PlayerOptions()
         """Options of the replay."""
         self._rosCas = rosCas
         self._stream = Stream(rosCas.catalog, selection or PlaySelection())
-        self._outlets: Optional[Outlets] = None
+        self._outlets: Outlets | None = None
         self._registration = Registration()
-        self._control: Optional[rospy.Subscriber] = None
+        self._control: rospy.Subscriber | None = None
         self._control_ns = self._stream.start_ns
         self._controls = True
         self._playback = Playback(self._stream, self, options, self._lags, self._skipped)
         self._stopping = threading.Event()
         self._abandoned = threading.Event()
         self._done = threading.Event()
-        self._error: Optional[Exception] = None
+        self._error: Exception | None = None
 
     @property
     def stream(self) -> Stream:
@@ -169,7 +169,7 @@ class Player:
             self._outlets.stop()
         self._playback.stop()
 
-    def wait(self, timeout_sec: Optional[float] = None) -> bool:
+    def wait(self, timeout_sec: float | None = None) -> bool:
         """Wait until the player has ended; return whether it has.
 
         Raises:

@@ -8,7 +8,7 @@ import logging
 import signal
 import sys
 from types import FrameType
-from typing import Callable, Optional, Sequence
+from typing import Callable, Sequence
 
 import rospy
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, TriggerResponse
@@ -82,7 +82,7 @@ def play(
     _start_node(argv)
     signals: list[int] = []
 
-    def signalled(number: int, frame: Optional[FrameType]) -> None:
+    def signalled(number: int, frame: FrameType | None) -> None:
         signals.append(number)
         ros_cas.cassandra.outage.hurry()
 

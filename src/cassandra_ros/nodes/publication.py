@@ -21,7 +21,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Callable, Hashable, Optional, Sequence, Union
+from typing import Callable, Hashable, Sequence, Union
 
 import rospy
 from rospy.impl.registration import Registration, get_topic_manager
@@ -71,7 +71,7 @@ class _Link:
         """Last time at which bytes were sent or sending began, monotonic clock, s."""
         self._bound = bound or 2**62
         self._queue: deque[bytes] = deque()
-        self._rest: Optional[memoryview] = None  # unsent end of a message
+        self._rest: memoryview | None = None  # unsent end of a message
         self._busy = False
         self._changed = threading.Condition()
         transport.set_cleanup_callback(self._closed)
@@ -167,7 +167,7 @@ class _Link:
                 self._busy = False
                 self._count(0, messages)
 
-    def _take(self) -> tuple[list[Union[bytes, memoryview]], int]:
+    def _take(self) -> tuple[list[bytes | memoryview], int]:
         """Return the buffers to be sent next, and the number of messages that begin in them."""
         if self._rest is not None:
             rest, self._rest = self._rest, None
@@ -184,7 +184,7 @@ class _Link:
             nbytes += len(wire)
         return [b"".join(taken)], len(taken) // 2
 
-    def _send(self, data: Union[bytes, memoryview]) -> None:
+    def _send(self, data: bytes | memoryview) -> None:
         view = memoryview(data)
         while view:
             sent = self.transport.socket.send(view[:PIECE_BYTES])
@@ -222,7 +222,7 @@ class Publication(_PublisherImpl):
         """Type of its messages."""
         return self._kind
 
-    def publish_wire(self, wire: bytes, source: Optional[Hashable] = None) -> None:
+    def publish_wire(self, wire: bytes, source: Hashable | None = None) -> None:
         """Send a serialised message to every subscriber.
 
         Args:
@@ -253,13 +253,13 @@ class Publication(_PublisherImpl):
             link.latched(list(self._latched.values()))
             return bool(_TopicImpl.add_connection(self, link))
 
-    def remove_connection(self, c: Union[_Link, Transport]) -> None:
+    def remove_connection(self, c: _Link | Transport) -> None:
         """Remove a subscriber, also while the topic is closed and rospy's listeners are gone."""
         _TopicImpl.remove_connection(self, c)
         for listener in list(self.subscriber_listeners or ()):
             listener.peer_unsubscribe(self.resolved_name, self.get_num_connections())
 
-    def _remove_connection(self, connections: list[_Link], c: Union[_Link, Transport]) -> None:
+    def _remove_connection(self, connections: list[_Link], c: _Link | Transport) -> None:
         """Remove a subscriber; rospy would find it by its file descriptor, which may be reused."""
         link = next((one for one in connections if c in (one, one.transport)), None)
         if link is None:
@@ -328,7 +328,7 @@ class SharedPublication:
         self.missed = 0
         self.is_latch = bool(impl.is_latch)
 
-    def publish_wire(self, wire: bytes, source: Optional[Hashable] = None) -> None:
+    def publish_wire(self, wire: bytes, source: Hashable | None = None) -> None:
         """Send a serialised message to every subscriber."""
         msg = rospy.AnyMsg()
         msg._buff = wire

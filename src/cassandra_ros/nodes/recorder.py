@@ -11,7 +11,7 @@ import threading
 import time
 from concurrent.futures import Future
 from dataclasses import replace
-from typing import Callable, Collection, Iterable, Mapping, Optional, Sequence, Union
+from typing import Callable, Collection, Iterable, Mapping, Sequence
 
 import rospy
 from std_msgs.msg import String
@@ -74,10 +74,10 @@ class Recorder:
 
     def __init__(
         self,
-        rosCas: Union[RosCassandra, Future[RosCassandra]],
-        options: Union[RecorderOptions, Sequence[str]],
+        rosCas: RosCassandra | Future[RosCassandra],
+        options: RecorderOptions | Sequence[str],
         *,
-        say: Optional[Say] = None,
+        say: Say | None = None,
     ) -> None:
         if not isinstance(options, RecorderOptions):
             options = RecorderOptions([options] if isinstance(options, str) else list(options))
@@ -85,10 +85,10 @@ class Recorder:
             options = replace(options, keyspace=str(rosCas.keyspace), address=_address_of(rosCas))
         self._options = options
         self._say: Say = _log.info if say is None else say
-        self._publisher: Optional[rospy.Publisher] = None
+        self._publisher: rospy.Publisher | None = None
         self._contexts: list[threading.Thread] = []
         self._store = _catalog_of(rosCas)
-        self._left_runs: Optional[LeftRuns] = None
+        self._left_runs: LeftRuns | None = None
         self._series = series = RunSeries(self._store, options, now_ns, self._begun)
         bound = options.snapshot
         self._snapshots = (
@@ -109,12 +109,12 @@ class Recorder:
         self._interrupts = 0
         self._hurry = threading.Event()
         self._done = threading.Event()
-        self._poller: Optional[threading.Thread] = None
+        self._poller: threading.Thread | None = None
         self._asked_node = 0.0
         self._mutex = threading.RLock()
 
     def start(
-        self, topics: Topics = (), *, name: str = "", labels: Optional[Mapping[str, str]] = None
+        self, topics: Topics = (), *, name: str = "", labels: Mapping[str, str] | None = None
     ) -> str:
         """Start a run, or record more topics in the current one.
 
@@ -260,7 +260,7 @@ class Recorder:
         self,
         *,
         name: str = "",
-        labels: Optional[Mapping[str, str]] = None,
+        labels: Mapping[str, str] | None = None,
         after: float = 0.0,
         topics: Topics = (),
     ) -> tuple[str, int]:
@@ -305,7 +305,7 @@ class Recorder:
             for report in merge_reports([self._series.reports(), *written])
         ]
 
-    def wait(self, timeout_sec: Optional[float] = None) -> bool:
+    def wait(self, timeout_sec: float | None = None) -> bool:
         """Wait until duration, size, limit or a problem has ended it; return whether one has."""
         return self._done.wait(timeout_sec)
 
@@ -466,7 +466,7 @@ class Recorder:
         return len(complete) == len(topics)
 
 
-def _catalog_of(store: Union[RosCassandra, Future[RosCassandra]]) -> Store:
+def _catalog_of(store: RosCassandra | Future[RosCassandra]) -> Store:
     """Return the catalog of the connected keyspace, or a future of it."""
     if isinstance(store, Future):
         return then(store, lambda ros_cas: ros_cas.catalog)

@@ -9,7 +9,7 @@ import signal
 import time
 from concurrent.futures import Future
 from types import FrameType
-from typing import Callable, Mapping, Optional, Sequence
+from typing import Callable, Mapping, Sequence
 
 import rospy
 
@@ -56,7 +56,7 @@ def record(
     options: RecorderOptions,
     place: StorePlace,
     say: Say,
-    show: Optional[Show] = None,
+    show: Show | None = None,
 ) -> tuple[list[TopicReport], str]:
     """Record until a signal, the master, the options or a problem ends it.
 
@@ -71,7 +71,7 @@ def record(
     """
     recorder = Recorder(store, options, say=say)
 
-    def signalled(number: int, frame: Optional[FrameType]) -> None:
+    def signalled(number: int, frame: FrameType | None) -> None:
         signals.append(number)
         recorder.interrupt()
         if not began:  # a started recording stores its messages with more patience
@@ -100,7 +100,7 @@ def record(
 
 
 def _ticker(
-    recorder: Recorder, diagnostics: Optional[Diagnostics], show: Optional[Show]
+    recorder: Recorder, diagnostics: Diagnostics | None, show: Show | None
 ) -> Callable[[], None]:
     """Return a function that publishes and shows the status at most every TICK_SEC."""
     rates, due = Rates(), time.monotonic()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Any, Callable, NamedTuple, Optional
+from typing import Any, Callable, NamedTuple
 
 import rospy
 from rospy.core import is_shutdown_requested
@@ -79,10 +79,10 @@ class Registration:
         on_unheard: Called when a topic has a publisher of which the master did not tell this node.
     """
 
-    def __init__(self, on_unheard: Optional[OnUnheard] = None) -> None:
+    def __init__(self, on_unheard: OnUnheard | None = None) -> None:
         self._on_unheard = on_unheard
         self._stop = threading.Event()
-        self._away_since: Optional[float] = None
+        self._away_since: float | None = None
         self._known_ns = 0
         """Last time at which the master listed all registrations of this node, ns."""
         self._thread = threading.Thread(target=self._watch, name="registration", daemon=True)

@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from difflib import get_close_matches
-from typing import Callable, Collection, Iterable, Optional
+from typing import Callable, Collection, Iterable
 
 import rospy
 
@@ -140,7 +140,7 @@ def subscribed_topics(node: str) -> list[str]:
     return [topic for topic, nodes in subscribers if node in nodes]
 
 
-def _publishers(topics: Optional[Collection[str]]) -> dict[str, int]:
+def _publishers(topics: Collection[str] | None) -> dict[str, int]:
     """Return the number of publishers of each topic that has any; None = all topics."""
     try:
         _, _, (publishers, _, _) = rospy.get_master().getSystemState()

@@ -12,7 +12,7 @@ import threading
 import time
 from collections import OrderedDict, deque
 from itertools import groupby
-from typing import Deque, Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence
 
 from cassandra_ros.arrays.envelope import Envelope, Grid
 from cassandra_ros.overview.bucket_envelope import (
@@ -47,11 +47,11 @@ class EnvelopeCache:
 
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
         self._most = most_bytes
-        self._parts: OrderedDict[object, Tuple[PartEnvelope, int]] = OrderedDict()
+        self._parts: OrderedDict[object, tuple[PartEnvelope, int]] = OrderedDict()
         self._bytes = 0
         self._lock = threading.Lock()
 
-    def get(self, key: object) -> Optional[PartEnvelope]:
+    def get(self, key: object) -> PartEnvelope | None:
         """Return a part, which must not be changed; None if it is not in the cache."""
         with self._lock:
             found = self._parts.get(key)
@@ -77,7 +77,7 @@ class _Listed(NamedTuple):
     piece: EnvelopePart
     rows: float
     """Approximate number of messages in the piece."""
-    state: Optional[Tuple[object, ...]]
+    state: tuple[object, ...] | None
     """Counts of its writers in the directory; None while a robot writes, or after a deletion."""
 
 
@@ -108,7 +108,7 @@ class EnvelopeReader:
         keyspace: Keyspace,
         tables: Sequence[TopicTable],
         wanted: EnvelopeRequest,
-        cache: Optional[EnvelopeCache],
+        cache: EnvelopeCache | None,
         watch: Watch,
     ) -> None:
         self._keyspace, self._tables = keyspace, tables
@@ -118,7 +118,7 @@ class EnvelopeReader:
         self._pieces = PieceReader(keyspace, wanted, watch)
         self._asked = wanted.key
 
-    def read(self, grid: Grid, seconds: Optional[float] = None) -> Envelopes:
+    def read(self, grid: Grid, seconds: float | None = None) -> Envelopes:
         """Read the envelope of the messages in a grid.
 
         Args:
@@ -195,7 +195,7 @@ class EnvelopeReader:
         """Return whether the envelope of a piece is cached for the next time."""
         return self._cache is not None and listed.state is not None
 
-    def _known(self, listed: _Listed, grid: Grid) -> Optional[PartEnvelope]:
+    def _known(self, listed: _Listed, grid: Grid) -> PartEnvelope | None:
         if self._cache is None or not self._keeps(listed):
             return None
         return self._cache.get(self._key(listed, grid))
@@ -206,9 +206,9 @@ class EnvelopeReader:
 
     def _new(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
-    ) -> Iterator[Tuple[int, PartEnvelope]]:
+    ) -> Iterator[tuple[int, PartEnvelope]]:
         """Read pieces that are not in the cache; the zones of some are requested ahead."""
-        coming: Deque[Tuple[int, ZoneRead]] = deque()
+        coming: deque[tuple[int, ZoneRead]] = deque()
         left = iter(places)
         while True:
             for n in left:
@@ -230,7 +230,7 @@ class EnvelopeReader:
 
     def _at_once(
         self, listed: Sequence[_Listed], places: Sequence[int], grid: Grid
-    ) -> Iterator[Tuple[int, PartEnvelope]]:
+    ) -> Iterator[tuple[int, PartEnvelope]]:
         """Read pieces in full, without a time limit."""
         for n, part in self._new(listed, places, grid):
             while part.edges:
@@ -252,7 +252,7 @@ class EnvelopeReader:
         return Envelopes(envelope, share, edges)
 
 
-def _place(row: BucketRow) -> Tuple[str, int]:
+def _place(row: BucketRow) -> tuple[str, int]:
     return row.node, row.bucket
 
 
@@ -261,7 +261,7 @@ def _reaches(row: BucketRow, low: int, high: int) -> bool:
     return not row.closed or bool(row.rows and row.t_min <= high and row.t_max >= low)
 
 
-def _is_over(ends: Optional[float]) -> bool:
+def _is_over(ends: float | None) -> bool:
     return ends is not None and time.monotonic() >= ends
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from functools import cached_property
-from typing import Callable, Dict, FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Callable, Dict, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arguments import check_topics
 from cassandra_ros.errors import CorruptMessage
@@ -41,13 +41,13 @@ Tests = Dict[str, Callable[[StoredRow], bool]]
 def latched_before(
     catalog: Catalog,
     t: int,
-    topics: Optional[Iterable[str]] = None,
+    topics: Iterable[str] | None = None,
     *,
-    to: Optional[int] = None,
-    nodeID: Optional[str] = None,
+    to: int | None = None,
+    nodeID: str | None = None,
     run: RunName = None,
     where: Conditions = None,
-) -> List[StoredRow]:
+) -> list[StoredRow]:
     """Find the last latched message before a time of each publisher of some topics.
 
     Only runs (recordings, imports) that have messages of any topic in the time range that begins at
@@ -95,7 +95,7 @@ class LatchedFinder:
         keyspace: Keyspace,
         tables: Sequence[TopicTable],
         whose: Whose = EVERYBODY,
-        tests: Optional[Tests] = None,
+        tests: Tests | None = None,
     ) -> None:
         self._keyspace = keyspace
         self._tables = tables
@@ -103,9 +103,9 @@ class LatchedFinder:
         self._tests = tests or {}
 
     @cached_property
-    def _latched(self) -> Dict[str, FrozenSet[int]]:
+    def _latched(self) -> dict[str, frozenset[int]]:
         """Table → numbers of its latched connections."""
-        found: Dict[str, set[int]] = {}
+        found: dict[str, set[int]] = {}
         names = {table.name for table in self._tables}
         for table, conn, connection in self._keyspace.connections.of_tables(names):
             if is_latched(connection):
@@ -123,17 +123,17 @@ class LatchedFinder:
             return row.conn in self._latched.get(row.table.name, ())
         return is_latched(row.connection)  # the row's table has replaced one of them
 
-    def before(self, t: int, to: int = LAST_NS) -> List[StoredRow]:
+    def before(self, t: int, to: int = LAST_NS) -> list[StoredRow]:
         """Return the last latched message before t of each publisher; see latched_before."""
         return self.of_sources(self.sources(t, to), t) if self.latches and t > 0 else []
 
-    def of_sources(self, sources: FrozenSet[Source], t: int, since: int = 0) -> List[StoredRow]:
+    def of_sources(self, sources: frozenset[Source], t: int, since: int = 0) -> list[StoredRow]:
         """Return the last latched message in [since, t) of each publisher of some runs."""
         tables = [table for table in self._tables if table.name in self._latched]
         found = [row for table in tables for row in self._last(table, t, since, sources)]
         return sorted(found, key=lambda row: row.arrival)
 
-    def sources(self, t: int, to: int) -> FrozenSet[Source]:
+    def sources(self, t: int, to: int) -> frozenset[Source]:
         """Return the runs that have messages of any topic in [t, to]."""
         found: set[Source] = set()
         # Over all topics: the requested topic may have been sent once, long before the range.
@@ -153,7 +153,7 @@ class LatchedFinder:
 
     def _counted(
         self, name: str, metadata: TopicMetadata, rows: Sequence[BucketRow]
-    ) -> List[BucketRow]:
+    ) -> list[BucketRow]:
         """Count the open buckets that a killed recorder left; living ones stay open."""
         left = [row for row in rows if not row.closed and row.age_sec > STALE_SEC]
         if not left:
@@ -164,14 +164,14 @@ class LatchedFinder:
         return [*others, *(row._replace(closed=True) for row in counted)]
 
     def _last(
-        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
+        self, table: TopicTable, t: int, since: int, sources: frozenset[Source]
     ) -> Iterable[StoredRow]:
         if table.named or table.metadata.own_time:
             return self._last_of_all(table, t, since, sources)
         return self._last_by_time(table, t, since, sources)
 
     def _last_by_time(
-        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
+        self, table: TopicTable, t: int, since: int, sources: frozenset[Source]
     ) -> Iterator[StoredRow]:
         """Yield rows from newest to oldest until each latched connection of each run has one."""
         # Only buckets that a run of the range has written to.
@@ -196,10 +196,10 @@ class LatchedFinder:
                     return
 
     def _last_of_all(
-        self, table: TopicTable, t: int, since: int, sources: FrozenSet[Source]
+        self, table: TopicTable, t: int, since: int, sources: frozenset[Source]
     ) -> Iterator[StoredRow]:
         """Search all rows of a topic whose key is not the receive time."""
-        last: Dict[Publisher, StoredRow] = {}
+        last: dict[Publisher, StoredRow] = {}
         conns = self._latched[table.name]
         for row in self._rows(table, Read(whose=self._whose)):
             source, conn = publisher = publisher_of(row)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import Dict, Iterator, List, Sequence, Tuple
+from typing import Iterator, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.overview.latched_messages import LatchedFinder
@@ -40,13 +40,13 @@ class Latest:
     ) -> None:
         self._keyspace = keyspace
         self._whose = whose
-        self._by_topic: Dict[str, List[TopicTable]] = {}
+        self._by_topic: dict[str, list[TopicTable]] = {}
         for table in tables:
             self._by_topic.setdefault(table.metadata.topic, []).append(table)
         timed = [table for table in tables if not table.named]
         self._latched = LatchedFinder(keyspace, timed, whose)
 
-    def before(self, t: int, since: int = 0) -> List[StoredRow]:
+    def before(self, t: int, since: int = 0) -> list[StoredRow]:
         """Return the last messages of each topic, in order of time.
 
         They are: the last message; for transforms all messages of the last second; for latched
@@ -57,7 +57,7 @@ class Latest:
             t: The moment, ns; a message at t itself counts.
             since: Minimum time of messages that are not latched, ns.
         """
-        found: Dict[Tuple[object, ...], StoredRow] = {}
+        found: dict[tuple[object, ...], StoredRow] = {}
         for rows in (self._last(t, since), self._latched_before(t, since)):
             found.update(((row.topic, *row.place), row) for row in rows)
         return sorted(found.values(), key=lambda row: row.position)
@@ -71,7 +71,7 @@ class Latest:
             if manual:
                 yield from self._newest_of_names(manual, t)
 
-    def _last_timed(self, tables: Sequence[TopicTable], t: int, since: int) -> List[StoredRow]:
+    def _last_timed(self, tables: Sequence[TopicTable], t: int, since: int) -> list[StoredRow]:
         rows = self._keyspace.rows
         if any(table.msg_type in TRANSFORMS for table in tables):
             steady = TimeRange(max(since, t - TRANSFORMS_NS), t)
@@ -88,7 +88,7 @@ class Latest:
         nodes = self._whose.nodes
         whose = Whose(None if nodes is None else (*nodes, ""))
         read = Read(whose=whose, columns=lambda table: ())
-        newest: Dict[Tuple[str, str], StoredRow] = {}
+        newest: dict[tuple[str, str], StoredRow] = {}
         for row in self._keyspace.rows.read(tables, read):
             key = (row.node, row.name)
             if row.t <= t or key not in newest:

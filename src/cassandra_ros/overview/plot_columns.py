@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import NamedTuple, Optional, Sequence, Tuple, Union
+from typing import NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class Column(NamedTuple):
     name: str
     unit: str
     """Unit of its values; '' = unknown."""
-    what: Union[Term, Aggregate]
+    what: Term | Aggregate
 
 
 class OmittedColumn(NamedTuple):
@@ -50,8 +50,8 @@ class OmittedColumn(NamedTuple):
 class PlotColumns(NamedTuple):
     """The columns of a statement, divided into those that are drawn and those that are not."""
 
-    columns: Tuple[Column, ...]
-    left_out: Tuple[OmittedColumn, ...]
+    columns: tuple[Column, ...]
+    left_out: tuple[OmittedColumn, ...]
 
 
 def drawn_columns(select: Select, tables: Sequence[Table]) -> PlotColumns:
@@ -95,7 +95,7 @@ def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
     return found
 
 
-def _what(output: Output, selected: Optional[Selected]) -> Union[Term, Aggregate]:
+def _what(output: Output, selected: Selected | None) -> Term | Aggregate:
     """Return the term of one column; of SELECT * the path of its field."""
     if selected is not None and not selected.is_path:
         return selected.what

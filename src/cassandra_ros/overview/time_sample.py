@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import islice
-from typing import Iterable, Iterator, Optional, Sequence
+from typing import Iterable, Iterator, Sequence
 
 from cassandra_ros.errors import MessageNotFound
 from cassandra_ros.keys import RowName
@@ -22,14 +22,14 @@ from cassandra_ros.topics.stored_row import StoredRow
 class MessageChoice:
     """The messages of a topic from which a sample is taken."""
 
-    start: Optional[Time] = None
-    end: Optional[Time] = None
+    start: Time | None = None
+    end: Time | None = None
     """Key times of the first and the last message, both included; None = open."""
-    node: Optional[str] = None
+    node: str | None = None
     """nodeID; None = all."""
     writers: Writers = None
     """Writer ids; None = all."""
-    where: Optional[Where] = None
+    where: Where | None = None
     """Condition that the messages satisfy; None = all messages."""
 
     def rows(self, catalog: Catalog, topic: CassandraTopic) -> Iterator[StoredRow]:
@@ -124,7 +124,7 @@ def nearest_rows(rows: Iterable[StoredRow], times: Sequence[int]) -> Iterator[St
         rows: Rows in order of time; all are read.
         times: Ascending times, ns.
     """
-    before: Optional[StoredRow] = None
+    before: StoredRow | None = None
     wanted = iter(times)
     t = next(wanted, None)
     for row in rows:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Callable, Dict, Optional, Protocol, Sequence
+from typing import Any, Callable, Protocol, Sequence
 
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS
@@ -20,12 +20,12 @@ class ArraySource(Source[Row], Protocol):
     def getArrays(
         self,
         fields: Sequence[str],
-        key: Optional[Stamp] = None,
-        to_key: Optional[Stamp] = None,
+        key: Stamp | None = None,
+        to_key: Stamp | None = None,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         run: Writers = None,
-    ) -> Dict[str, Any]:
+    ) -> dict[str, Any]:
         """Return fields of the messages in [key, to_key] as numpy arrays."""
 
 
@@ -33,7 +33,7 @@ TopicFinder = Callable[[str], ArraySource]
 """Function that returns a topic by its name, like RosCassandra.getTopic; raises TopicNotFound."""
 
 
-def find_stored(find: TopicFinder, name: str) -> Optional[ArraySource]:
+def find_stored(find: TopicFinder, name: str) -> ArraySource | None:
     """Return a topic by its name, or None if it is not stored."""
     try:
         return find(name)
@@ -46,18 +46,16 @@ def arrays_between(
     fields: Sequence[str],
     low: int,
     high: int,
-    node: Optional[str],
+    node: str | None,
     writers: Writers,
-) -> Dict[str, Any]:
+) -> dict[str, Any]:
     """Return fields of the messages with a row key in [low, high], ns."""
     # Stamps, because a small int could be refused as a mistaken number of seconds.
     ends = (Stamp.from_ns(max(0, low)), Stamp.from_ns(min(high, MAX_NS)))
     return topic.getArrays(fields, *ends, nodeID=node, run=writers)
 
 
-def key_after(
-    topic: ArraySource, time: int, node: Optional[str], writers: Writers
-) -> Optional[int]:
+def key_after(topic: ArraySource, time: int, node: str | None, writers: Writers) -> int | None:
     """Return the first row key of a topic after a time, ns; None if there are no later rows."""
     if time >= MAX_NS:
         return None
@@ -66,7 +64,7 @@ def key_after(
     return next((row.t for row in rows), None)
 
 
-def last_key(topic: ArraySource, node: Optional[str], writers: Writers) -> Optional[int]:
+def last_key(topic: ArraySource, node: str | None, writers: Writers) -> int | None:
     """Return the last row key of a topic, ns; None if it has no messages."""
     rows = topic.read(Read(whose=Whose.of(node, writers), reverse=True, wanted=1))
     return next((row.t for row in rows), None)

@@ -10,7 +10,7 @@ one.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, Iterator, Mapping, Sequence
 
 from cassandra_ros.places.ground_cells import JOIN_NS, LONGEST_NS, Cell, cells_of
 from cassandra_ros.places.paths import LONGEST_GAP_NS, clip_ranges, merge_ranges, subtract_ranges
@@ -32,7 +32,7 @@ class Coverage:
         self._stored = stored
         self._index = index
 
-    def candidates(self, robot: Robot, region: Region, low: int, high: int) -> List[NsRange]:
+    def candidates(self, robot: Robot, region: Region, low: int, high: int) -> list[NsRange]:
         """Return the time ranges in [low, high], ns, with possible stays, sorted and disjoint."""
         extents = self._stored.extents(
             robot.topic, robot.node, low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
@@ -46,7 +46,7 @@ class Coverage:
             found += self._visits(robot, cells, low, high)
         return list(clip_ranges(merge_ranges(sorted(found)), low, high))
 
-    def _noted(self, robot: Robot) -> List[IndexedPoses]:
+    def _noted(self, robot: Robot) -> list[IndexedPoses]:
         """Return the index records of a robot that are still valid."""
         tables = [table.name for table in robot.topic.tables]
         every = [
@@ -88,7 +88,7 @@ def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[IndexedPoses]) -
     These are the times of poses without an index record, those around the ends of records, and
     those at which several runs recorded: then each message is judged by the poses of its own run.
     """
-    known: Dict[Tuple[str, int], List[NsRange]] = {}
+    known: dict[tuple[str, int], list[NsRange]] = {}
     for each in noted:
         known.setdefault((each.table, each.writer), []).append((each.low, each.high))
     for extent in extents:
@@ -99,7 +99,7 @@ def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[IndexedPoses]) -
         yield other.low - LONGEST_GAP_NS, min(one.high, other.high) + LONGEST_GAP_NS
     # The robot may have moved between the last pose of one run and the first pose of the next.
     there = {extent[:2] for extent in extents}
-    last: Optional[int] = None
+    last: int | None = None
     for low, high in sorted((n.low, n.high) for n in noted if (n.table, n.writer) in there):
         if last is not None and last < low <= last + LONGEST_GAP_NS:
             yield last, low

@@ -10,7 +10,7 @@ left out.
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Iterable, NamedTuple, Sequence
 
 import numpy as np
 
@@ -46,9 +46,9 @@ class AncestorPath(NamedTuple):
 
     rows: Codes
     """Indices of these times."""
-    frames: Tuple[int, ...]
+    frames: tuple[int, ...]
     """Frames of the path, from the frame itself upwards."""
-    poses: Tuple[Rigid, ...]
+    poses: tuple[Rigid, ...]
     """Poses of the frame itself in each frame of the path."""
 
 
@@ -69,7 +69,7 @@ class TfRecording:
     def __init__(
         self,
         find: TopicFinder,
-        node: Optional[str] = None,
+        node: str | None = None,
         writers: Writers = None,
         tf: str = TF,
         tf_static: str = TF_STATIC,
@@ -77,8 +77,8 @@ class TfRecording:
         check_nodes(node)
         self._find, self._node, self._writers = find, node, writers
         self._topics = (tf, tf_static)
-        self._codes: Dict[str, int] = {}
-        self.names: List[str] = []
+        self._codes: dict[str, int] = {}
+        self.names: list[str] = []
         """Names of the frames, by frame number."""
         self.moving = find_stored(find, tf)
         fixed = find_stored(find, tf_static)
@@ -89,7 +89,7 @@ class TfRecording:
         self.fixed = self._read_fixed(fixed)
         """Parent and pose of each fixed frame, by frame number."""
 
-    def _read_fixed(self, topic: Optional[ArraySource]) -> Dict[int, Tuple[int, Rigid]]:
+    def _read_fixed(self, topic: ArraySource | None) -> dict[int, tuple[int, Rigid]]:
         if topic is None:
             return {}
         fixed = FixedTransforms()
@@ -102,7 +102,7 @@ class TfRecording:
             for sample in fixed.all()
         }
 
-    def code(self, name: Optional[str]) -> int:
+    def code(self, name: str | None) -> int:
         """Return the number of a frame, slash in front ignored; NO_FRAME for an empty name."""
         name = (name or "").lstrip("/")
         if not name:
@@ -122,8 +122,8 @@ class TfRecording:
         stamps = filled(found[_STAMP], 0)
         return Samples.checked(found["KEY"], stamps, parents, children, numbers)
 
-    def _codes_of(self, names: Iterable[Optional[str]]) -> Codes:
-        known: Dict[Optional[str], int] = {}
+    def _codes_of(self, names: Iterable[str | None]) -> Codes:
+        known: dict[str | None, int] = {}
         codes = []
         for name in names:
             if name not in known:
@@ -131,15 +131,15 @@ class TfRecording:
             codes.append(known[name])
         return np.array(codes, np.int64)
 
-    def next_key(self, time: int) -> Optional[int]:
+    def next_key(self, time: int) -> int | None:
         """Return the first row key after a time, ns; None if there are no later rows."""
         if self.moving is None:
             return None
         return key_after(self.moving, time, self._node, self._writers)
 
-    def above(self, name: str, times: Sequence[int]) -> List[str]:
+    def above(self, name: str, times: Sequence[int]) -> list[str]:
         """Return the ancestors of a frame, nearest first, as recorded around some row keys, ns."""
-        parents: Dict[int, Set[int]] = {child: {p} for child, (p, _) in self.fixed.items()}
+        parents: dict[int, set[int]] = {child: {p} for child, (p, _) in self.fixed.items()}
         for time in dict.fromkeys(times):
             samples = self.read(max(0, time - AROUND_NS), time + AROUND_NS)
             pairs = np.unique(np.stack([samples.children, samples.parents], 1), axis=0)
@@ -189,7 +189,7 @@ class FrameChain:
         """Return why there is no pose at a time, as a text; '' if tf2 would return a pose."""
         return self._frames.explain(self.frame, self.of, time)
 
-    def next_key(self, time: int) -> Optional[int]:
+    def next_key(self, time: int) -> int | None:
         """Return the first row key after a time, ns; None if there are no later rows."""
         return self._frames.next_key(time)
 
@@ -243,7 +243,7 @@ class _AncestorSearch:
     def ways(self, frame: int) -> Sequence[AncestorPath]:
         """Return the paths upwards from a frame; each time belongs to one path."""
         count = len(self._times)
-        done: List[AncestorPath] = []
+        done: list[AncestorPath] = []
         going = [AncestorPath(np.arange(count), (frame,), (Rigid.none(count),))]
         while going:
             way = going.pop()
@@ -257,7 +257,7 @@ class _AncestorSearch:
                 going.append(AncestorPath(part.rows, (*way.frames, parent), (*part.poses, higher)))
         return done
 
-    def _step(self, frame: int, rows: Codes) -> Tuple[Rigid, Codes]:
+    def _step(self, frame: int, rows: Codes) -> tuple[Rigid, Codes]:
         """Return the poses of a frame in its parents, and the parents."""
         fixed = self._frames.fixed.get(frame)
         if fixed is not None:

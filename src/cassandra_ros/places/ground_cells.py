@@ -10,7 +10,7 @@ afterwards.
 from __future__ import annotations
 
 import math
-from typing import Dict, Iterator, List, NamedTuple, Optional
+from typing import Iterator, NamedTuple
 
 import numpy as np
 
@@ -51,7 +51,7 @@ class Visit(NamedTuple):
     high: int
 
 
-def cells_of(box: Box) -> Optional[List[Cell]]:
+def cells_of(box: Box) -> list[Cell] | None:
     """Return the cells that cover a rectangle.
 
     None if there are too many even of the largest size.
@@ -142,9 +142,9 @@ class OpenVisits:
     """Extends visits while the path continues."""
 
     def __init__(self) -> None:
-        self._open: Dict[Cell, Visit] = {}
+        self._open: dict[Cell, Visit] = {}
 
-    def visits(self, path: Path) -> List[Visit]:
+    def visits(self, path: Path) -> list[Visit]:
         """Return the visits of the next part of a path; an extended visit from its beginning."""
         found = []
         for visit in visits_of(path):

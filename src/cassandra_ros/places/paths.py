@@ -11,7 +11,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -61,11 +61,11 @@ class Path:
         return len(self.times)
 
     @cached_property
-    def _listed(self) -> Tuple[List[int], List[float], List[float]]:
+    def _listed(self) -> tuple[list[int], list[float], list[float]]:
         # A single time is found faster in lists than in arrays.
         return self.times.tolist(), self.x.tolist(), self.y.tolist()
 
-    def at(self, t: int) -> Optional[Tuple[float, float]]:
+    def at(self, t: int) -> tuple[float, float] | None:
         """Return the position at a time, ns; None if it is unknown."""
         times, x, y = self._listed
         n = bisect_right(times, t) - 1
@@ -90,7 +90,7 @@ class Path:
         return joined
 
     @property
-    def lines(self) -> Tuple[Times, Times, Lines]:
+    def lines(self) -> tuple[Times, Times, Lines]:
         """The lines between connected poses: start times, end times, coordinates."""
         n = self._joined
         x, y = self.x[n], self.y[n]
@@ -101,7 +101,7 @@ class Path:
         """Yield the time ranges of stays in a region, up to AROUND_NS too long, in time order."""
         starts, ends, lines = self.lines
         begun, ended = starts.tolist(), ends.tolist()
-        found: List[NsRange] = []
+        found: list[NsRange] = []
         for n, first, last in region.shares(lines):
             length = ended[n] - begun[n]
             low, high = begun[n] + int(first * length), begun[n] + int(last * length)
@@ -122,7 +122,7 @@ class Path:
 
 def merge_ranges(spans: Iterable[NsRange]) -> Iterator[NsRange]:
     """Join overlapping and adjacent time ranges; they must be sorted by their start."""
-    current: Optional[NsRange] = None
+    current: NsRange | None = None
     for low, high in spans:
         if current is not None and low <= current[1] + 1:
             current = current[0], max(current[1], high)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Optional, Sequence
+from typing import Sequence
 
 import numpy as np
 
@@ -38,7 +38,7 @@ _WISHES = ("goal", "initialpose", "initial_pose", "clicked")
 """Words in topic names whose poses are goals or guesses, not where a robot was."""
 
 
-def pose_fields(definition: Optional[Definition]) -> Sequence[str]:
+def pose_fields(definition: Definition | None) -> Sequence[str]:
     """Return the fields of a type that make a pose: seven, three in the plane, or an empty list."""
     names = set() if definition is None else {ref.name for ref in all_fields(definition)}
     for moved, turned in _SOLID:
@@ -80,10 +80,10 @@ class PoseTopic:
         self,
         find: TopicFinder,
         topic: str,
-        node: Optional[str] = None,
+        node: str | None = None,
         writers: Writers = None,
-        offset: Optional[Rigid] = None,
-        frame: Optional[str] = None,
+        offset: Rigid | None = None,
+        frame: str | None = None,
     ) -> None:
         check_nodes(node)
         self._topic, self._node, self._writers = find(topic), node, writers
@@ -135,7 +135,7 @@ class PoseTopic:
             f"received from {iso_time(first)} to {iso_time(last)}"
         )
 
-    def next_key(self, time: int) -> Optional[int]:
+    def next_key(self, time: int) -> int | None:
         """Return the first row key after a time, ns; None if there are no later rows."""
         return key_after(self._topic, time, self._node, self._writers)
 

@@ -16,7 +16,7 @@ ascend, the data that both need is read once.
 
 from __future__ import annotations
 
-from typing import Iterator, Optional, Protocol, Tuple
+from typing import Iterator, Protocol
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class PoseSource(Protocol):
     def on_way(self, samples: Samples) -> Flags:
         """Return which samples affect the poses."""
 
-    def next_key(self, time: int) -> Optional[int]:
+    def next_key(self, time: int) -> int | None:
         """Return the first row key after a time, ns; None if there are no later rows."""
 
     def explain(self, time: int) -> str:
@@ -92,12 +92,12 @@ class Poses:
         self._source = source
         self._gap = round(longest_gap_sec * SECOND_NS)
         self._reach = max(REACH_NS, self._gap)
-        self._held: Tuple[int, int, Samples] = (0, -1, Samples.none())
+        self._held: tuple[int, int, Samples] = (0, -1, Samples.none())
         """First and last row key of the range that was read last, both included, and its
         samples."""
         self.frame = source.frame
 
-    def at(self, keys: Times, stamps: Optional[Times] = None) -> KnownPoses:
+    def at(self, keys: Times, stamps: Times | None = None) -> KnownPoses:
         """Return the poses at the receive times of messages, or at their stamps.
 
         Args:
@@ -189,7 +189,7 @@ def poses_in_frame(
     of: str,
     frame: str,
     *,
-    node: Optional[str] = None,
+    node: str | None = None,
     writers: Writers = None,
     tf: str = TF,
     tf_static: str = TF_STATIC,
@@ -220,8 +220,8 @@ def poses_of_topic(
     find: TopicFinder,
     topic: str,
     *,
-    offset: Optional[Rigid] = None,
-    node: Optional[str] = None,
+    offset: Rigid | None = None,
+    node: str | None = None,
     writers: Writers = None,
     longest_gap_sec: float = LONGEST_GAP_SEC,
 ) -> Poses:

@@ -104,7 +104,7 @@ class Polygon:
         InvalidOption: There are fewer than 3 or more than 1000 corners, or a corner is invalid.
     """
 
-    def __init__(self, corners: Sequence[Tuple[float, float]]) -> None:
+    def __init__(self, corners: Sequence[tuple[float, float]]) -> None:
         if not 3 <= len(corners) <= MAX_CORNERS:
             raise InvalidOption(
                 f"a polygon has 3 to {MAX_CORNERS} corners, not {len(corners)}: give x,y;x,y;x,y"

@@ -11,16 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from typing import (
-    Dict,
-    FrozenSet,
     Iterable,
-    List,
     Mapping,
     NamedTuple,
-    Optional,
     Sequence,
-    Set,
-    Tuple,
 )
 
 import numpy as np
@@ -64,10 +58,10 @@ _NO_FRAME_NAME = "no frame"
 class TfFrames(NamedTuple):
     """The frames that tf has for a node."""
 
-    frames: FrozenSet[str]
-    robots: Tuple[str, ...]
+    frames: frozenset[str]
+    robots: tuple[str, ...]
     """Frames that may be the bodies of robots."""
-    tops: Tuple[str, ...] = ()
+    tops: tuple[str, ...] = ()
     """Frames without a parent."""
 
 
@@ -87,7 +81,7 @@ class Robot:
     """Writer ids of the runs whose poses are used; None = all runs."""
 
     @property
-    def keys(self) -> Tuple[str, ...]:
+    def keys(self) -> tuple[str, ...]:
         """Names under which the index holds its places."""
         return (self.name,) if self.name else tuple(table.name for table in self.topic.tables)
 
@@ -107,7 +101,7 @@ class Robot:
         return fixed_frames(TfRecording(self.find, self.node, self.writers)) if self.name else {}
 
 
-def fixed_frames(frames: TfRecording) -> Dict[str, str]:
+def fixed_frames(frames: TfRecording) -> dict[str, str]:
     """Return parent and pose of each fixed frame, as a text, by frame."""
     return {
         frames.names[child]: f"{frames.names[parent]} {pose.moved.tolist()} {pose.turned.tolist()}"
@@ -116,9 +110,9 @@ def fixed_frames(frames: TfRecording) -> Dict[str, str]:
     }
 
 
-def frames_above(frames: TfRecording, samples: Samples, name: str) -> List[str]:
+def frames_above(frames: TfRecording, samples: Samples, name: str) -> list[str]:
     """Return a frame and its ancestors, as far as samples and fixed transforms are known."""
-    above: Set[int] = {frames.code(name)}
+    above: set[int] = {frames.code(name)}
     while True:
         on_way = np.isin(samples.children, list(above))
         wider = above | set(samples.parents[on_way].tolist())
@@ -130,8 +124,8 @@ def frames_above(frames: TfRecording, samples: Samples, name: str) -> List[str]:
 
 def frames_in(frames: TfRecording, parts: Iterable[Samples]) -> TfFrames:
     """Return the frames in samples and among the fixed transforms."""
-    moving: Set[int] = set()
-    carrying: Set[int] = set()
+    moving: set[int] = set()
+    carrying: set[int] = set()
     for samples in parts:
         moving |= set(samples.children.tolist())
         carrying |= set(samples.parents.tolist())
@@ -145,9 +139,9 @@ def frames_in(frames: TfRecording, parts: Iterable[Samples]) -> TfFrames:
     return TfFrames(frozenset(sorted(every)[:MAX_FRAMES]), tuple(robots[:MAX_ROBOTS]), tuple(tops))
 
 
-def _bodies(frames: Iterable[str]) -> List[str]:
+def _bodies(frames: Iterable[str]) -> list[str]:
     """Return for each prefix the frame that has a usual name of a robot's body."""
-    found: Dict[str, List[str]] = {}
+    found: dict[str, list[str]] = {}
     for frame in frames:
         prefix, _, last = frame.rpartition("/")
         if last in BASES:
@@ -155,7 +149,7 @@ def _bodies(frames: Iterable[str]) -> List[str]:
     return sorted(min(n, key=lambda f: BASES.index(f.rpartition("/")[2])) for n in found.values())
 
 
-def find_frames(find: TopicFinder, node: str, writers: Writers = None) -> Optional[TfFrames]:
+def find_frames(find: TopicFinder, node: str, writers: Writers = None) -> TfFrames | None:
     """Return the frames that tf has for a node and some runs, at some times; None without tf."""
     try:
         frames = TfRecording(find, node, writers)
@@ -193,11 +187,11 @@ class RobotFinder:
     ) -> None:
         self._stored = stored
         self._frame, self._robot, self._writers = frame.lstrip("/"), robot, writers
-        self._told: Dict[str, List[str]] = {}
+        self._told: dict[str, list[str]] = {}
         """Frames in which topics give poses, by topic, for the text of an error."""
         self._find_frames = lru_cache(None)(partial(find_frames, stored.find))
 
-    def robots(self, nodes: Optional[Sequence[str]] = None) -> List[Robot]:
+    def robots(self, nodes: Sequence[str] | None = None) -> list[Robot]:
         """Return the robots of some nodes, one for each node that has poses; None = all nodes."""
         named = self._named_topic()
         topics = [named] if named is not None else [*self._tf(), *self._candidates]
@@ -230,11 +224,11 @@ class RobotFinder:
         found = [frame for frame in USUAL_FRAMES if frame in known]
         return next(iter([*found, *sorted(filter(None, told)), *tops]), USUAL_FRAMES[0])
 
-    def _tf(self) -> List[ArraySource]:
+    def _tf(self) -> list[ArraySource]:
         found = (find_stored(self._stored.find, name) for name in (TF, TF_STATIC))
         return [topic for topic in found if topic is not None]
 
-    def _named_topic(self) -> Optional[ArraySource]:
+    def _named_topic(self) -> ArraySource | None:
         """Return the topic that was given as the robot; None if it is a frame."""
         if not self._robot:
             return None
@@ -242,7 +236,7 @@ class RobotFinder:
         return topic if topic is not None and tells_poses(topic) else None
 
     @cached_property
-    def _candidates(self) -> List[ArraySource]:
+    def _candidates(self) -> list[ArraySource]:
         """Return the topics that may give a robot's poses without being named."""
         if self._robot:
             return []
@@ -252,14 +246,12 @@ class RobotFinder:
             if any(table.msg_type in _TYPES for table in topic.tables) and tells_robot(topic)
         ]
 
-    def _of_runs(self, node: str, named: Optional[ArraySource]) -> Optional[Robot]:
+    def _of_runs(self, node: str, named: ArraySource | None) -> Robot | None:
         """Return the robot of a node by the poses of the runs, else by the poses of all runs."""
         own = None if self._writers is None else self._of_node(node, named, self._writers)
         return own or self._of_node(node, named, None)
 
-    def _of_node(
-        self, node: str, named: Optional[ArraySource], writers: Writers
-    ) -> Optional[Robot]:
+    def _of_node(self, node: str, named: ArraySource | None, writers: Writers) -> Robot | None:
         def of_topic(topic: ArraySource) -> Robot:
             return Robot(node, topic, self._frame, "", self._stored.find, writers)
 
@@ -284,7 +276,7 @@ class RobotFinder:
             )
         return of_topic(meant[0]) if meant else None
 
-    def _in_tf(self, node: str, seen: TfFrames, writers: Writers) -> Optional[Robot]:
+    def _in_tf(self, node: str, seen: TfFrames, writers: Writers) -> Robot | None:
         name = self._robot.lstrip("/")
         if name and name not in seen.frames:
             return None
@@ -306,7 +298,7 @@ class RobotFinder:
         return frame
 
     def _nothing(self, nodes: Sequence[str]) -> str:
-        known: Set[str] = set()
+        known: set[str] = set()
         for node in nodes:
             seen = self._find_frames(node)
             known |= set() if seen is None else seen.frames

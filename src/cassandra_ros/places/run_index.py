@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from functools import partial
-from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Callable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.places.array_source import ArraySource, TopicFinder, find_stored
@@ -45,7 +45,7 @@ class _CachedRecording(TfRecording):
 
     def __init__(self, find: TopicFinder, node: str) -> None:
         super().__init__(find, node)
-        self._read: OrderedDict[Tuple[int, int], Samples] = OrderedDict()
+        self._read: OrderedDict[tuple[int, int], Samples] = OrderedDict()
 
     def read(self, low: int, high: int) -> Samples:
         """Return the moving transforms with a row key in [low, high], ns."""
@@ -83,10 +83,10 @@ class TfVisits:
     def __init__(self, find: TopicFinder, whose: RobotRun) -> None:
         self._whose = whose
         self._frames = _CachedRecording(find, whose.node)
-        self._ways: Dict[Tuple[str, str], _RobotVisits] = {}
-        self._since: Dict[str, int] = {}
+        self._ways: dict[tuple[str, str], _RobotVisits] = {}
+        self._since: dict[str, int] = {}
         """Row key from which a robot is indexed, ns, by frame."""
-        self._seen: Set[str] = set()
+        self._seen: set[str] = set()
         self._begun = False
 
     def visits(self, low: int, high: int) -> Iterator[Visit]:
@@ -105,7 +105,7 @@ class TfVisits:
                         self._ways[robot, frame] = _RobotVisits(poses, frame, robot)
                     yield from self._ways[robot, frame].visits(self._whose, low, high)
 
-    def placed(self, table: str, low: int, high: int) -> List[IndexedPoses]:
+    def placed(self, table: str, low: int, high: int) -> list[IndexedPoses]:
         """Return the index records of the row keys [low, high], ns, in a table."""
         fixed = fixed_frames(self._frames)
         return [
@@ -121,7 +121,7 @@ class TfVisits:
             for robot, since in sorted(self._since.items())
         ]
 
-    def _above(self, robot: str) -> List[str]:
+    def _above(self, robot: str) -> list[str]:
         return [robot, *(frame for name, frame in self._ways if name == robot)]
 
 
@@ -133,7 +133,7 @@ class TopicVisits:
         recording = PoseTopic(find, topic, whose.node)
         self._frame = recording.frame
         self._poses = Poses(recording)
-        self._ways: Dict[str, _RobotVisits] = {}
+        self._ways: dict[str, _RobotVisits] = {}
 
     def visits(self, table: str, low: int, high: int) -> Iterator[Visit]:
         """Yield the visits of row keys [low, high], ns, which must follow the previous range."""
@@ -141,7 +141,7 @@ class TopicVisits:
             self._ways[table] = _RobotVisits(self._poses, self._frame, table)
         yield from self._ways[table].visits(self._whose, low, high)
 
-    def placed(self, table: str, low: int, high: int) -> List[IndexedPoses]:
+    def placed(self, table: str, low: int, high: int) -> list[IndexedPoses]:
         """Return the index records of the row keys [low, high], ns, in a table."""
         frames = frozenset([self._frame])
         return [IndexedPoses(table, *self._whose, table, low, high, frames, {self._frame: ""})]
@@ -172,7 +172,7 @@ class RunIndex:
     ) -> None:
         self._stored, self._index, self._whose, self._ttl = stored, index, whose, ttl
 
-    def make(self, progress: Optional[Callable[[int, int], None]] = None) -> Optional[IndexResult]:
+    def make(self, progress: Callable[[int, int], None] | None = None) -> IndexResult | None:
         """Index all poses of the run; return None if it has no poses. Can be repeated.
 
         Args:
@@ -211,7 +211,7 @@ class RunIndex:
                         own = [extent for extent in extents if extent.table == table]
                         yield _TopicPoses(own, partial(told.visits, table), told.placed)
 
-    def _extents(self, topic: ArraySource) -> List[Extent]:
+    def _extents(self, topic: ArraySource) -> list[Extent]:
         node, writer = self._whose
         every = self._stored.extents(topic, node, 0, MAX_NS)
         return [extent for extent in every if extent.writer == writer]
@@ -222,7 +222,7 @@ class _TopicPoses(NamedTuple):
 
     extents: Sequence[Extent]
     visits: Callable[[int, int], Iterator[Visit]]
-    note: Callable[[str, int, int], List[IndexedPoses]]
+    note: Callable[[str, int, int], list[IndexedPoses]]
 
     def placed(self) -> Iterator[IndexedPoses]:
         """Yield the index records of the poses, by table."""
@@ -231,7 +231,7 @@ class _TopicPoses(NamedTuple):
             yield from self.note(table, min(e.low for e in own), max(e.high for e in own))
 
 
-def _windows(extents: Sequence[Extent]) -> Iterator[Tuple[int, int]]:
+def _windows(extents: Sequence[Extent]) -> Iterator[tuple[int, int]]:
     """Yield the windows of MAX_SPAN_NS that the ranges touch, each once."""
     last = -1
     for low, high in merge_ranges(sorted((extent.low, extent.high) for extent in extents)):

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, NamedTuple, Optional, Protocol, Sequence
+from typing import NamedTuple, Protocol, Sequence
 
 from cassandra_ros.places.array_source import ArraySource
 
@@ -35,7 +35,7 @@ class StoredTopics(Protocol):
     def extents(self, topic: ArraySource, node: str, low: int, high: int) -> Sequence[Extent]:
         """Return the time ranges of a node's messages of a topic, by run, touching [low, high]."""
 
-    def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
+    def run_nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
         """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
 
     def run_text(self, writer: int) -> str:

@@ -13,7 +13,7 @@ import math
 import time
 from collections import OrderedDict
 from dataclasses import dataclass, field
-from typing import Dict, Iterator, List, Mapping, Optional, Sequence, Set, Tuple
+from typing import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -43,14 +43,14 @@ class Window:
     complete: bool = False
     """Whether no more poses are expected: there is one after the end of the window."""
 
-    def at(self, run: str, t: int) -> Optional[Tuple[float, float]]:
+    def at(self, run: str, t: int) -> tuple[float, float] | None:
         """Return the position of the robot of a run's message at a time, ns; None if unknown."""
         mine = self.own.get(run)
         place = None if mine is None else mine.at(t)
         return self.every.at(t) if place is None else place
 
     @property
-    def paths(self) -> List[Path]:
+    def paths(self) -> list[Path]:
         """All paths."""
         return [self.every, *self.own.values()]
 
@@ -61,12 +61,12 @@ class Windows:
     def __init__(self, robot: Robot, stored: StoredTopics) -> None:
         self.robot = robot
         self._stored = stored
-        self._poses: Dict[Writers, Poses] = {}
-        self._kept: OrderedDict[int, Tuple[float, Window]] = OrderedDict()
+        self._poses: dict[Writers, Poses] = {}
+        self._kept: OrderedDict[int, tuple[float, Window]] = OrderedDict()
         self.still = self._still()
         """Path of a robot that never moves; None if it moves."""
 
-    def _still(self) -> Optional[Path]:
+    def _still(self) -> Path | None:
         # A pose that is known without any moving transform is fixed.
         nothing, once = Samples.none(), np.zeros(1, np.int64)
         poses, known = self.robot.source().placed(nothing, once, False, 0)
@@ -103,7 +103,7 @@ class Windows:
         robot = self.robot
         extents = self._stored.extents(robot.topic, robot.node, low, high)
         # Several runs may have the same value of RUN: then their poses are used together.
-        called: Dict[str, Set[int]] = {}
+        called: dict[str, set[int]] = {}
         for writer in {each.writer for pair in overlapping_pairs(extents) for each in pair}:
             called.setdefault(self._stored.run_text(writer), set()).add(writer)
         own = {
@@ -113,9 +113,9 @@ class Windows:
         return Window(every, own, int(every.times[-1]) > high - LONGEST_GAP_NS)
 
 
-def overlapping_pairs(extents: Sequence[Extent]) -> Iterator[Tuple[Extent, Extent]]:
+def overlapping_pairs(extents: Sequence[Extent]) -> Iterator[tuple[Extent, Extent]]:
     """Yield pairs of time ranges of two runs that overlap, sorted by their start."""
-    longest: Optional[Extent] = None
+    longest: Extent | None = None
     for extent in sorted(extents, key=lambda each: (each.low, each.high)):
         if longest is not None and extent.low <= longest.high and extent.writer != longest.writer:
             yield longest, extent

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Callable, Dict, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Callable, Iterator, List, Sequence, Union
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class RobotTrack:
     joined: Sequence[bool]
     """For each point, whether the line from the previous point is known."""
 
-    def told(self) -> Dict[str, JsonValues]:
+    def told(self) -> dict[str, JsonValues]:
         """Return the track for JSON: times are ns, as texts."""
         path = self.path
         return {
@@ -55,12 +55,12 @@ class RobotTrack:
 
 def find_tracks(
     places: Whereabouts,
-    asked: Tuple[str, str],
-    nodes: Optional[Sequence[str]],
+    asked: tuple[str, str],
+    nodes: Sequence[str] | None,
     writers: Writers,
-    window: Tuple[int, int, int],
+    window: tuple[int, int, int],
     watch: Callable[[], None],
-) -> List[RobotTrack]:
+) -> list[RobotTrack]:
     """Return the tracks of all robots that have poses.
 
     Args:
@@ -82,7 +82,7 @@ def find_tracks(
     return found
 
 
-def _path(robot: Robot, spans: Sequence[Tuple[int, int]], watch: Callable[[], None]) -> Path:
+def _path(robot: Robot, spans: Sequence[tuple[int, int]], watch: Callable[[], None]) -> Path:
     poses, tracks = robot.poses(), []
     total = sum(end - start + 1 for start, end in spans)
     for start, end in spans if total <= WHOLE_NS else _sample_ranges(spans, total):
@@ -99,7 +99,7 @@ def _path(robot: Robot, spans: Sequence[Tuple[int, int]], watch: Callable[[], No
     return Path(path.times, path.x, path.y, max(2 * step, LONGEST_GAP_NS))
 
 
-def _sample_ranges(spans: Sequence[Tuple[int, int]], total: int) -> Iterator[Tuple[int, int]]:
+def _sample_ranges(spans: Sequence[tuple[int, int]], total: int) -> Iterator[tuple[int, int]]:
     """Yield time ranges of one second, evenly spaced over the given ones."""
     step = max(1, total // _SAMPLES)
     for start, end in spans:
@@ -107,7 +107,7 @@ def _sample_ranges(spans: Sequence[Tuple[int, int]], total: int) -> Iterator[Tup
             yield at, min(end, at + _SAMPLE_NS)
 
 
-def reduce_points(path: Path, most: int) -> Tuple[Path, List[bool]]:
+def reduce_points(path: Path, most: int) -> tuple[Path, list[bool]]:
     """Reduce the points of a path to at most ``most``, leaving out those that change it least.
 
     The ends of known parts stay, unless there are too many of them.

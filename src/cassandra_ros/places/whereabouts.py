@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 from bisect import bisect_right
 from contextlib import contextmanager
-from typing import Callable, Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Iterable, Iterator, Mapping, Sequence
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.places.coverage import Coverage
@@ -39,15 +39,15 @@ class RegionStays:
 
     def __init__(self, region: Region, windows: Mapping[str, Windows], coverage: Coverage) -> None:
         self._region, self._windows, self._coverage = region, windows, coverage
-        self._latest: Dict[str, Tuple[int, Window]] = {}
+        self._latest: dict[str, tuple[int, Window]] = {}
         self._mutex = threading.Lock()
 
     @property
-    def nodes(self) -> List[str]:
+    def nodes(self) -> list[str]:
         """Robots with poses: their nodeIDs, sorted."""
         return sorted(self._windows)
 
-    def holds(self, node: str, run: str, t: int) -> Optional[bool]:
+    def holds(self, node: str, run: str, t: int) -> bool | None:
         """Return whether the robot of a message was in the region; None if unknown."""
         number = t // WINDOW_NS
         latest = self._latest.get(node)
@@ -68,7 +68,7 @@ class RegionStays:
         low: int,
         high: int,
         reverse: bool = False,
-        node: Optional[str] = None,
+        node: str | None = None,
         watch: Callable[[], None] = lambda: None,
     ) -> Iterator[NsRange]:
         """Yield time ranges in [low, high], ns, that contain all stays; see query.protocols.Stays.
@@ -97,7 +97,7 @@ class RegionStays:
         for number in _numbers(list(every), reverse):
             watch()
             start, end = number * WINDOW_NS, (number + 1) * WINDOW_NS - 1
-            found: List[NsRange] = []
+            found: list[NsRange] = []
             for windows, spans in zip(asked, candidates):
                 if _meets(spans, start, end):
                     for path in self._window(windows, start).paths:
@@ -108,7 +108,7 @@ class RegionStays:
 
 def _numbers(spans: Sequence[NsRange], reverse: bool) -> Iterator[int]:
     """Yield the numbers of the windows that some time ranges touch, each once."""
-    last: Optional[int] = None
+    last: int | None = None
     for low, high in reversed(spans) if reverse else spans:
         numbers = range(low // WINDOW_NS, high // WINDOW_NS + 1)
         for number in reversed(numbers) if reverse else numbers:
@@ -125,7 +125,7 @@ def _meets(spans: Sequence[NsRange], start: int, end: int) -> bool:
 
 def _touching(spans: Iterable[NsRange]) -> Iterator[NsRange]:
     """Join adjacent and overlapping time ranges, in ascending or descending order."""
-    last: Optional[NsRange] = None
+    last: NsRange | None = None
     for low, high in spans:
         if last is not None and low <= last[1] + 1 and last[0] <= high + 1:
             last = min(last[0], low), max(last[1], high)
@@ -154,13 +154,13 @@ class Whereabouts:
         finally:
             del self._local.answers
 
-    def stays(self, disk: Disk, node: Optional[str] = None, writers: Writers = None) -> RegionStays:
+    def stays(self, disk: Disk, node: str | None = None, writers: Writers = None) -> RegionStays:
         """Return when robots were on a disk; of one node, by the poses of some runs; None = all.
 
         Raises:
             InvalidOption: There are no poses in the frame, or several robots may be meant.
         """
-        answers: Dict[Tuple[Disk, Optional[str], Writers], RegionStays]
+        answers: dict[tuple[Disk, str | None, Writers], RegionStays]
         answers = getattr(self._local, "answers", {})
         asked = disk, node, writers
         if asked not in answers:
@@ -174,7 +174,7 @@ class Whereabouts:
         region: Region,
         frame: str,
         robot: str = "",
-        nodes: Optional[Sequence[str]] = None,
+        nodes: Sequence[str] | None = None,
         writers: Writers = None,
     ) -> RegionStays:
         """Return when robots were in a region; frame, robot and errors as in ``stays``.
@@ -194,9 +194,9 @@ class Whereabouts:
         self,
         frame: str,
         robot: str = "",
-        nodes: Optional[Sequence[str]] = None,
+        nodes: Sequence[str] | None = None,
         writers: Writers = None,
-    ) -> List[Robot]:
+    ) -> list[Robot]:
         """Return the sources of robots' poses; arguments and errors as in ``within``."""
         return RobotFinder(self._stored, frame, robot, writers).robots(nodes)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from typing import Callable, NamedTuple, Optional
+from typing import Callable, NamedTuple
 
 from cassandra_ros.errors import InvalidOption
 
@@ -61,7 +61,7 @@ class Pace:
         """Whether the clock stands."""
         return bool(self._state.holds)
 
-    def due_in(self, t: int) -> Optional[float]:
+    def due_in(self, t: int) -> float | None:
         """Return the wall time until ``t``, s; 0 or less after ``t``, None if the clock stands."""
         state, clock = self._state, self._clock()
         if state.holds:
@@ -90,7 +90,7 @@ class Pace:
         self._change(remove=reason)
 
     def _change(
-        self, rate: Optional[float] = None, add: Optional[str] = None, remove: Optional[str] = None
+        self, rate: float | None = None, add: str | None = None, remove: str | None = None
     ) -> None:
         with self._lock:
             state, clock = self._state, self._clock()

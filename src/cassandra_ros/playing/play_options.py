@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Collection, Optional
+from typing import Collection
 
 from cassandra_ros.arguments import check_integer, check_ros_name
 from cassandra_ros.errors import InvalidOption
@@ -52,7 +52,7 @@ class PlayerOptions:
     paused: bool = False
     loop: bool = False
     keep_alive: bool = False
-    skip_empty: Optional[float] = None
+    skip_empty: float | None = None
     pause_topics: Collection[str] = ()
     queue: int = 100
     clock_hz: float = 0.0

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
-from typing import List, Mapping, Optional, Sequence, Tuple, Union
+from typing import Mapping, Sequence, Union
 
 from cassandra_ros.arguments import check_ros_name, check_topics
 from cassandra_ros.errors import DefinitionError, TopicNotFound
@@ -52,25 +52,25 @@ class PlaySelection:
             nodeID.
     """
 
-    topics: Optional[Sequence[str]] = None
+    topics: Sequence[str] | None = None
     regex: bool = False
     exclude: str = ""
     start: PlayTime = None
     end: PlayTime = None
-    duration: Optional[float] = None
-    nodeID: Optional[str] = None
-    run: Union[None, str, int] = None
+    duration: float | None = None
+    nodeID: str | None = None
+    run: None | str | int = None
     where: Conditions = None
     prefix: str = ""
     remap: Mapping[str, str] = field(default_factory=dict)
-    around: Union[None, str, Tuple[str, Where]] = None
+    around: None | str | tuple[str, Where] = None
     before: float = 5.0
     after: float = 10.0
     align_start: AlignStart = False
     node_prefix: bool = False
 
 
-def chosen_topics(catalog: Catalog, selection: PlaySelection) -> List[str]:
+def chosen_topics(catalog: Catalog, selection: PlaySelection) -> list[str]:
     """Return the names of the topics that are played, sorted.
 
     Raises:
@@ -116,14 +116,14 @@ class PublishedNames:
         InvalidName: The prefix or a new name is not a valid name in ROS.
     """
 
-    def __init__(self, prefix: str = "", remap: Optional[Mapping[str, str]] = None) -> None:
+    def __init__(self, prefix: str = "", remap: Mapping[str, str] | None = None) -> None:
         self._prefix = prefix.rstrip("/")
         self._remap = {_rooted(old): _rooted(new) for old, new in (remap or {}).items()}
         for name in self._remap.values():
             check_ros_name(name, "a remapped topic")
         if prefix:
             check_ros_name(_rooted(self._prefix), "the prefix")
-        self._known: dict[Tuple[str, str], str] = {}
+        self._known: dict[tuple[str, str], str] = {}
 
     def of(self, topic: str, source: str = "") -> str:
         """Return the published name of a stored topic; ``source`` is a robot's name before it."""

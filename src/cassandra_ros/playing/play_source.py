@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import FrozenSet, Iterable, Iterator, List, Optional, Sequence, Tuple
+from typing import FrozenSet, Iterable, Iterator, Optional, Sequence
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.overview.latched_messages import (
@@ -58,7 +58,7 @@ class PlaySource:
         high = min(self.chosen.high, max(stored_range.last for stored_range in self.stored_ranges))
         return TimeRange(self.begin + self.shift, high + self.shift)
 
-    def first(self) -> Optional[int]:
+    def first(self) -> int | None:
         """Return the time of reception of its first selected message, ns; None = no message."""
         first = min(stored_range.first for stored_range in self.stored_ranges)
         if not self.where and self.chosen.low <= first <= self.chosen.high:
@@ -66,14 +66,14 @@ class PlaySource:
         row = next(self._stored(self.chosen), None)
         return None if row is None else row.received
 
-    def rows(self, time_range: TimeRange) -> Iterator[Tuple[int, StoredRow]]:
+    def rows(self, time_range: TimeRange) -> Iterator[tuple[int, StoredRow]]:
         """Yield its rows in a time range, each with its time."""
         inner = self._received(time_range)
         return ((row.received + self.shift, row) for row in self._stored(inner))
 
     def rows_noting_latched(
         self, time_range: TimeRange, sent: LatchedRecord
-    ) -> Iterator[Tuple[int, StoredRow]]:
+    ) -> Iterator[tuple[int, StoredRow]]:
         """Yield the rows as ``rows`` does, and record in ``sent`` the latched ones."""
         for t, row in self.rows(time_range):
             if self._finder.is_latched(row):
@@ -105,7 +105,7 @@ class PlaySource:
         return (row.received + self.shift for row in rows)
 
     @cached_property
-    def _tables(self) -> List[TopicTable]:
+    def _tables(self) -> list[TopicTable]:
         return list({e.table.name: e.table for e in self.stored_ranges}.values())
 
     @cached_property
@@ -114,8 +114,8 @@ class PlaySource:
         return LatchedFinder(self.catalog.keyspace, self._tables, self.whose, tests)
 
     def latched(
-        self, window: TimeRange, sent: Optional[LatchedRecord] = None
-    ) -> List[Tuple[int, StoredRow]]:
+        self, window: TimeRange, sent: LatchedRecord | None = None
+    ) -> list[tuple[int, StoredRow]]:
         """Return the messages latched before a window, in order of reception: time and row."""
         low, high = window.low - self.shift, window.high - self.shift
         if low <= min(stored_range.first for stored_range in self.stored_ranges):
@@ -127,7 +127,7 @@ class PlaySource:
         return [(row.received + self.shift, row) for row in rows]
 
 
-def with_first_times(sources: Iterable[PlaySource]) -> List[PlaySource]:
+def with_first_times(sources: Iterable[PlaySource]) -> list[PlaySource]:
     """Set the time of the first selected message of each source; leave out sources without one."""
     firsts = ((source, source.first()) for source in sources)
     return [replace(source, begin=first) for source, first in firsts if first is not None]
@@ -137,11 +137,11 @@ class LatchedRecord:
     """The latched messages of one source that were played already."""
 
     def __init__(self) -> None:
-        self._last: dict[Tuple[str, Publisher], Tuple[int, str, int, str]] = {}
+        self._last: dict[tuple[str, Publisher], tuple[int, str, int, str]] = {}
         self._looked: dict[Source, int] = {}
         """For each robot and writer the time up to which latched messages were searched for, ns."""
 
-    def changes(self, finder: LatchedFinder, low: int, high: int) -> List[StoredRow]:
+    def changes(self, finder: LatchedFinder, low: int, high: int) -> list[StoredRow]:
         """Return the messages latched before ``low`` and not played yet; record them as played."""
         if not finder.latches:
             return []

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from decimal import Decimal, InvalidOperation
-from typing import Optional, Union
+from typing import Union
 
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.keys import SECOND_NS
@@ -30,7 +30,7 @@ not limited."""
 _NUMBER = re.compile(r"\s*([0-9]{1,40}(?:\.[0-9]*)?|\.[0-9]+)\s*")
 
 
-def read_when(name: str, value: PlayTime) -> Optional[When]:
+def read_when(name: str, value: PlayTime) -> When | None:
     """Read the time of an option; None = the option is not given.
 
     Args:
@@ -63,7 +63,7 @@ def read_when(name: str, value: PlayTime) -> Optional[When]:
         ) from exc
 
 
-def check_length(name: str, seconds: object) -> Optional[int]:
+def check_length(name: str, seconds: object) -> int | None:
     """Return an option given in seconds as ns, None if it is not given, or raise InvalidOption."""
     if seconds is None:
         return None
@@ -73,13 +73,13 @@ def check_length(name: str, seconds: object) -> Optional[int]:
         raise InvalidOption(f"{name} {seconds!r:.80} is no number of seconds from 0 on") from exc
 
 
-def _number(text: str) -> Optional[Decimal]:
+def _number(text: str) -> Decimal | None:
     match = _NUMBER.fullmatch(text)
     return None if match is None else Decimal(match[1])
 
 
 def resolve_times(
-    known: TimeRange, start: Optional[When], end: Optional[When], duration_ns: Optional[int]
+    known: TimeRange, start: When | None, end: When | None, duration_ns: int | None
 ) -> TimeRange:
     """Return the time range that is played of the messages in the time range ``known``.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Iterator, List, Optional, Protocol, Sequence
+from typing import Callable, Iterator, Protocol, Sequence
 
 from cassandra_ros.errors import (
     ConnectionFailed,
@@ -46,7 +46,7 @@ class PlayedStream(Protocol):
     def latched(self, t: int) -> Sequence[PlayedMessage]:
         """Return the messages that are published first when playing begins at ``t``, ns."""
 
-    def messages(self, t: Optional[int] = None) -> Iterator[PlayedMessage]:
+    def messages(self, t: int | None = None) -> Iterator[PlayedMessage]:
         """Yield the messages from ``t`` on, ns."""
 
 
@@ -94,13 +94,13 @@ class Playback:
         """Whether the replay pauses before messages of the option pause_topics."""
         self._changed = threading.Condition()
         self._steps = 0
-        self._goto: Optional[int] = stream.start_ns
+        self._goto: int | None = stream.start_ns
         self._stopped = False
         self._finished = False
         self._at_end = False  # kept alive
-        self._reader: Optional[ReadAhead] = None
-        self._early: Optional[ReadAhead] = None
-        self._window: Optional[TimeRange] = None
+        self._reader: ReadAhead | None = None
+        self._early: ReadAhead | None = None
+        self._window: TimeRange | None = None
         self._horizon = stream.start_ns
         self._known = False
         self._again = False
@@ -110,7 +110,7 @@ class Playback:
         """Return the time of the replay, ns; at most that of the next message, if that is late."""
         return min(self.pace.now(), self._horizon)
 
-    def clock_time(self) -> Optional[int]:
+    def clock_time(self) -> int | None:
         """Return ``now``; None until the first message has given the start of the replay."""
         return self.now() if self._known else None
 
@@ -268,7 +268,7 @@ class Playback:
         finally:
             reader.close()
 
-    def _latched(self, t: int) -> List[PlayedMessage]:
+    def _latched(self, t: int) -> list[PlayedMessage]:
         """Read the latched messages; wait, like the reading thread, while the store is down."""
         ends = time.monotonic() + GIVE_UP_SEC
         while True:
@@ -342,7 +342,7 @@ class Playback:
         """Return whether a stop or a seek was requested."""
         return self._stopped or self._goto is not None
 
-    def _next(self, reader: ReadAhead) -> Optional[PlayedMessage]:
+    def _next(self, reader: ReadAhead) -> PlayedMessage | None:
         """Return the next message; None at the end, or after a stop or a seek."""
         since = time.monotonic()
         said = False

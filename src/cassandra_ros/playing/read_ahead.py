@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections import deque
-from typing import Callable, Iterator, Optional
+from typing import Callable, Iterator
 
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -75,7 +75,7 @@ class ReadAhead:
         self._full = False
         self._room = threading.Event()
         self._ended = False
-        self._error: Optional[BaseException] = None
+        self._error: BaseException | None = None
         self._closed = threading.Event()
         self._wanted = False
         threading.Thread(target=self._run, args=(t,), daemon=True, name="read ahead").start()
@@ -97,7 +97,7 @@ class ReadAhead:
             self._wanted = False
         return bool(self._items or self._ended)
 
-    def take(self) -> Optional[PlayedMessage]:
+    def take(self) -> PlayedMessage | None:
         """Return the next message, after ``await_next`` and under its lock; None = the end.
 
         Raises:
@@ -120,7 +120,7 @@ class ReadAhead:
         self._room.set()
 
     def _run(self, t: int) -> None:
-        error: Optional[BaseException] = None
+        error: BaseException | None = None
         try:
             self._read(t)
         except BaseException as exc:  # noqa: BLE001 - raised again in take()

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import Dict, List, Mapping, Sequence, Tuple
+from typing import Mapping, Sequence
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.overview.latched_messages import Source
@@ -23,9 +23,9 @@ def check_alignment(align: object) -> str:
     raise InvalidOption(f"align_start {align!r:.80} is neither 'run' nor 'node'")
 
 
-def split_sources(source: PlaySource, align: str) -> List[PlaySource]:
+def split_sources(source: PlaySource, align: str) -> list[PlaySource]:
     """Divide a source into sources that are aligned with each other: its runs or its robots."""
-    groups: Dict[Source, List[StoredRange]] = {}
+    groups: dict[Source, list[StoredRange]] = {}
     for stored_range in source.stored_ranges:
         writer = 0 if align == "node" and stored_range.node else stored_range.writer
         groups.setdefault((stored_range.node, writer), []).append(stored_range)
@@ -37,7 +37,7 @@ def split_sources(source: PlaySource, align: str) -> List[PlaySource]:
     return sources
 
 
-def aligned(sources: Sequence[PlaySource]) -> List[PlaySource]:
+def aligned(sources: Sequence[PlaySource]) -> list[PlaySource]:
     """Shift sources so that their first selected messages have the time of the earliest one."""
     start = min(source.begin for source in sources)
     return [replace(source, shift=start - source.begin) for source in sources]
@@ -45,18 +45,18 @@ def aligned(sources: Sequence[PlaySource]) -> List[PlaySource]:
 
 def source_names(
     stored_ranges: Sequence[StoredRange], run_names: Mapping[int, str], align: str
-) -> Dict[Source, str]:
+) -> dict[Source, str]:
     """Return for each robot and writer a valid ROS name to stand before its topics.
 
     It is the nodeID, else the run's name, else run_<writer id>. When several runs of one robot are
     aligned with each other, it is nodeID and run. Names that would be equal are numbered.
     """
-    firsts: Dict[Source, int] = {}
+    firsts: dict[Source, int] = {}
     for e in stored_ranges:
         source = (e.node, e.writer)
         firsts[source] = min(e.first, firsts.get(source, e.first))
-    given: Dict[Source, str] = {}
-    taken: Dict[str, Tuple[str, str]] = {}
+    given: dict[Source, str] = {}
+    taken: dict[str, tuple[str, str]] = {}
     for node, writer in sorted(firsts, key=lambda source: (firsts[source], source)):
         run = run_names.get(writer) or f"run_{writer}"
         runs_of_node = {w for n, w in firsts if n == node}

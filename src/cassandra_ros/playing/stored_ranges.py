@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 from cassandra_ros.keys import split_seq
 from cassandra_ros.read import EVERYBODY, Nodes, Read, Whose
@@ -29,9 +29,9 @@ class StoredRange(NamedTuple):
 
 def stored_ranges(
     keyspace: Keyspace, tables: Sequence[TopicTable], whose: Whose = EVERYBODY
-) -> List[StoredRange]:
+) -> list[StoredRange]:
     """Return the time range of each run in each table; most of them without reading a row."""
-    ranges: List[StoredRange] = []
+    ranges: list[StoredRange] = []
     nodes, writers = whose
     for table in tables:
         own = table.named or table.metadata.own_time
@@ -42,12 +42,12 @@ def stored_ranges(
     return ranges
 
 
-def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[StoredRange]:
+def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[StoredRange]:
     ends, ttl = (-(2**63), 2**63 - 1), table.metadata.ttl
-    by_run: Dict[Tuple[str, int], List[BucketRow]] = {}
+    by_run: dict[tuple[str, int], list[BucketRow]] = {}
     for row in keyspace.directory.buckets(table.name, *ends, nodes, ttl):
         by_run.setdefault((row.node, row.writer), []).append(row)
-    ranges: List[StoredRange] = []
+    ranges: list[StoredRange] = []
     for (node, writer), rows in by_run.items():
         rows.sort(key=lambda row: row.bucket)
         first, last = (_filled(keyspace, table, each) for each in (rows, rows[::-1]))
@@ -56,17 +56,15 @@ def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[Sto
     return ranges
 
 
-def _filled(
-    keyspace: Keyspace, table: TopicTable, rows: Sequence[BucketRow]
-) -> Optional[BucketRow]:
+def _filled(keyspace: Keyspace, table: TopicTable, rows: Sequence[BucketRow]) -> BucketRow | None:
     """Return the first bucket that is not empty; count its rows and those of the ones before."""
     settled = (settle(keyspace.directory, table, [row])[0] for row in rows)
     return next((row for row in settled if row.rows), None)
 
 
-def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> List[StoredRange]:
+def _by_keys(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[StoredRange]:
     """Read all keys: those of such topics are not in the order of reception."""
-    ranges: Dict[Tuple[str, int], StoredRange] = {}
+    ranges: dict[tuple[str, int], StoredRange] = {}
     rows = keyspace.rows.read([table], Read(whose=Whose(nodes), columns=lambda table: ()))
     for row in rows:
         run, t = (row.node, split_seq(row.seq)[0]), row.received

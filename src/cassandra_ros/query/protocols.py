@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import FrozenSet, Iterator, Mapping, NamedTuple, Optional, Protocol, Sequence, Tuple
+from typing import Iterator, Mapping, NamedTuple, Protocol, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from cassandra_ros.messages.stamps import Stamp
 class Runs(Protocol):
     """Recordings, imports and clients that stored the messages, by their writer ids."""
 
-    def called(self, text: str) -> FrozenSet[int]:
+    def called(self, text: str) -> frozenset[int]:
         """Return the writer ids of the runs with this value of RUN."""
 
 
@@ -38,7 +38,7 @@ class Disk(NamedTuple):
 class Stays(Protocol):
     """Times at which robots were on a disk."""
 
-    def holds(self, node: str, run: str, t: int) -> Optional[bool]:
+    def holds(self, node: str, run: str, t: int) -> bool | None:
         """Return whether the robot of a message was on the disk; None if unknown.
 
         Args:
@@ -47,7 +47,7 @@ class Stays(Protocol):
             t: Row key of the message, ns.
         """
 
-    def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[Tuple[int, int]]:
+    def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[tuple[int, int]]:
         """Yield time ranges outside of which ``holds`` is never true.
 
         The ranges lie in [low, high], ns, both ends included; they are disjoint, and ascending or
@@ -59,7 +59,7 @@ class Places(Protocol):
     """Positions of the robots of a keyspace."""
 
     def stays(
-        self, disk: Disk, node: Optional[str] = None, writers: Optional[FrozenSet[int]] = None
+        self, disk: Disk, node: str | None = None, writers: frozenset[int] | None = None
     ) -> Stays:
         """Return when robots were on a disk.
 
@@ -101,7 +101,7 @@ class Table(Protocol):
 
     name: str
     """Name, unique in its keyspace."""
-    definition: Optional[Definition]
+    definition: Definition | None
     """Definition of its messages; None if it is unusable."""
     named: bool
     """Whether rows are found by a name instead of their time."""
@@ -143,7 +143,7 @@ class Row(Protocol):
     """nodeID of the robot; '' if none was given."""
     name: str
     """Name under which it is kept; '' if it is found by its time."""
-    columns: tuple[Optional[bytes], ...]
+    columns: tuple[bytes | None, ...]
     """Encoded columns of the format: all columns, or those that were requested."""
     size: int
     """Size of the serialised message, bytes."""

@@ -25,7 +25,7 @@ from collections import Counter, deque
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Callable, Iterator, NamedTuple, Optional, Sequence
+from typing import Callable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import COUNTER_BITS
@@ -150,8 +150,8 @@ class Backlog:
         self._journal = plan.journal
         self._most_bytes = min(SEGMENT_BYTES, max(plan.folder.max_bytes // 8, 1))
         self._changed = threading.Condition(threading.RLock())
-        self._folder: Optional[RunFolder] = None
-        self._open: Optional[_OpenSegment] = None
+        self._folder: RunFolder | None = None
+        self._open: _OpenSegment | None = None
         self._parked: deque[_Segment] = deque()
         """Complete files that are still to be read."""
         self._handed: deque[BufferedMessage] = deque()
@@ -167,8 +167,8 @@ class Backlog:
         self._given = self._taken = 0
         """Number of messages handed over in memory, and of those taken."""
         self._parking = False
-        self._reading: Optional[Iterator[list[BufferedMessage]]] = None
-        self._oldest: Optional[_Segment] = None
+        self._reading: Iterator[list[BufferedMessage]] | None = None
+        self._oldest: _Segment | None = None
         """File that is read, or was read last."""
         self._taken_at = time.monotonic()
         self._since = self._told = 0.0
@@ -230,7 +230,7 @@ class Backlog:
             return items
         return []
 
-    def _next_segment(self) -> Optional[_Segment]:
+    def _next_segment(self) -> _Segment | None:
         with self._changed:
             if not self._parked and self._open is not None and not self._open.segment.handed:
                 self._close_open()

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Mapping, Optional, Sequence
+from typing import Mapping, Sequence
 
 from cassandra_ros.errors import DefinitionError, InvalidOption, InvalidQuery
 from cassandra_ros.messages.classes import installed_definition
@@ -91,7 +91,7 @@ def _known_tables(catalog: Catalog, topic: str, msg_type: str) -> Sequence[Table
 
 
 def _described(topic_settings: TopicSettings) -> list[str]:
-    texts: list[Optional[str]] = [
+    texts: list[str | None] = [
         f"where {topic_settings.where}" if topic_settings.where else None,
         f"at most {topic_settings.rate_limit:g} Hz" if topic_settings.rate_limit else None,
         f"key {topic_settings.key_part}" if topic_settings.key_part else None,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from typing import Callable, Mapping, Optional
+from typing import Callable, Mapping
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.keys import SECOND_NS
@@ -33,7 +33,7 @@ class Filters:
     def __init__(self, settings: Settings, node: str = "") -> None:
         self._settings = settings
         self._node = node
-        self._topics: dict[str, Optional[TopicFilter]] = {}
+        self._topics: dict[str, TopicFilter | None] = {}
         self._mutex = threading.Lock()
 
     def passes(self, topic: str, header: Mapping[str, str], t: int, wire: bytes) -> bool:
@@ -46,14 +46,14 @@ class Filters:
         topic_filter = self.of(topic)
         return topic_filter is None or topic_filter.passes(header, t, wire)
 
-    def of(self, topic: str) -> Optional[TopicFilter]:
+    def of(self, topic: str) -> TopicFilter | None:
         """Return the filter of a topic; None where all of its messages are recorded."""
         try:
             return self._topics[topic]
         except KeyError:
             return self._make(topic)
 
-    def _make(self, topic: str) -> Optional[TopicFilter]:
+    def _make(self, topic: str) -> TopicFilter | None:
         settings = self._settings.of(topic)
         topic_filter = None
         if settings.where or settings.rate_limit:
@@ -71,7 +71,7 @@ class _Throttle:
 
     def __init__(self, rate_hz: float) -> None:
         self._period = max(1, int(SECOND_NS / rate_hz))
-        self._due: Optional[int] = None
+        self._due: int | None = None
 
     def passes(self, t: int) -> bool:
         due = t if self._due is None else self._due
@@ -87,7 +87,7 @@ class _Throttle:
 class TopicFilter:
     """Says of each message of one topic whether it is recorded. Thread-safe."""
 
-    def __init__(self, condition: Optional[_TopicCondition], throttle: Optional[_Throttle]) -> None:
+    def __init__(self, condition: _TopicCondition | None, throttle: _Throttle | None) -> None:
         self._condition = condition
         self._throttle = throttle
         self._mutex = threading.Lock()
@@ -109,7 +109,7 @@ class _TopicCondition:
 
     def __init__(self, topic: str, where: str, node: str) -> None:
         self._topic, self._where, self._node = topic, where, node
-        self._by_header: dict[int, tuple[Mapping[str, str], LiveTable, Optional[Test]]] = {}
+        self._by_header: dict[int, tuple[Mapping[str, str], LiveTable, Test | None]] = {}
 
     def holds(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
         entry = self._by_header.get(id(header))
@@ -120,7 +120,7 @@ class _TopicCondition:
         _, table, test = entry
         return test is None or test(LiveRow(table, self._topic, self._node, t, wire, len(wire)))
 
-    def _compile(self, header: Mapping[str, str]) -> tuple[LiveTable, Optional[Test]]:
+    def _compile(self, header: Mapping[str, str]) -> tuple[LiveTable, Test | None]:
         connection = live_connection(self._topic, header)
         table = LiveTable(connection)
         if table.definition is not None:

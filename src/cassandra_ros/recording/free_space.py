@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Callable, Optional
+from typing import Callable
 
 _log = logging.getLogger(__name__)
 
@@ -22,7 +22,7 @@ class SpaceGuard:
         minimum: Minimum free space, bytes.
     """
 
-    def __init__(self, free_space: Optional[Callable[[], Optional[int]]], minimum: int) -> None:
+    def __init__(self, free_space: Callable[[], int | None] | None, minimum: int) -> None:
         self._free_space, self._minimum = free_space, minimum
         self._warned = False
 

@@ -8,7 +8,7 @@ import logging
 import threading
 from concurrent.futures import Future, wait
 from pathlib import Path
-from typing import Callable, Optional
+from typing import Callable
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.recording.backlog import SpoolPlan
@@ -41,7 +41,7 @@ class LeftRuns:
     def __init__(self, store: Future[Catalog], plan: SpoolPlan, say: Callable[[str], None]) -> None:
         self._store, self._plan, self._say = store, plan, say
         self._stopped = threading.Event()
-        self._drain: Optional[Drain] = None
+        self._drain: Drain | None = None
         self._told: set[Path] = set()
         """Runs that stay, of which it was logged why."""
         self._thread = threading.Thread(target=self._run, name="recorder-left", daemon=True)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import FrozenSet, Mapping, Optional
+from typing import Mapping
 
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -21,7 +21,7 @@ from cassandra_ros.topics.message_writer import usable_definition
 class _NoRuns:
     """An empty list of runs: a message that is not stored yet belongs to no run."""
 
-    def called(self, text: str) -> FrozenSet[int]:
+    def called(self, text: str) -> frozenset[int]:
         """Return the writer ids of the runs with a name: an empty set."""
         return frozenset()
 
@@ -30,7 +30,7 @@ class _NoPlaces:
     """A source of places that refuses: places of robots are known for stored messages only."""
 
     def stays(
-        self, disk: Disk, node: Optional[str] = None, writers: Optional[FrozenSet[int]] = None
+        self, disk: Disk, node: str | None = None, writers: frozenset[int] | None = None
     ) -> Stays:
         """Raise InvalidOption."""
         raise InvalidOption(
@@ -51,7 +51,7 @@ class LiveTable:
     places = _NoPlaces()
 
     def __init__(self, connection: Connection) -> None:
-        self.definition: Optional[Definition] = None
+        self.definition: Definition | None = None
         try:
             self.definition, _ = usable_definition(connection, FALLBACK_FORMAT)
             self.msg_type, self.name = connection.type, connection.md5sum
@@ -71,7 +71,7 @@ class LiveRow:
     wire: bytes
     size: int
     name: str = ""
-    columns: tuple[Optional[bytes], ...] = ()
+    columns: tuple[bytes | None, ...] = ()
     run: str = ""
 
     @property

@@ -7,7 +7,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from typing import Mapping, NamedTuple, Optional, Sequence
+from typing import Mapping, NamedTuple, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
@@ -61,7 +61,7 @@ class MessageSource:
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.topic = connection.topic
-        self.handle: Optional[Handle] = None  # for writing, once the table exists
+        self.handle: Handle | None = None  # for writing, once the table exists
         self.error = ""  # reason why its messages cannot be stored
         self.waiting: deque[BufferedMessage] = deque()  # messages received before the table existed
         self.submitted = False  # whether the table is being made
@@ -129,7 +129,7 @@ class Feed(NamedTuple):
     header: Mapping[str, str]
     """rospy's object; it is referenced here because its id identifies the connection."""
     source: MessageSource
-    filter: Optional[TopicFilter] = None
+    filter: TopicFilter | None = None
     """Filter of the topic's messages; None = all messages are recorded."""
 
 

@@ -8,7 +8,7 @@ import re
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Callable, Mapping, Optional, Sequence, Tuple
+from typing import Callable, Mapping, Sequence
 
 from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.recording import BLOCK_SEC, DEFAULT_BUFFER_BYTES
@@ -31,13 +31,13 @@ class RecorderOptions:
     """Regular expression of topics that are left out; '' = none."""
     node: str = ""
     """ROS node whose subscribed topics are recorded, too; '' = none."""
-    format: Optional[str] = None
+    format: str | None = None
     """Format of new topics, as addTopic takes it."""
     ttl: int = 0
     """Time until a message of a new topic expires, s; 0 = never."""
-    where: Sequence[Tuple[str, str]] = ()
+    where: Sequence[tuple[str, str]] = ()
     """Patterns of topic names, each with a condition that recorded messages must satisfy."""
-    rate_limit: Sequence[Tuple[str, float]] = ()
+    rate_limit: Sequence[tuple[str, float]] = ()
     """Patterns of topic names, each with the maximum rate of such a topic, Hz."""
     config: Sequence[Rule] = ()
     """Settings by topic, as read_settings reads them; where and rate_limit have precedence."""
@@ -65,7 +65,7 @@ class RecorderOptions:
     """Maximum time that a message waits for others in a block of format packed, s."""
     buffsize: int = DEFAULT_BUFFER_BYTES
     """Maximum memory of the messages that wait for the store, bytes; 0 = no maximum."""
-    snapshot: Optional[SnapshotBound] = None
+    snapshot: SnapshotBound | None = None
     """How many messages are kept in memory until a snapshot is requested; None = record all."""
     publish: bool = False
     """Whether the name of each run is published on the latched topic begin_write."""
@@ -73,7 +73,7 @@ class RecorderOptions:
     """Whether the status is published on /diagnostics."""
     tcpnodelay: bool = False
     """Whether publishers are asked to send without delay (TCP_NODELAY)."""
-    free_space: Optional[Callable[[], Optional[int]]] = None
+    free_space: Callable[[], int | None] | None = None
     """Returns the free space where the store keeps its data, bytes; None = it is not known."""
     min_space: int = 0
     """Minimum free space there, bytes; below it no message is stored."""
@@ -96,7 +96,7 @@ class RecorderOptions:
     """Hosts and port of the store, as 'HOST[,HOST]:PORT', for files of the spool."""
 
     @property
-    def spool_plan(self) -> Optional[SpoolPlan]:
+    def spool_plan(self) -> SpoolPlan | None:
         """How recordings use the spool; None = not."""
         if not self.spool:
             return None

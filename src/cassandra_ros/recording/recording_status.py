@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Collection, Mapping, Sequence, Tuple
+from typing import Collection, Mapping, Sequence
 
 from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.topic_counts import TopicReport
@@ -51,9 +51,9 @@ class Rates:
     """Messages and bytes per second between the last two calls of ``update``."""
 
     def __init__(self) -> None:
-        self._before: Mapping[str, Tuple[int, int]] = {}
+        self._before: Mapping[str, tuple[int, int]] = {}
         self._at = 0.0
-        self.of: Mapping[str, Tuple[float, float]] = {}
+        self.of: Mapping[str, tuple[float, float]] = {}
         """Messages per second and bytes per second by topic."""
 
     def update(self, status: RecordingStatus) -> None:
@@ -71,7 +71,7 @@ class Rates:
         self.of, self._before, self._at = rates, counted, now
 
     @property
-    def total(self) -> Tuple[float, float]:
+    def total(self) -> tuple[float, float]:
         """Messages and bytes per second over all topics."""
         rates = self.of.values()
         return sum(rate for rate, _ in rates), sum(nbytes for _, nbytes in rates)

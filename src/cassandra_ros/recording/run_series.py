@@ -11,7 +11,7 @@ import math
 import threading
 import time
 from contextlib import suppress
-from typing import Callable, Mapping, NamedTuple, Optional, Sequence
+from typing import Callable, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.arguments import check_run_name
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
@@ -47,7 +47,7 @@ class _RunStart:
         self._make = make
         self._unwanted = False
         self._mutex = threading.Lock()
-        self.made: Optional[Recording] = None
+        self.made: Recording | None = None
         self.problem = ""
         self._thread = threading.Thread(target=self._run, name="recorder-begin", daemon=True)
         self._thread.start()
@@ -109,13 +109,13 @@ class RunSeries:
         self._space = SpaceGuard(options.free_space, options.min_space)
         self._look = 0.0
         self.filters = Filters(self._settings, options.node_id)
-        self.current: Optional[Recording] = None
+        self.current: Recording | None = None
         """The run that is being recorded."""
         self._topics: set[str] = set()
         self._number = 0
         self._since = 0.0
         self._retry = 0.0
-        self._making: Optional[_RunStart] = None
+        self._making: _RunStart | None = None
         self._problem = ""
         self._name, self._labels = "", dict(options.labels)
         self._ending: list[threading.Thread] = []
@@ -129,7 +129,7 @@ class RunSeries:
         self._latching = threading.Lock()
         self._mutex = threading.RLock()
 
-    def begin(self, name: str = "", labels: Optional[Mapping[str, str]] = None) -> Recording:
+    def begin(self, name: str = "", labels: Mapping[str, str] | None = None) -> Recording:
         """Start the first run.
 
         Args:

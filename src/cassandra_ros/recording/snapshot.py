@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Callable, Collection, Mapping, Optional, Protocol, Sequence
+from typing import Callable, Collection, Mapping, Protocol, Sequence
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidOption
 from cassandra_ros.keys import SECOND_NS
@@ -168,7 +168,7 @@ class _SnapshotRun:
 
     topics: Collection[str]
     follows: bool
-    recording: Optional[Recording] = None
+    recording: Recording | None = None
     late: deque[StampedMessage] = field(default_factory=deque)
     """Messages received before the run had started."""
     abandoned: bool = False
@@ -341,7 +341,7 @@ class Snapshots:
             else:
                 self.reports.append(writing.recording.abandon())
 
-    def close(self, timeout_sec: Optional[float] = None) -> bool:
+    def close(self, timeout_sec: float | None = None) -> bool:
         """End all snapshots; return whether all their messages are stored or lost.
 
         Args:

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Callable, Mapping, Optional
+from typing import Callable, Mapping
 
 from cassandra_ros.errors import CassandraRosError, SpoolError, StoreUnavailable
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, SECOND_NS
@@ -51,9 +51,9 @@ class LeftRun:
     """A run that a process has left in the spool."""
 
     folder: RunFolder
-    label: Optional[SpoolLabel]
+    label: SpoolLabel | None
     """Its label; None = it is damaged in all files."""
-    end: Optional[RunEnd]
+    end: RunEnd | None
     """Its end; None = the process was killed."""
     problem: str = ""
     """Why it cannot be read; '' = it can."""
@@ -180,7 +180,7 @@ class Drain:
         reader = SegmentReader(path)
         writer = self._writer((reader.label() or self._label).writer)
         totals, known = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
-        handles: dict[int, Optional[Handle]] = {}
+        handles: dict[int, Handle | None] = {}
         number = 0
         for part in reader.parts():
             for each in part.missing:
@@ -237,7 +237,7 @@ class Drain:
         reader: SegmentReader,
         totals: Mapping[int, TopicTotal],
         wire: bytes,
-    ) -> Optional[Handle]:
+    ) -> Handle | None:
         key = (writer.writer_id, connection)
         if key not in self._handles:
             mine = [n for n, each in reader.connections.items() if each == connection]

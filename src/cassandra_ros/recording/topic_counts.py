@@ -10,7 +10,7 @@ import threading
 import time
 from collections import defaultdict
 from dataclasses import dataclass, field, replace
-from typing import Iterable, Mapping, Optional, Sequence
+from typing import Iterable, Mapping, Sequence
 
 from cassandra_ros.recording.losses import LossLog, LossTotal
 from cassandra_ros.recording.message_buffer import Feed
@@ -45,7 +45,7 @@ class TopicReport:
     lost: int
     losses: Mapping[LossKind, LossTotal]
     """Lost messages by reason."""
-    gaps: Optional[int]
+    gaps: int | None
     """Number of header.seq values that were not received: not sent, or lost on the way.
 
     None = the numbers are not those of a counter.
@@ -151,7 +151,7 @@ class _Sequence:
     """The values of ``header.seq`` of one publisher: missing values are messages not received."""
 
     last: int = 0
-    feed: Optional[Feed] = None
+    feed: Feed | None = None
     mixed: bool = False
     """Whether the numbers are not those of one counter."""
     steps: int = 0
@@ -160,7 +160,7 @@ class _Sequence:
     missing: int = 0
 
     @property
-    def gaps(self) -> Optional[int]:
+    def gaps(self) -> int | None:
         """Number of missing messages; None if the numbers are not those of a counter."""
         # A thinned bag, or a driver that uses clock ticks, leaves out numbers all the time.
         sparse = self.steps >= MIN_STEPS and 2 * self.leaps > self.steps
@@ -240,7 +240,7 @@ class Counts:
         kind: LossKind,
         t: int,
         detail: str = "",
-        last: Optional[int] = None,
+        last: int | None = None,
     ) -> None:
         """Count messages that will not be stored.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 import difflib
 import re
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, Callable, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Mapping, Sequence, Tuple
 
 import yaml
 
@@ -29,7 +29,7 @@ MAX_CONFIG_BYTES = 1 << 20
 class TopicSettings:
     """The settings of one topic."""
 
-    format: Optional[str] = None
+    format: str | None = None
     """Format, as addTopic takes it; None = that of the stored topic, for a new topic ros."""
     ttl: int = 0
     """Time until a message expires, s; 0 = never. It is used when the topic's table is made."""
@@ -39,7 +39,7 @@ class TopicSettings:
     """Condition that recorded messages must satisfy, as after WHERE in CQL; '' = none."""
     key_part: str = ""
     """Field that is the key (key_format msg_part); '' = the time of reception is the key."""
-    index: Tuple[str, ...] = ()
+    index: tuple[str, ...] = ()
     """Fields that get an index when the topic's table is made."""
 
 
@@ -156,7 +156,7 @@ def read_rate(value: object) -> float:
     return rate
 
 
-def read_label(text: str) -> Tuple[str, str]:
+def read_label(text: str) -> tuple[str, str]:
     """Read KEY=VALUE; raises InvalidOption."""
     key, equals, value = text.partition("=")
     if not (key.strip() and equals):
@@ -186,7 +186,7 @@ def check_condition(value: object) -> str:
     return text
 
 
-def _read_format(value: object) -> Optional[str]:
+def _read_format(value: object) -> str | None:
     if value is None:
         return None
     text = check_text("format", value)

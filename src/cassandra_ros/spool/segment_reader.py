@@ -13,7 +13,7 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Iterator, NamedTuple, Optional, Sequence
+from typing import Iterator, NamedTuple, Sequence
 
 from cassandra_ros.bag import mcap_records
 from cassandra_ros.bag.mcap_format import MAGIC, RECORD, find_messages
@@ -101,7 +101,7 @@ class SegmentReader:
             raise SpoolError(f"{path} cannot be read: {exc.strerror}") from exc
         self.nbytes = len(self._data)
 
-    def label(self) -> Optional[SpoolLabel]:
+    def label(self) -> SpoolLabel | None:
         """Return the label of the run; None = it is not in the file, or damaged.
 
         Raises:
@@ -116,7 +116,7 @@ class SegmentReader:
                 break
         return None
 
-    def end(self) -> Optional[RunEnd]:
+    def end(self) -> RunEnd | None:
         """Return the end of the run; None = it is not in this file."""
         for record in self._records():
             if record.kind == mcap_records.METADATA_KIND:
@@ -138,7 +138,7 @@ class SegmentReader:
 
     def parts(self) -> Iterator[SegmentPart]:
         """Yield the messages chunk by chunk, and what is missing where the file is damaged."""
-        damage: Optional[_Damage] = None
+        damage: _Damage | None = None
         at = len(MAGIC)
         for record in self._records():
             if record.start - RECORD.size > at:
@@ -174,7 +174,7 @@ class SegmentReader:
         why = f"{self.path} is damaged from byte {damage.at} to {damage.to}"
         return SegmentPart(damage=why, missing=missing or [Missing("", 0, 0, 0)])
 
-    def _messages(self, record: _Record) -> Optional[Sequence[SpooledMessage]]:
+    def _messages(self, record: _Record) -> Sequence[SpooledMessage] | None:
         """Return the messages of a chunk; None = its checksum is wrong."""
         raw = self._bytes(record)
         content, crc = mcap_records.chunk_content(raw)

@@ -46,7 +46,7 @@ class SegmentWriter:
         self.path = path
         self.size = 0
         """Size of the file up to its last complete record, bytes."""
-        self._numbers: dict[int, Tuple[int, Connection]] = {}
+        self._numbers: dict[int, tuple[int, Connection]] = {}
         """id of a connection → channel id, and the connection, which keeps the id from reuse."""
         self._new: list[bytes] = []
         """Schemas and channels that the next chunk repeats."""

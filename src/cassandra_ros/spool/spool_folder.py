@@ -15,7 +15,7 @@ import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from typing import Iterator, Optional
+from typing import Iterator
 
 from cassandra_ros.errors import SpoolError
 from cassandra_ros.installation import home_folder
@@ -70,7 +70,7 @@ class SpoolFolder:
         max_bytes: Maximum size of all files in it, bytes.
     """
 
-    def __init__(self, path: Optional[Path] = None, max_bytes: int = DEFAULT_BYTES) -> None:
+    def __init__(self, path: Path | None = None, max_bytes: int = DEFAULT_BYTES) -> None:
         self.path = path or default_folder()
         self.max_bytes = max_bytes
 
@@ -136,7 +136,7 @@ def run_files(path: Path) -> list[Path]:
     return sorted(found, key=lambda each: int(each.stem))
 
 
-def _locked(path: Path) -> Optional[int]:
+def _locked(path: Path) -> int | None:
     """Lock a folder; return the file descriptor of the lock, None if another process holds it."""
     descriptor = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Mapping, Sequence, Tuple, Type, TypeVar
+from typing import Any, Mapping, Sequence, TypeVar
 
 from cassandra_ros.errors import SpoolError
 
@@ -53,7 +53,7 @@ class RunEnd:
     """Number of messages by topic that are stored when the spool is drained."""
     lost: Mapping[str, int]
     """Number of lost messages by topic."""
-    losses: Sequence[Tuple[str, str, int, int, int]] = ()
+    losses: Sequence[tuple[str, str, int, int, int]] = ()
     """Losses that are not stored yet: topic, kind, first and last time, ns, number of messages."""
     version: int = VERSION
 
@@ -64,7 +64,7 @@ def as_metadata(record: SpoolLabel | RunEnd) -> Mapping[str, str]:
     return {"text": text, "crc": f"{zlib.crc32(text.encode()):08x}"}
 
 
-def from_metadata(kind: Type[_T], metadata: Mapping[str, str], where: str) -> _T:
+def from_metadata(kind: type[_T], metadata: Mapping[str, str], where: str) -> _T:
     """Return the label or the end in a metadata record.
 
     Raises:

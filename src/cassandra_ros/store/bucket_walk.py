@@ -17,14 +17,11 @@ from itertools import chain, groupby
 from typing import (
     Callable,
     Collection,
-    Dict,
     Iterable,
     Iterator,
     List,
     NamedTuple,
-    Optional,
     Sequence,
-    Set,
     Tuple,
 )
 
@@ -69,7 +66,7 @@ def takes_few(read: Read) -> bool:
     return read.wanted is not None and read.wanted <= FEW_ROWS
 
 
-def first_and_last(read: Read, table: RowTable) -> Tuple[int, int]:
+def first_and_last(read: Read, table: RowTable) -> tuple[int, int]:
     """Return the first and the last bucket of a table that may hold rows of a read."""
     low, high = read.time_range
     if read.after is not None and read.reverse:
@@ -157,7 +154,7 @@ class BucketWalk:
         table: str,
         first: int,
         last: int,
-        nodes: Optional[Sequence[str]] = None,
+        nodes: Sequence[str] | None = None,
         ttl: int = 0,
         *,
         reverse: bool = False,
@@ -170,7 +167,7 @@ class BucketWalk:
         self._ttl = ttl
         self._reverse = reverse
         self._few = few
-        self.met: Set[str] = set()
+        self.met: set[str] = set()
 
     def groups(self) -> Iterator[BucketGroup]:
         """Yield the buckets of all nodes in order of time.
@@ -199,12 +196,12 @@ class BucketWalk:
                 low, high = (low, end - 1) if self._reverse else (end + 1, high)
                 limit, asked, begun = min(ALL_ROWS, WIDER * limit), None, True
 
-    def _inside(self, slot: _Slot) -> Tuple[int, int]:
+    def _inside(self, slot: _Slot) -> tuple[int, int]:
         """Return the first and the last bucket of a slot in the range of this walk."""
         begin = slot[0] * SLOT_BUCKETS
         return max(self._ends[0], begin), min(self._ends[1], begin + SLOT_BUCKETS - 1)
 
-    def _slots(self) -> Iterator[Optional[_Slot]]:
+    def _slots(self) -> Iterator[_Slot | None]:
         """Yield None when the request was sent, then the slots in which the nodes have buckets."""
         first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
         limit = FEW_SLOTS if self._few else ALL_ROWS
@@ -224,13 +221,13 @@ class BucketWalk:
                 note(self._directory, self._table, asked, slots)
             yield from [kept for kept in map(self._kept, slots) if kept is not None]
 
-    def _kept(self, slot: _Slot) -> Optional[_Slot]:
+    def _kept(self, slot: _Slot) -> _Slot | None:
         """Leave out the nodes that are not to be read; return None if there are no others."""
         nodes = tuple(n for n in slot[1] if self._nodes is None or n in self._nodes)
         self.met.update(nodes)
         return (slot[0], nodes) if nodes else None
 
-    def _expected(self) -> Optional[_Slot]:
+    def _expected(self) -> _Slot | None:
         """Return the slot that is probably the first; None = unknown, or too many nodes to try."""
         first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
         known = self._directory.seen.get(self._table, {}) if self._few else {}
@@ -240,7 +237,7 @@ class BucketWalk:
         slot = self._kept(max(inside) if self._reverse else min(inside))
         return slot if slot is not None and len(slot[1]) <= AT_ONCE else None
 
-    def _ask(self, slot: _Slot, ends: Tuple[int, int], limit: int) -> _Answers:
+    def _ask(self, slot: _Slot, ends: tuple[int, int], limit: int) -> _Answers:
         """Request the buckets of the nodes of a slot, several at once."""
         params = [(self._table, node, slot[0], *ends) for node in slot[1]]
         asked = sent_ahead(
@@ -249,17 +246,17 @@ class BucketWalk:
         first = next(asked, None)  # sends the requests
         return iter(()) if first is None else chain((first,), asked)
 
-    def _window(self, asked: _Answers, low: int, high: int, limit: int) -> Tuple[List[Group], int]:
+    def _window(self, asked: _Answers, low: int, high: int, limit: int) -> tuple[list[Group], int]:
         """Return the next buckets, and the last bucket (included) up to which they are complete."""
         end = low if self._reverse else high
-        found: List[BucketRow] = []
+        found: list[BucketRow] = []
         for answer in asked:
             rows = answer()
             found += rows
             if len(rows) == limit:
                 cut = rows[-1].bucket  # further writers of this bucket may follow
                 end = max(end, cut + 1) if self._reverse else min(end, cut - 1)
-        groups: Dict[Tuple[int, str], Group] = {}
+        groups: dict[tuple[int, str], Group] = {}
         for row in found:
             inside = row.bucket >= end if self._reverse else row.bucket <= end
             if inside and not (self._ttl and row.expired(self._ttl)):
@@ -275,14 +272,14 @@ def note(directory: Directory, table: str, asked: range, slots: Sequence[_Slot])
 
 def begin_slot(
     directory: Directory, table: str, slot: int
-) -> Tuple[Tuple[str, ...], Callable[[], Tuple[str, ...]]]:
+) -> tuple[tuple[str, ...], Callable[[], tuple[str, ...]]]:
     """Request the nodes of a slot.
 
     Return the cached ones, and a function that waits for the answer.
     """
     answer = directory.begin_nodes(table, (slot, slot))
 
-    def nodes() -> Tuple[str, ...]:
+    def nodes() -> tuple[str, ...]:
         found = tuple(node for _, node in answer())
         note(directory, table, range(slot, slot + 1), [(slot, found)] if found else [])
         return found
@@ -292,9 +289,9 @@ def begin_slot(
 
 def foresee(
     directory: Directory, tables: Sequence[RowTable], read: Read
-) -> Tuple[List[BucketPart], int]:
+) -> tuple[list[BucketPart], int]:
     """Return the buckets in which a read probably begins, and the number of nodes of its tables."""
-    found: List[BucketPart] = []
+    found: list[BucketPart] = []
     streams = 0
     for table in tables:
         known, groups = directory.first.get((table.name, read.reverse), ((), ()))
@@ -311,12 +308,12 @@ def foresee(
 
 def note_first(
     directory: Directory,
-    walks: Iterable[Tuple[RowTable, Collection[str]]],
+    walks: Iterable[tuple[RowTable, Collection[str]]],
     begun: Iterable[BucketPart],
     read: Read,
 ) -> None:
     """Cache the buckets in which a read began, and the nodes that were found in each table."""
-    groups: Dict[str, List[Sequence[BucketRow]]] = {}
+    groups: dict[str, list[Sequence[BucketRow]]] = {}
     for piece in begun:
         if piece.rows:
             groups.setdefault(piece.table.name, []).append(piece.rows)

@@ -10,7 +10,7 @@ bucket has lost its entry in the directory.
 from __future__ import annotations
 
 from itertools import islice
-from typing import Iterable, List, NamedTuple, Sequence, Set, Tuple, Union
+from typing import Iterable, NamedTuple, Sequence, Union
 
 from cassandra_ros.blocks.block_row import ask_blocks
 from cassandra_ros.connection.cassandra import Cassandra
@@ -36,10 +36,10 @@ class Orphan(NamedTuple):
     seq: int
 
 
-def partitions(table: RowTable) -> Set[Tuple[str, Where]]:
+def partitions(table: RowTable) -> set[tuple[str, Where]]:
     """Return the partitions that have rows: node, and bucket or name (a scan of keys)."""
 
-    def read(rows: Iterable[RawRow]) -> Set[Tuple[str, Where]]:
+    def read(rows: Iterable[RawRow]) -> set[tuple[str, Where]]:
         return {_place(table, values) for values in rows}
 
     return table.collect(bind(table.select_partitions(), (), _PAGE_ROWS), read, "listing")
@@ -50,7 +50,7 @@ def old_us(cassandra: Cassandra) -> int:
     return cassandra.server_time_us() - ORPHAN_SEC * 10**6
 
 
-def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int) -> List[Orphan]:
+def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int) -> list[Orphan]:
     """Return the messages that have chunks, written before a time, but no row.
 
     The result is empty if the table's rows expire.
@@ -60,7 +60,7 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
     if not there or table.metadata.ttl:
         return []
 
-    def read(rows: Iterable[RawRow]) -> List[Orphan]:
+    def read(rows: Iterable[RawRow]) -> list[Orphan]:
         old = (values for values in rows if decode_long(values[4]) <= until_us)
         return [
             Orphan(*_place(table, values), decode_long(values[2]), decode_long(values[3]))
@@ -72,7 +72,7 @@ def orphans(cassandra: Cassandra, keyspace: str, table: RowTable, until_us: int)
     return table.collect(statement, read, "looking for orphans of")
 
 
-def rows_at(table: RowTable, place: Tuple[bytes, bytes], key: Order) -> Sequence[RawRow]:
+def rows_at(table: RowTable, place: tuple[bytes, bytes], key: Order) -> Sequence[RawRow]:
     """Return the counted columns of the row with a key; empty if it was deleted."""
     return list(ask_blocks(table, place, [key], COUNTED).page())
 
@@ -98,6 +98,6 @@ def remove_orphans(
         cassandra.execute_many(table.delete_one(chunks=True, older=True), some, what=what)
 
 
-def _place(table: RowTable, values: RawRow) -> Tuple[str, Where]:
+def _place(table: RowTable, values: RawRow) -> tuple[str, Where]:
     node, where = (values[0] or b"").decode(), values[1] or b""
     return node, where.decode() if table.named else decode_long(where)

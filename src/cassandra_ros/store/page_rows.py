@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import struct
 from itertools import repeat
-from typing import Any, Iterable, Iterator, List, NamedTuple, Optional, Sequence
+from typing import Any, Iterable, Iterator, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,8 +62,8 @@ class _Heads(NamedTuple):
     """Receive time of each message, ns; -1 = it equals ``_t``."""
 
     def rows(
-        self, node: str, table: str, wires: Sequence[Optional[bytes]]
-    ) -> Iterator[Optional[TableRow]]:
+        self, node: str, table: str, wires: Sequence[bytes | None]
+    ) -> Iterator[TableRow | None]:
         """Yield each row with its message; None if the row has to be read by itself."""
         t, seq, conn, sizes = (self.values[name].tolist() for name in ("t", "seq", "conn", "size"))
         fixed = repeat(0), repeat(0), repeat(False), wires, repeat(()), repeat("")
@@ -79,7 +79,7 @@ class _Heads(NamedTuple):
         )
 
 
-def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence[TableRow]]:
+def rows_of_page(table: RowTable, node: str, page: RawPage) -> Sequence[TableRow] | None:
     """Read a page of listings of all columns of a table with a time key.
 
     A row has its message in place of the columns, if that could be made of them.
@@ -95,7 +95,7 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence
     wires = table.encoder.decode_together(page.body, heads.begins, heads.ends, sizes)
     if wires.count(None) == len(wires):
         return None
-    found: List[TableRow] = []
+    found: list[TableRow] = []
     for n, row in enumerate(heads.rows(node, table.name, wires)):
         if row is not None:
             found.append(row)
@@ -112,7 +112,7 @@ def rows_of_page(table: RowTable, node: str, page: RawPage) -> Optional[Sequence
     return found
 
 
-def _read_heads(page: RawPage, with_received: bool) -> Optional[_Heads]:
+def _read_heads(page: RawPage, with_received: bool) -> _Heads | None:
     """Read our own columns; None if the rows cannot be told apart. See RawPage.bounds."""
     bounds, head = page.bounds(_SIZED_AT, _BEGIN), _RECEIVED if with_received else _HEAD
     if bounds is None:

@@ -116,9 +116,9 @@ def _part(
     read: Read,
     *,
     bare: bool = False,
-    filters: Optional[Sequence[Terms]] = None,
-    sift: Optional[Sift] = None,
-    opened: Optional[Callable[[int, int], None]] = None,
+    filters: Sequence[Terms] | None = None,
+    sift: Sift | None = None,
+    opened: Callable[[int, int], None] | None = None,
 ) -> BucketRead:
     return BucketRead(
         piece.table,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from itertools import filterfalse
-from typing import FrozenSet, Iterator, Optional
+from typing import Iterator
 
 from cassandra_ros.blocks.block_counts import count_part as count_blocks
 from cassandra_ros.blocks.block_counts import measure
@@ -71,7 +71,7 @@ def count_part(
     node: str,
     bucket: int,
     ends: tuple[int, int],
-    writers: Optional[FrozenSet[int]] = None,
+    writers: frozenset[int] | None = None,
 ) -> int:
     """Return the number of messages of writers (None = all) with a time in [low, high]."""
     if table.packed:

@@ -8,7 +8,7 @@ As rows of Python objects they would take ten times as long as the server needs 
 from __future__ import annotations
 
 from functools import partial
-from typing import Callable, Iterable, Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,6 @@ def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
     return BucketColumns(_longs(bucket), _longs(writer), closed, writing, cut, age, *counts)
 
 
-def _longs(values: Sequence[Optional[bytes]], null: bytes = _NO_LONG) -> Longs:
+def _longs(values: Sequence[bytes | None], null: bytes = _NO_LONG) -> Longs:
     joined = b"".join([null if value is None else value for value in values])
     return np.frombuffer(joined, ">i8").astype(np.int64)

@@ -17,12 +17,9 @@ from datetime import datetime
 from functools import partial
 from typing import (
     Callable,
-    Dict,
-    FrozenSet,
     Iterable,
     Iterator,
     NamedTuple,
-    Optional,
     Sequence,
     Tuple,
 )
@@ -130,7 +127,7 @@ class BucketRow(NamedTuple):
     writer: int
     closed: bool
     """Whether the counts are final."""
-    heartbeat: Optional[datetime]
+    heartbeat: datetime | None
     rows: int
     bytes: int
     largest: int
@@ -142,7 +139,7 @@ class BucketRow(NamedTuple):
     counts with all its messages."""
     age_sec: float
     """Time since the heartbeat, by the server's clock, s."""
-    filled: FrozenSet[str] = frozenset()
+    filled: frozenset[str] = frozenset()
     """Shadow columns that have values in all rows of this writer in the bucket."""
     writing: bool = False
     """Whether the writer has not closed the bucket. If rows were deleted, ``closed`` and
@@ -179,7 +176,7 @@ class BucketTotals:
         if not chunked:
             self.largest = max(self.largest, size)
 
-    def add(self, rows: int, nbytes: int, largest: int, ends: Tuple[int, int], odd: bool) -> None:
+    def add(self, rows: int, nbytes: int, largest: int, ends: tuple[int, int], odd: bool) -> None:
         """Add a block.
 
         Its number of messages, their bytes, the largest, first and last time, odd.
@@ -201,10 +198,10 @@ class Directory:
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
         self._tables = side_tables
-        self._noted: Dict[Tuple[str, int, str], float] = {}
-        self.seen: Dict[str, Dict[int, Tuple[str, ...]]] = {}
+        self._noted: dict[tuple[str, int, str], float] = {}
+        self.seen: dict[str, dict[int, tuple[str, ...]]] = {}
         """Table → slot → nodes, as listed last; may be out of date."""
-        self.first: Dict[Tuple[str, bool], Tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
+        self.first: dict[tuple[str, bool], tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
         """Table and whether newest rows come first → nodes and buckets in which the last read of
         few rows began; see ``foresee`` in store/."""
 

@@ -14,7 +14,7 @@ remaining poses is no longer known.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import FrozenSet, Iterable, Mapping, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Iterable, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.connection.cassandra import CqlRow
 from cassandra_ros.keys import MAX_NS
@@ -67,7 +67,7 @@ class IndexedPoses:
     low: int
     high: int
     """First and last key, ns, both included."""
-    frames: FrozenSet[str] = frozenset()
+    frames: frozenset[str] = frozenset()
     """All frames of the transforms between low and high."""
     above: Mapping[str, str] = field(default_factory=dict)
     """The robot's frame and the frames above it for which visits are stored, each with the fixed
@@ -105,7 +105,7 @@ class PlaceIndex:
 
     def visits(
         self, squares: Sequence[Square], node: str, low: int, high: int
-    ) -> list[Tuple[int, int]]:
+    ) -> list[tuple[int, int]]:
         """Return the (t_in, t_out) of a robot's visits to some squares, ns.
 
         Args:
@@ -118,14 +118,14 @@ class PlaceIndex:
         found = self._tables.select_many("cr_place", "t_in, t_out", where, params, what)
         return [(t_in, t_out) for rows in found for t_in, t_out in rows]
 
-    def noted(self, table: str, node: str, writer: int) -> Set[str]:
+    def noted(self, table: str, node: str, writer: int) -> set[str]:
         """Return the robots for which the visits of a run's poses in a table are complete."""
         where, what = "tbl = ? AND node = ? AND writer = ?", "reading how far the index goes"
         rows = self._tables.select("cr_placed", "robot", where, (table, node, writer), what=what)
         return {robot for (robot,) in rows}
 
     def withdraw(
-        self, table: str, low: int = 0, high: int = MAX_NS, run: Optional[Tuple[str, int]] = None
+        self, table: str, low: int = 0, high: int = MAX_NS, run: tuple[str, int] | None = None
     ) -> None:
         """Note that visits are no longer complete, because poses are added or deleted.
 

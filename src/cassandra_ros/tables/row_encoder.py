@@ -32,7 +32,7 @@ class RowEncoder(Protocol):
     def encode_wire(self, wire: bytes) -> Encoded:
         """Return the columns of a message."""
 
-    def encode_together(self, wires: Sequence[bytes]) -> Sequence[Optional[bytes]]:
+    def encode_together(self, wires: Sequence[bytes]) -> Sequence[bytes | None]:
         """Return the columns of each message, each column after its size.
 
         None for a message = encode_wire must encode it. There is one result for each message.
@@ -40,7 +40,7 @@ class RowEncoder(Protocol):
 
     def decode_together(
         self, data: bytes, starts: Offsets, ends: Offsets, sizes: Offsets
-    ) -> Sequence[Optional[bytes]]:
+    ) -> Sequence[bytes | None]:
         """Return the messages, of these sizes, whose columns are from starts to ends in data.
 
         Each column follows its size. None for a message = the row must be decoded by itself.
@@ -53,7 +53,7 @@ class RowEncoder(Protocol):
 class Shadows(NamedTuple):
     """The columns of a table's indexes."""
 
-    names: Tuple[str, ...]
+    names: tuple[str, ...]
     values: Callable[[bytes], Indexed]
     """Returns the values of the columns for a serialised message."""
 
@@ -61,7 +61,7 @@ class Shadows(NamedTuple):
 class IndexEncoder(Protocol):
     """Turns serialised messages into the columns of indexes."""
 
-    def shadows(self, indexes: Mapping[str, str]) -> Optional[Shadows]:
+    def shadows(self, indexes: Mapping[str, str]) -> Shadows | None:
         """Return the columns of a table's indexes; None if it has no index.
 
         Args:

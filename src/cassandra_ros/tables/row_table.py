@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import struct
 from functools import partial
-from typing import Callable, Iterable, NamedTuple, Optional, Sequence, Tuple, TypeVar
+from typing import Callable, Iterable, NamedTuple, Sequence, Tuple, TypeVar
 
 from cassandra.cluster import ResponseFuture, ResultSet
 from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Statement
@@ -63,11 +63,11 @@ class NewRow(NamedTuple):
     once."""
     conn: int
     wire: bytes
-    columns: Optional[Sequence[Optional[bytes]]]
+    columns: Sequence[bytes | None] | None
     """Encoded values of the format's columns and of the columns with the receive time (None =
     unset). None instead of all: they are encoded when the batch of the row is sent."""
     odd: bool = False
-    raw: Optional[bytes] = None
+    raw: bytes | None = None
     name: str = ""
 
 

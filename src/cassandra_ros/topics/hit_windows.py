@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Iterable, Iterator, NamedTuple, Optional
+from typing import Iterable, Iterator, NamedTuple
 
 from cassandra_ros.read import TimeRange
 
@@ -38,7 +38,7 @@ def merge_windows(
     Yields:
         Pieces in order, without overlap.
     """
-    current: Optional[WindowPart] = None
+    current: WindowPart | None = None
     for hit in hits:
         low, high = max(bounds.low, hit - before), min(bounds.high, hit + after)
         if current is None or low > current.high + 1:
@@ -53,14 +53,14 @@ def merge_windows(
     yield from _filled(current)
 
 
-def _filled(piece: Optional[WindowPart]) -> Iterator[WindowPart]:
+def _filled(piece: WindowPart | None) -> Iterator[WindowPart]:
     if piece is not None and piece.low <= piece.high:
         yield piece
 
 
 def joined(pieces: Iterable[WindowPart]) -> Iterator[TimeRange]:
     """Yield whole windows, joined from their pieces."""
-    whole: Optional[TimeRange] = None
+    whole: TimeRange | None = None
     for window, _, high in pieces:
         if whole is not None and whole.low != window:
             yield whole

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import logging
 from contextlib import suppress
-from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.errors import (
     CorruptMessage,
@@ -37,7 +37,7 @@ UNKNOWN_ROW_BYTES = 32 * 1024
 
 
 def create_index(
-    space: Keyspace, adder: MessageAdder, topic: str, field: str, progress: Optional[Progress]
+    space: Keyspace, adder: MessageAdder, topic: str, field: str, progress: Progress | None
 ) -> int:
     """Make an index, or complete it; see CassandraTopic.createIndex."""
     space.schema.tables(fresh=True)
@@ -66,9 +66,9 @@ class IndexState(NamedTuple):
 
 def list_indexes(
     directory: Directory, topic: str, tables: Sequence[TopicTable]
-) -> List[IndexState]:
+) -> list[IndexState]:
     """Return the coverage of each index of a topic; approximate while it is being recorded."""
-    found: List[IndexState] = []
+    found: list[IndexState] = []
     for field in sorted({field for table in tables for field in table.metadata.indexes}):
         messages = missing = 0
         for table in tables:
@@ -144,7 +144,7 @@ def check_unnamed(topic: str, key_format: str) -> None:
         )
 
 
-def _type_of(metadata: TopicMetadata, field: str) -> Optional[str]:
+def _type_of(metadata: TopicMetadata, field: str) -> str | None:
     if metadata.packed:
         return None
     definition = definition_in(metadata)
@@ -156,7 +156,7 @@ def _type_of(metadata: TopicMetadata, field: str) -> Optional[str]:
 class IndexFilling:
     """Fills the index of a field in the tables of a topic."""
 
-    def __init__(self, directory: Directory, field: str, progress: Optional[Progress]) -> None:
+    def __init__(self, directory: Directory, field: str, progress: Progress | None) -> None:
         self._directory = directory
         self._field = field
         self._progress = progress or (lambda done, total: None)
@@ -178,12 +178,12 @@ class IndexFilling:
 
     def _lacking(
         self, tables: Sequence[TopicTable]
-    ) -> Iterator[Tuple[TopicTable, IndexField, List[BucketRow]]]:
+    ) -> Iterator[tuple[TopicTable, IndexField, list[BucketRow]]]:
         for table in tables:
             index = table.index_fields.get(self._field)
             if index is None:
                 continue
-            found: Dict[Tuple[str, int], List[BucketRow]] = {}
+            found: dict[tuple[str, int], list[BucketRow]] = {}
             ends = (-(2**63), 2**63 - 1)
             for row in self._directory.buckets(table.name, *ends, ttl=table.metadata.ttl):
                 # An open bucket belongs to its writer, until that is silent for a minute.
@@ -193,8 +193,8 @@ class IndexFilling:
                 yield table, index, found[key]
 
     def _fill_bucket(
-        self, table: TopicTable, index: IndexField, writers: List[BucketRow]
-    ) -> Tuple[int, int]:
+        self, table: TopicTable, index: IndexField, writers: list[BucketRow]
+    ) -> tuple[int, int]:
         """Return the number of rows that were filled, and of writers whose bucket is complete."""
         totals = {row.writer: BucketTotals() for row in writers}
         backfill = Backfill(table, index.shadow)
@@ -211,8 +211,8 @@ class IndexFilling:
         self,
         table: TopicTable,
         index: IndexField,
-        page: List[WrittenRow],
-        totals: Dict[int, BucketTotals],
+        page: list[WrittenRow],
+        totals: dict[int, BucketTotals],
     ) -> Iterator[ShadowUpdate]:
         for written in page:
             row = written.row

@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 from typing import Counter as Counts
-from typing import Dict, List, Mapping, Set
+from typing import Mapping
 
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import UnsupportedSchema
@@ -27,17 +27,17 @@ class KeyspaceInfo:
     """Data centre → number of its nodes that keep each row; 'any' = all data centres."""
 
 
-def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
+def list_keyspaces(cassandra: Cassandra) -> list[KeyspaceInfo]:
     """Return the keyspaces that hold topics or our side tables, sorted by name."""
     what = "listing the keyspaces"
     factors = cassandra.execute(
         "SELECT keyspace_name, replication FROM system_schema.keyspaces", what=what
     )
-    replication: Dict[str, Mapping[str, str]] = dict(factors)
+    replication: dict[str, Mapping[str, str]] = dict(factors)
     rows = cassandra.execute(
         "SELECT keyspace_name, table_name, comment FROM system_schema.tables", what=what
     )
-    topics: Dict[str, Set[str]] = {}
+    topics: dict[str, set[str]] = {}
     tables: Counts[str] = Counter()
     for keyspace, table, comment in rows:
         if table in SIDE_TABLES:
@@ -55,7 +55,7 @@ def list_keyspaces(cassandra: Cassandra) -> List[KeyspaceInfo]:
     ]
 
 
-def tables_of_others(cassandra: Cassandra, keyspace: str) -> List[str]:
+def tables_of_others(cassandra: Cassandra, keyspace: str) -> list[str]:
     """Return the tables of a keyspace, sorted, if none of them is ours; otherwise []."""
     names = "table_name, comment"
     rows = cassandra.system_schema("tables", names, keyspace)
@@ -68,7 +68,7 @@ def tables_of_others(cassandra: Cassandra, keyspace: str) -> List[str]:
     return sorted(table for table, _ in rows)
 
 
-def _copies(replication: Mapping[str, str]) -> Dict[str, int]:
+def _copies(replication: Mapping[str, str]) -> dict[str, int]:
     factors = {name: text for name, text in replication.items() if name != "class"}
     return {
         "any" if name == "replication_factor" else name: int(text)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from base64 import b64encode
-from typing import Callable, Dict
+from typing import Callable
 
 from cassandra_ros.formats.json import CassandraTopic_json
 from cassandra_ros.messages.tree.echo import echo_printer
@@ -46,7 +46,7 @@ class MessageText:
         self._json = as_json
         self._elements = _NO_LIMIT if elements is None else elements
         self._characters = _NO_LIMIT if characters is None else characters
-        self._prints: Dict[str, _Print] = {}
+        self._prints: dict[str, _Print] = {}
 
     def of(self, row: StoredRow) -> str:
         """Return the text of a message.

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import re
-from typing import AbstractSet, Iterable, Set
+from typing import AbstractSet, Iterable
 
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 
@@ -20,7 +20,7 @@ def compiled(option: str, text: str) -> re.Pattern[str]:
 
 def matching(
     option: str, expressions: Iterable[str], names: AbstractSet[str], where: str
-) -> Set[str]:
+) -> set[str]:
     """Return the names that one of the expressions matches in full.
 
     Args:
@@ -31,7 +31,7 @@ def matching(
         InvalidOption: An expression is not valid.
         TopicNotFound: An expression matches no name.
     """
-    found: Set[str] = set()
+    found: set[str] = set()
     for text in expressions:
         pattern = compiled(option, text)
         matches = {name for name in names if pattern.fullmatch(name)}

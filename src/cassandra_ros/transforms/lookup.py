@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import difflib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Callable, Optional, Sequence, Type
+from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, TransformException
@@ -32,7 +32,7 @@ _SHOWN_FRAMES = 20
 
 def lookup_transform(
     find: Callable[[str], Source[Row]],
-    node: Optional[str],
+    node: str | None,
     run: Writers,
     target: str,
     source: str,
@@ -47,7 +47,7 @@ def lookup_transform(
     frames = (_frame(target), _frame(source))
     check_nodes(node)
     asked = to_ns(time)
-    found: list[Optional[TransformTopic]] = []
+    found: list[TransformTopic | None] = []
     for name in (tf, tf_static):
         try:
             found.append(TransformTopic(find(name), node, run))
@@ -84,11 +84,11 @@ def _frame(name: object) -> str:
 class _Lookup:
     """One lookup."""
 
-    moving: Optional[TransformTopic]
+    moving: TransformTopic | None
     fixed: FixedTransforms
     failure: LookupErrors
 
-    def at(self, time: int, centre: Optional[int] = None) -> TransformStamped:
+    def at(self, time: int, centre: int | None = None) -> TransformStamped:
         """Return the transform at a time, ns.
 
         ``centre`` is a row key near the transforms' rows, ns.
@@ -113,7 +113,7 @@ class _Lookup:
         return self.at(oldest.stamp, oldest.key)
 
     def _computed(
-        self, tree: FrameTree, path: Optional[Sequence[str]], time: Optional[int]
+        self, tree: FrameTree, path: Sequence[str] | None, time: int | None
     ) -> TransformStamped:
         fixed = tree.fixed.all()
         moving = [s for s in tree.nearest.all() if s.child not in tree.fixed.before]
@@ -142,11 +142,11 @@ class LookupErrors:
     """Target and source frame."""
     topics: Sequence[str]
     """Names of the topics of moving and fixed transforms, as error texts show them."""
-    node: Optional[str]
+    node: str | None
     asked: object
     """Time as the user gave it."""
 
-    def text(self, kind: Type[TransformException], tree: FrameTree) -> str:
+    def text(self, kind: type[TransformException], tree: FrameTree) -> str:
         """Return the text of an error, from tf2's exception type and the transforms found."""
         frames, time = tree.frames(), tree.nearest.time
         absent = [frame for frame in self.frames if frame not in frames]

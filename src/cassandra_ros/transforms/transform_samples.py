@@ -15,7 +15,7 @@ import logging
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import islice
-from typing import Any, Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Iterator, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
@@ -63,7 +63,7 @@ class NearestTransforms:
     None = the newest.
     """
 
-    def __init__(self, time: Optional[int] = None) -> None:
+    def __init__(self, time: int | None = None) -> None:
         self.time = time
         self.before: dict[str, Sample] = {}
         """Last transform at or before the time, by child frame."""
@@ -97,7 +97,7 @@ class NearestTransforms:
             self.after[sample.child] = sample
         return True
 
-    def at(self, child: str) -> Optional[Sample]:
+    def at(self, child: str) -> Sample | None:
         """Return the transform that gives the frame's parent at the time.
 
         None if tf2 extrapolates.
@@ -141,10 +141,10 @@ class FrameTree:
             sample = self._above(sample.parent)
         return way
 
-    def _above(self, frame: str) -> Optional[Sample]:
+    def _above(self, frame: str) -> Sample | None:
         return self.fixed.at(frame) or self.nearest.at(frame)
 
-    def path(self, target: str, source: str) -> Optional[list[str]]:
+    def path(self, target: str, source: str) -> list[str] | None:
         """Return the child frames on the path between two frames.
 
         None if they are not connected.
@@ -160,7 +160,7 @@ class FrameTree:
         before, fixed = self.nearest.before, self.fixed.before
         return [before[frame] for frame in frames if frame in before and frame not in fixed]
 
-    def loop(self, frame: str) -> Optional[list[str]]:
+    def loop(self, frame: str) -> list[str] | None:
         """Return the loop among the ancestors of a frame, or None."""
         way = self.climb(frame)
         sample = self._above(way[-1])
@@ -174,7 +174,7 @@ class TransformTopic:
         TypeMismatch: The topic holds other messages.
     """
 
-    def __init__(self, topic: Source[Row], node: Optional[str], run: Writers = None) -> None:
+    def __init__(self, topic: Source[Row], node: str | None, run: Writers = None) -> None:
         self._topic = topic
         self._whose = Whose.of(node, run)
         self._extractors: dict[str, tuple[Extractor, Extractor]] = {}
@@ -200,7 +200,7 @@ class TransformTopic:
 
     def _add(self, nearest: NearestTransforms, row: Row) -> None:
         heads, rests = self._extractor(row.table)
-        rest: Sequence[Tuple[float, ...]] = ()
+        rest: Sequence[tuple[float, ...]] = ()
         for number, (stamp, *names) in enumerate(_elements(heads, row)):
             # tf2 uses names without the slash that tf wrote in front.
             parent, child = (name.lstrip("/") for name in names)
@@ -234,8 +234,8 @@ def _elements(extractor: Extractor, row: Row) -> Iterator[tuple[Any, ...]]:
 
 
 def read_transforms(
-    tree: FrameTree, recorded: Optional[TransformTopic], frames: tuple[str, str], centre: int
-) -> Optional[list[str]]:
+    tree: FrameTree, recorded: TransformTopic | None, frames: tuple[str, str], centre: int
+) -> list[str] | None:
     """Add moving transforms to a tree until more cannot change its path between two frames.
 
     Reads a growing range of row keys around ``centre``, ns. Returns the path, or None if the

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Dict, FrozenSet, Iterable, List, Optional, Sequence
+from typing import Iterable, Sequence
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.read import ALWAYS, EVERYTHING, Read, Whose
@@ -21,11 +21,11 @@ from cassandra_ros.topics.topic_table import TopicTable
 
 def delete_messages(
     catalog: Catalog,
-    topics: Optional[Iterable[str]],
+    topics: Iterable[str] | None,
     read: Read,
     where: Conditions,
     dry_run: bool = False,
-) -> Dict[str, int]:
+) -> dict[str, int]:
     """Delete messages of several topics; see Upkeep.delete."""
     space = catalog.keyspace
     if where is None and read == EVERYTHING:
@@ -33,13 +33,13 @@ def delete_messages(
             "nothing says which messages to delete: give times, a node, a run or a "
             "condition; removeTopic and truncateTopic remove all of a topic"
         )
-    ending: List[Run] = []
+    ending: list[Run] = []
     if read.whose.writers is not None:
         # A run is removed from the list only if all its messages are deleted.
         all_of_it = topics is None and where is None and read.time_range == ALWAYS
         ending = _ended_runs(catalog, read.whose) if all_of_it else []
     catalog.adder.close()  # buckets that it has open count as being written
-    counts: Dict[str, int] = {}
+    counts: dict[str, int] = {}
     if where is not None:
         for name, passing in _filters(catalog, topics, where, read.whose).items():
             rows = passing.rows(read, bare=True)
@@ -64,10 +64,10 @@ def delete_of_table(space: Keyspace, table: TopicTable, read: Read, dry_run: boo
 
 
 def _filters(
-    catalog: Catalog, topics: Optional[Iterable[str]], where: Conditions, whose: Whose
-) -> Dict[str, Filter]:
+    catalog: Catalog, topics: Iterable[str] | None, where: Conditions, whose: Whose
+) -> dict[str, Filter]:
     """Return the filters by topic; other topics lose no messages."""
-    named: Optional[Sequence[str]] = None if topics is None else list(topics)
+    named: Sequence[str] | None = None if topics is None else list(topics)
     filters = catalog.filters(where, named, whose)
     for name in named or ():
         if catalog.get(name).name not in filters:
@@ -78,9 +78,9 @@ def _filters(
     return filters
 
 
-def _ended_runs(catalog: Catalog, whose: Whose) -> List[Run]:
+def _ended_runs(catalog: Catalog, whose: Whose) -> list[Run]:
     """Return the runs of some writers; raises InvalidOption if one of them goes on."""
-    writers: FrozenSet[int] = whose.writers or frozenset()
+    writers: frozenset[int] = whose.writers or frozenset()
     runs = list_runs(catalog.keyspace, catalog.tables(None))
     mine = [r for r in runs if r.writer in writers]
     mine = [r for r in mine if whose.nodes is None or r.node in whose.nodes]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass, field, replace
-from typing import Dict, Iterable, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import Dict, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.overview.latched_messages import LatchedFinder
@@ -37,9 +37,9 @@ class Rules:
 
     now: int
     """Time from which ages are counted back."""
-    max_age: Optional[int] = None
+    max_age: int | None = None
     """Maximum age; None = no limit."""
-    max_bytes: Optional[int] = None
+    max_bytes: int | None = None
     """Maximum number of serialised bytes of all topics together; the oldest messages are dropped
     first."""
     keep: Conditions = None
@@ -82,12 +82,12 @@ class Retained:
 class _Pins:
     """Messages that are kept whatever their age."""
 
-    windows: List[TimeRange] = field(default_factory=list)
+    windows: list[TimeRange] = field(default_factory=list)
     """Time ranges for all topics, in order, without overlap."""
-    latched: Dict[str, Set[int]] = field(default_factory=dict)
+    latched: dict[str, set[int]] = field(default_factory=dict)
     """Table → key times of latched messages."""
 
-    def of(self, table: TopicTable) -> List[TimeRange]:
+    def of(self, table: TopicTable) -> list[TimeRange]:
         """Return the time ranges of a table that are kept, in order."""
         single = (TimeRange(t, t) for t in sorted(self.latched.get(table.name, ())))
         return list(heapq.merge(self.windows, single))
@@ -95,17 +95,17 @@ class _Pins:
 
 def retain(
     catalog: Catalog,
-    topics: Optional[Iterable[str]],
+    topics: Iterable[str] | None,
     rules: Rules,
     dry_run: bool = False,
     progress: Progress = None,
-) -> List[Retained]:
+) -> list[Retained]:
     """Drop the messages that the rules do not keep; see Upkeep.retain."""
     rules.check()
     catalog.adder.close()  # buckets that it has open count as being written
     tables = _timed(catalog, topics)
     work = _Retention(catalog, tables, rules, dry_run)
-    found: Dict[str, Retained] = {}
+    found: dict[str, Retained] = {}
     counts = [count_rows(catalog.keyspace.directory, [t], Read()) for t in tables]
     for number, table in enumerate(tables):
         each = found.setdefault(table.metadata.topic, Retained(table.metadata.topic))
@@ -116,7 +116,7 @@ def retain(
     return [found[topic] for topic in sorted(found)]
 
 
-def _timed(catalog: Catalog, topics: Optional[Iterable[str]]) -> List[TopicTable]:
+def _timed(catalog: Catalog, topics: Iterable[str] | None) -> list[TopicTable]:
     """Return the tables with a time key; messages with names have no age."""
     tables = catalog.tables(topics)
     named = sorted({table.metadata.topic for table in tables if table.named})
@@ -222,7 +222,7 @@ class _Retention:
 
     def _rated(
         self, table: TopicTable, gap: TimeRange, last: _Periods
-    ) -> Iterator[Tuple[StoredRow, bool]]:
+    ) -> Iterator[tuple[StoredRow, bool]]:
         """Yield all messages and whether they are surplus: not a publisher's first of a period.
 
         Latched messages are kept: each one holds until the next one comes.

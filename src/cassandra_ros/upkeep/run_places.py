@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Callable, Dict, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Callable, Mapping, NamedTuple, Optional
 
 from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import TopicNotFound
@@ -33,22 +33,22 @@ class PlacesOfRun(NamedTuple):
     writer: int
     state: str
     """'indexed'; 'not indexed'; 'no poses'; 'goes on': it may still store poses of any time."""
-    first_ns: Optional[int] = None
-    last_ns: Optional[int] = None
+    first_ns: int | None = None
+    last_ns: int | None = None
     """Key times of its first and last pose in the index, ns."""
     visits: int = 0
     """Number of visits to squares that were added now."""
 
 
 def index_places(
-    catalog: Catalog, node: Optional[str], run: RunName, progress: Progress
-) -> List[PlacesOfRun]:
+    catalog: Catalog, node: str | None, run: RunName, progress: Progress
+) -> list[PlacesOfRun]:
     """Add runs to the index of places, of one node or some runs (None = all).
 
     Runs that are indexed stay as they are, unless a frame is fixed to another one in a new way.
     Runs that go on, and interrupted imports that may be repeated, are left out.
     """
-    found: List[PlacesOfRun] = []
+    found: list[PlacesOfRun] = []
     stored = catalog.stored_places
     ttls = [t.metadata.ttl for topic in _tell_poses(stored) for t in topic.tables]
     ttl = 0 if 0 in ttls else max(ttls, default=0)
@@ -65,12 +65,12 @@ def index_places(
     return found
 
 
-def places_of_runs(catalog: Catalog, node: Optional[str], run: RunName) -> List[PlacesOfRun]:
+def places_of_runs(catalog: Catalog, node: str | None, run: RunName) -> list[PlacesOfRun]:
     """Return for each run whether the index of places has its poses; node None = all."""
     return [state for _, state in _states(catalog, node, run)]
 
 
-def _states(catalog: Catalog, node: Optional[str], run: RunName) -> List[Tuple[Run, PlacesOfRun]]:
+def _states(catalog: Catalog, node: str | None, run: RunName) -> list[tuple[Run, PlacesOfRun]]:
     check_nodes(node)
     writers = catalog.keyspace.runs.writers(run)
     runs = [
@@ -82,7 +82,7 @@ def _states(catalog: Catalog, node: Optional[str], run: RunName) -> List[Tuple[R
     return [(each, look.at(each)) for each in runs]
 
 
-def _tell_poses(stored: StoredPlaces) -> List[CassandraTopic]:
+def _tell_poses(stored: StoredPlaces) -> list[CassandraTopic]:
     return [t for t in stored.topics() if t.name == TF or tells_poses(t)]
 
 
@@ -93,7 +93,7 @@ class _IndexComparison:
         self._stored = catalog.stored_places
         self._topics = _tell_poses(self._stored)
         names = [table.name for topic in self._topics for table in topic.tables]
-        self._noted: Dict[Tuple[str, int], List[IndexedPoses]] = {}
+        self._noted: dict[tuple[str, int], list[IndexedPoses]] = {}
         for each in catalog.keyspace.place_index.placed(names):
             self._noted.setdefault((each.node, each.writer), []).append(each)
 

@@ -16,7 +16,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Counter as Counts
-from typing import Dict, List, Optional, Sequence, Set, Tuple
+from typing import Sequence
 
 from cassandra_ros.blocks.block_row import WHOLE, Block, BlockRow, read_block
 from cassandra_ros.connection.cql_names import quote_name
@@ -67,9 +67,9 @@ class Damage:
     """Name of the topic; '' = no existing topic."""
     table: str
     node: str
-    first_ns: Optional[int]
+    first_ns: int | None
     """Key times between which the damage is, both included; None = no time range."""
-    last_ns: Optional[int]
+    last_ns: int | None
     messages: int
     """Number of affected messages, as far as it is known."""
     text: str
@@ -90,7 +90,7 @@ class CheckReport:
     directory has no final counts of them to compare."""
     unsummed: int = 0
     """Messages in rows of their own, which have no checksum and were only decoded."""
-    damages: List[Damage] = field(default_factory=list)
+    damages: list[Damage] = field(default_factory=list)
     """The first MAX_DAMAGES damages."""
     found: int = 0
     mended: int = 0
@@ -127,7 +127,7 @@ class CheckReport:
 
 def check_store(
     catalog: Catalog,
-    topics: Optional[Sequence[str]],
+    topics: Sequence[str] | None,
     time_range: TimeRange,
     repair: bool = False,
     progress: Progress = None,
@@ -155,7 +155,7 @@ class _Check:
         self._repair = repair
         self._progress = progress
         self.report = CheckReport()
-        self.tables: List[TopicTable] = []
+        self.tables: list[TopicTable] = []
         self._conns: Counts[int] = Counter()
         self._done = 0
 
@@ -185,7 +185,7 @@ class _Check:
     def _buckets(self, table: TopicTable) -> None:
         low, high = (table.bucket_of(t) for t in self._time_range)
         listed = self._space.directory.buckets(table.name, low, high)
-        groups: Dict[Tuple[str, int], List[BucketRow]] = {}
+        groups: dict[tuple[str, int], list[BucketRow]] = {}
         for row in listed:
             groups.setdefault((row.node, row.bucket), []).append(row)
         for node, where in partitions(table):
@@ -199,7 +199,7 @@ class _Check:
         self._slots(table, set(groups))
 
     def _read(
-        self, table: TopicTable, node: str, bucket: int, rows: List[BucketRow], total: int
+        self, table: TopicTable, node: str, bucket: int, rows: list[BucketRow], total: int
     ) -> None:
         """Read the messages of a bucket."""
         count, size = sum(row.rows for row in rows), sum(row.bytes for row in rows)
@@ -238,7 +238,7 @@ class _Check:
             self.report.count_unsummed()
         self._count(1, len(wire))
 
-    def _block(self, table: TopicTable, node: str, row: Optional[BlockRow], bounds: RawRow) -> None:
+    def _block(self, table: TopicTable, node: str, row: BlockRow | None, bounds: RawRow) -> None:
         """Read a block, and compute its zones again."""
         if row is None or not row.left:
             return
@@ -305,10 +305,10 @@ class _Check:
             elif not table.metadata.ttl and not _agrees(row, totals):
                 self._recount(table, row, totals)
 
-    def _slots(self, table: TopicTable, places: Set[Tuple[str, int]]) -> None:
+    def _slots(self, table: TopicTable, places: set[tuple[str, int]]) -> None:
         """Report robots whose buckets no reader finds, because cr_node does not list them."""
         directory, length = self._space.directory, table.metadata.bucket_ns
-        wanted: Dict[Tuple[int, str], List[int]] = {}
+        wanted: dict[tuple[int, str], list[int]] = {}
         for node, bucket in places:
             wanted.setdefault((slot_of(bucket), node), []).append(bucket)
         slots = [slot for slot, _ in wanted]
@@ -336,7 +336,7 @@ class _Check:
             self._space.directory.put_recount(table.name, row, totals, table.metadata.ttl)
 
     def _list(
-        self, table: TopicTable, place: Tuple[str, str, int, int], totals: BucketTotals
+        self, table: TopicTable, place: tuple[str, str, int, int], totals: BucketTotals
     ) -> None:
         """Report messages that the directory does not list, so that no reader finds them."""
         if self._repair:
@@ -419,7 +419,7 @@ class _Check:
             mended=self._repair,
         )
 
-    def definitions(self, md5sums: Set[str], *, everything: bool) -> None:
+    def definitions(self, md5sums: set[str], *, everything: bool) -> None:
         """Compare the texts of the definitions with their checksums."""
         for md5sum in self._space.registry.damaged_definitions():
             if everything or md5sum in md5sums:
@@ -451,7 +451,7 @@ class _Check:
         kind: DamageKind,
         table: TopicTable,
         node: str,
-        ends: Optional[Tuple[int, int]],
+        ends: tuple[int, int] | None,
         messages: int,
         text: str,
         mended: bool = False,
@@ -472,7 +472,7 @@ def _within(t: int, time_range: TimeRange) -> bool:
     return time_range.low <= t <= time_range.high
 
 
-def _sign(row: BucketRow) -> Tuple[int, bool, object]:
+def _sign(row: BucketRow) -> tuple[int, bool, object]:
     """Return what changes in the directory when a client writes to a bucket or deletes in it."""
     return row.writer, row.closed, row.heartbeat
 
@@ -485,7 +485,7 @@ def _agrees(row: BucketRow, totals: BucketTotals) -> bool:
     return said == (totals.rows, totals.bytes, *ends) and row.odd >= totals.odd
 
 
-def _ends(totals: BucketTotals) -> Tuple[int, int]:
+def _ends(totals: BucketTotals) -> tuple[int, int]:
     return (totals.t_min, totals.t_max) if totals.rows else (0, 0)
 
 

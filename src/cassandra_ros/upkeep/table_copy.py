@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import Callable, Dict, FrozenSet, Iterator, List, Optional, Sequence, Set, Tuple
+from typing import Callable, Iterator, Optional, Sequence
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
@@ -50,9 +50,9 @@ class TableCopy:
         names = {old.name for old in olds}
         self._limits = limits_for(sum(1 for _ in space.registry.headers(names)))
 
-    def _newest_of_names(self) -> Dict[Tuple[str, str], Tuple[int, int]]:
+    def _newest_of_names(self) -> dict[tuple[str, str], tuple[int, int]]:
         """Return where equal messages, which are stored once, came last, over several tables."""
-        found: Dict[Tuple[str, str], Tuple[int, int]] = {}
+        found: dict[tuple[str, str], tuple[int, int]] = {}
         if self._new.metadata.key_format == "hash" and len(self._olds) > 1:
             for table in self._olds:
                 for key in list_names(table, None):
@@ -70,8 +70,8 @@ class TableCopy:
             else:
                 self._write(self._rows(self._olds, Read(whose=Whose(None, some))))
 
-    def _writers(self) -> FrozenSet[int]:
-        found: Set[int] = set()
+    def _writers(self) -> frozenset[int]:
+        found: set[int] = set()
         for table in self._olds:
             if table.named:
                 found.update(split_seq(key.position.seq)[0] for key in list_names(table, None))
@@ -79,10 +79,10 @@ class TableCopy:
                 found.update(row.writer for row in buckets_of(self._space.directory, table))
         return frozenset(found)
 
-    def _fill_expiring(self, writers: FrozenSet[int]) -> None:
+    def _fill_expiring(self, writers: frozenset[int]) -> None:
         """Write rows by remaining lifetime, which is set for all rows written from then on."""
         whose, ttl = Whose(None, writers), self._new.metadata.ttl
-        parts: Dict[int, List[Callable[[], Iterator[StoredRow]]]] = {}
+        parts: dict[int, list[Callable[[], Iterator[StoredRow]]]] = {}
         for table in self._olds:
             for left, rows in self._expiring(table, whose):
                 if left:
@@ -93,10 +93,10 @@ class TableCopy:
 
     def _expiring(
         self, table: TopicTable, whose: Whose
-    ) -> Iterator[Tuple[int, Callable[[], Iterator[StoredRow]]]]:
+    ) -> Iterator[tuple[int, Callable[[], Iterator[StoredRow]]]]:
         """Yield parts of a table with the maximum remaining lifetime of their rows, s."""
         if table.named:
-            by_left: Dict[int, List[RowKey]] = {}
+            by_left: dict[int, list[RowKey]] = {}
             for place, left in left_by_name(table).items():
                 if whose.wrote(place.seq):
                     left = rounded(left, table.metadata.ttl)
@@ -121,7 +121,7 @@ class TableCopy:
         Raises:
             CorruptMessage: Two messages have the same place, which one table cannot hold.
         """
-        last: Optional[StoredRow] = None
+        last: StoredRow | None = None
         for row in self._reader.read(tables, read):
             if self._newest and (row.t, row.seq) != self._newest.get((row.node, row.name)):
                 continue  # an equal message came later, into another table
@@ -138,8 +138,8 @@ class TableCopy:
 
     def _write(self, rows: Iterator[StoredRow]) -> None:
         """Write rows of some writers, each under its own id; return when all are acknowledged."""
-        opened: Dict[int, MessageWriter] = {}
-        handles: Dict[Tuple[int, int, str], Handle] = {}
+        opened: dict[int, MessageWriter] = {}
+        handles: dict[tuple[int, int, str], Handle] = {}
         try:
             for row in rows:
                 writer_id, counter = split_seq(row.seq)
@@ -159,7 +159,7 @@ class TableCopy:
             for writer in opened.values():
                 writer.flush()
         finally:
-            failed: Optional[CassandraRosError] = None
+            failed: CassandraRosError | None = None
             for writer in opened.values():
                 try:
                     writer.close()

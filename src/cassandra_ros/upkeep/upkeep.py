@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, Iterable, List, Optional
+from typing import Iterable
 
 from cassandra_ros.arguments import check_integer, check_topics
 from cassandra_ros.errors import InvalidOption
@@ -33,15 +33,15 @@ class Upkeep:
 
     def delete(
         self,
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        topics: Iterable[str] | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         where: Conditions = None,
         run: RunName = None,
         dry_run: bool = False,
-    ) -> Dict[str, int]:
+    ) -> dict[str, int]:
         """Delete messages of several topics; return topic → number. Topics stay, even if empty.
 
         The arguments are those of RosCassandra.readMessages, but with ``where`` only topics that
@@ -71,9 +71,9 @@ class Upkeep:
 
     def check(
         self,
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        topics: Iterable[str] | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
         repair: bool = False,
         progress: Progress = None,
@@ -89,8 +89,8 @@ class Upkeep:
         return check_store(self._catalog, names, time_range, repair, progress)
 
     def indexPlaces(
-        self, *, nodeID: Optional[str] = None, run: RunName = None, progress: Progress = None
-    ) -> List[PlacesOfRun]:
+        self, *, nodeID: str | None = None, run: RunName = None, progress: Progress = None
+    ) -> list[PlacesOfRun]:
         """Index where the robots of runs were, so that NEAR reads only poses around a place.
 
         Recorders do it themselves; this is for imports, and for recordings without it. Runs that
@@ -105,27 +105,25 @@ class Upkeep:
         """
         return index_places(self._catalog, nodeID, run, progress)
 
-    def placesIndex(
-        self, *, nodeID: Optional[str] = None, run: RunName = None
-    ) -> List[PlacesOfRun]:
+    def placesIndex(self, *, nodeID: str | None = None, run: RunName = None) -> list[PlacesOfRun]:
         """Return for each run whether the index of places has its poses; see indexPlaces."""
         return places_of_runs(self._catalog, nodeID, run)
 
     def retain(
         self,
-        topics: Optional[Iterable[str]] = None,
+        topics: Iterable[str] | None = None,
         *,
-        max_age: Optional[Length] = None,
-        max_bytes: Optional[int] = None,
+        max_age: Length | None = None,
+        max_bytes: int | None = None,
         keep: Conditions = None,
         before: Length = 30.0,
         after: Length = 30.0,
-        thin: Optional[float] = None,
+        thin: float | None = None,
         thin_after: Length = 0.0,
-        now: Optional[Time] = None,
+        now: Time | None = None,
         dry_run: bool = False,
         progress: Progress = None,
-    ) -> List[Retained]:
+    ) -> list[Retained]:
         """Drop messages by age and size, thin others, and keep those around events.
 
         Latched messages are not thinned. A message that a publisher had latched before a kept time

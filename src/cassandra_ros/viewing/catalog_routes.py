@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Dict, Iterable, List, Optional, Sequence
+from typing import Iterable, Sequence
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.stamps import to_ns
@@ -25,7 +25,7 @@ _USUAL_RUNS = 500
 
 def _keyspace(call: ApiCall) -> Json:
     store = call.store
-    keyspaces: List[Json] = [
+    keyspaces: list[Json] = [
         {
             "keyspace": each.name,
             "topics": each.topics,
@@ -48,13 +48,13 @@ def _topics(call: ApiCall) -> Json:
     topics = [store.getTopic(name) for name in names] if names else store.getAllTopics()
     if not call.flag("counts"):
         return {"topics": [_topic(topic) for topic in topics]}
-    infos: Dict[str, List[TopicInfo]] = {}
+    infos: dict[str, list[TopicInfo]] = {}
     for info in store.info([topic.name for topic in topics]) if topics else ():
         infos.setdefault(info.topic, []).append(info)
     return {"topics": [{**_topic(topic), **_counts(infos.get(topic.name, []))} for topic in topics]}
 
 
-def _topic(topic: CassandraTopic) -> Dict[str, Json]:
+def _topic(topic: CassandraTopic) -> dict[str, Json]:
     """Return the description of a topic, without anything that is counted over its messages."""
     tables = [table.metadata for table in topic.tables]
     return {
@@ -69,11 +69,11 @@ def _topic(topic: CassandraTopic) -> Dict[str, Json]:
     }
 
 
-def _distinct(texts: Iterable[str]) -> List[Json]:
+def _distinct(texts: Iterable[str]) -> list[Json]:
     return list(dict.fromkeys(texts))
 
 
-def _counts(infos: Sequence[TopicInfo]) -> Dict[str, Json]:
+def _counts(infos: Sequence[TopicInfo]) -> dict[str, Json]:
     """Return the counts of a topic, in total and by table and robot."""
     starts = [info.first_ns for info in infos if info.first_ns is not None]
     ends = [info.last_ns for info in infos if info.last_ns is not None]
@@ -109,12 +109,12 @@ def _table(info: TopicInfo) -> Json:
     }
 
 
-def shown_ns(ns: Optional[int]) -> Optional[str]:
+def shown_ns(ns: int | None) -> str | None:
     """Return a time, ns since 1970, as a text: JavaScript's numbers cannot hold it."""
     return None if ns is None else str(ns)
 
 
-def shown_time(time: Optional[datetime]) -> Optional[str]:
+def shown_time(time: datetime | None) -> str | None:
     """Return a time of the registry, UTC, as a text of ns since 1970."""
     return None if time is None else str(to_ns(time))
 
@@ -126,7 +126,7 @@ def _runs(call: ApiCall) -> Json:
     runs = call.store.runs() if counts else list_runs(call.catalog.keyspace, ())
     selected = [r for r in runs if not names or r.name in names or str(r.writer) in names]
     selected.sort(key=lambda run: str(run.started), reverse=True)
-    listed: List[Json] = [_run(run, by_topic, counts) for run in selected[:limit]]
+    listed: list[Json] = [_run(run, by_topic, counts) for run in selected[:limit]]
     return {"runs": listed, "left_off": max(len(selected) - limit, 0)}
 
 
@@ -142,9 +142,9 @@ def listed_at_most(call: ApiCall) -> int:
     return limit
 
 
-def _run(run: Run, by_topic: bool, counts: bool) -> Dict[str, Json]:
+def _run(run: Run, by_topic: bool, counts: bool) -> dict[str, Json]:
     known = counts or run.ended is not None
-    entry: Dict[str, Json] = {
+    entry: dict[str, Json] = {
         "run": run.name or str(run.writer),
         "id": run.writer,
         "node": run.node,

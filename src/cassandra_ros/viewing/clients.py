@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from typing import Dict, Optional, cast
+from typing import cast
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
@@ -32,8 +32,8 @@ class Clients:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._server: Optional[web.Server] = None
-        self._awaited: Dict[web.RequestHandler, asyncio.TimerHandle] = {}
+        self._server: web.Server | None = None
+        self._awaited: dict[web.RequestHandler, asyncio.TimerHandle] = {}
         """Timers that close the connections that have not sent a request yet."""
 
     @web.middleware
@@ -44,7 +44,7 @@ class Clients:
             timer.cancel()
         return await handler(request)
 
-    async def listen(self, server: Optional[web.Server], host: str, port: int) -> asyncio.Server:
+    async def listen(self, server: web.Server | None, host: str, port: int) -> asyncio.Server:
         """Listen on an address and hand the connections to a server.
 
         Raises:
@@ -110,6 +110,6 @@ class _Refusal(asyncio.Protocol):
         """Close the connection; closing it before its request came could discard the answer."""
         self._transport.close()
 
-    def connection_lost(self, exc: Optional[Exception]) -> None:
+    def connection_lost(self, exc: Exception | None) -> None:
         """Forget the connection."""
         self._end.cancel()

@@ -14,7 +14,7 @@ import logging
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Callable, Iterator, TypeVar, Union
+from typing import Callable, Iterator, TypeVar
 
 from aiohttp import web
 from aiohttp.typedefs import Handler
@@ -182,7 +182,7 @@ class _Chunks:
                 close()
 
 
-def _work(route: Route, call: ApiCall) -> Union[Bytes, CachedFile, _Chunks]:
+def _work(route: Route, call: ApiCall) -> Bytes | CachedFile | _Chunks:
     """Answer a call; JSON is written here, on the handler's thread."""
     answer = route.answer(call)
     if isinstance(answer, (Bytes, CachedFile)):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import OrderedDict
-from typing import Callable, FrozenSet, Hashable, Optional
+from typing import Callable, Hashable
 
 from cassandra_ros.drawing.map_picture import map_info, map_png
 from cassandra_ros.errors import StoreUnavailable
@@ -86,12 +86,12 @@ def _map(call: ApiCall) -> Bytes:
     return call.cached(MapCache).get((*asked, topic.countTopicData(), str(last)), make)
 
 
-def _stamp(call: ApiCall, name: str) -> Optional[Stamp]:
+def _stamp(call: ApiCall, name: str) -> Stamp | None:
     ns = call.time_ns(name)
     return None if ns is None else Stamp.from_ns(ns)
 
 
-def _writers(call: ApiCall) -> Optional[FrozenSet[int]]:
+def _writers(call: ApiCall) -> frozenset[int] | None:
     """Return the writer ids of the requested runs; None = all runs."""
     names = call.texts("runs")
     if not names:

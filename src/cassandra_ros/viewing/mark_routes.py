@@ -9,7 +9,7 @@ time of the import is known, not that of the recording of its bag.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import Iterator, Mapping
 
 from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.read import LAST_NS, Read, TimeRange
@@ -39,10 +39,10 @@ class Mark:
     """Labels of a recording, or reason of a loss."""
     topic: str = ""
     """Name of the topic; '' = all topics."""
-    count: Optional[int] = None
+    count: int | None = None
     """Number of lost messages; None = not known."""
 
-    def answer(self) -> Dict[str, Json]:
+    def answer(self) -> dict[str, Json]:
         """Return the mark as JSON."""
         return {
             "kind": self.kind,
@@ -71,11 +71,11 @@ def _marks(call: ApiCall) -> Json:
                 mark for mark in _of_run(run) if time_range.low <= mark.first_ns <= time_range.high
             ]
     marks.sort(key=lambda mark: (mark.first_ns, mark.kind, mark.topic))
-    listed: List[Json] = [mark.answer() for mark in marks[:limit]]
+    listed: list[Json] = [mark.answer() for mark in marks[:limit]]
     return {"marks": listed, "left_off": max(len(marks) - limit, 0)}
 
 
-def _of_loss(loss: Loss, runs: Mapping[Tuple[int, str], Run]) -> Mark:
+def _of_loss(loss: Loss, runs: Mapping[tuple[int, str], Run]) -> Mark:
     run = runs.get((loss.writer, loss.node))
     return Mark(
         kind="loss",

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import List, Sequence, Tuple
+from typing import Sequence
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
 from cassandra_ros.keys import MAX_NS
@@ -41,7 +41,7 @@ def _near(call: ApiCall) -> Json:
     frame, robot = call.text("frame") or "", call.text("robot") or ""
     places = call.catalog.places
     low, high = _ends(call)
-    stays_found: List[Json] = []
+    stays_found: list[Json] = []
     nodes, writers = call.texts("nodes"), whose_of(call).writers
     asked = places.within(_region(call), frame or places.usual_frame(), robot, nodes, writers)
     more = False
@@ -79,7 +79,7 @@ def _check_waited_for(call: ApiCall) -> None:
         raise StoreUnavailable("the client does not wait for the answer any more")
 
 
-def _ends(call: ApiCall) -> Tuple[int, int]:
+def _ends(call: ApiCall) -> tuple[int, int]:
     low, high = call.time_ns("start"), call.time_ns("end")
     return 0 if low is None else low, MAX_NS if high is None else high
 
@@ -96,7 +96,7 @@ def _region(call: ApiCall) -> Region:
     return DiskRegion(x, y, radius)
 
 
-def _corners(text: str) -> Sequence[Tuple[float, float]]:
+def _corners(text: str) -> Sequence[tuple[float, float]]:
     try:
         pairs = [tuple(map(float, pair.split(","))) for pair in text.split(";") if pair]
         return [(x, y) for x, y in pairs]

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Sequence
 
 from cassandra_ros.overview.timeline.lanes import Lane, RunSpan, Timeline, View
 from cassandra_ros.overview.timeline.time_cells import (
@@ -42,8 +42,8 @@ def _answer(call: ApiCall) -> Json:
     picture = call.cached(timeline_of).picture(view, call.gone)
     (first, last), scale = picture.extent or (None, None), picture.scale
     names = {run.writer: run.name for run in call.catalog.keyspace.registry.runs()}
-    lanes: List[Json] = [_lane(lane, scale) for lane in picture.lanes]
-    runs: List[Json] = [_run(span, names) for span in picture.runs]
+    lanes: list[Json] = [_lane(lane, scale) for lane in picture.lanes]
+    runs: list[Json] = [_run(span, names) for span in picture.runs]
     return {
         "first": shown_ns(first),
         "last": shown_ns(last),
@@ -57,9 +57,9 @@ def _answer(call: ApiCall) -> Json:
     }
 
 
-def _lane(lane: Lane, scale: Optional[Scale]) -> Dict[str, Json]:
+def _lane(lane: Lane, scale: Scale | None) -> dict[str, Json]:
     first, last = lane.times
-    entry: Dict[str, Json] = {
+    entry: dict[str, Json] = {
         "topic": lane.topic,
         "node": lane.node,
         "types": sorted({table.metadata.msg_type for table in lane.tables}),
@@ -86,7 +86,7 @@ def _lists(numbers: Sequence[Sequence[int]]) -> Json:
     return [list(each) for each in numbers]
 
 
-def _run(span: RunSpan, names: Dict[int, str]) -> Dict[str, Json]:
+def _run(span: RunSpan, names: dict[int, str]) -> dict[str, Json]:
     return {
         "run": names.get(span.writer) or str(span.writer),
         "id": span.writer,
@@ -97,7 +97,7 @@ def _run(span: RunSpan, names: Dict[int, str]) -> Dict[str, Json]:
     }
 
 
-ROUTES: Tuple[Route, ...] = (
+ROUTES: tuple[Route, ...] = (
     Route(
         "/api/timeline",
         _answer,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import struct
 from itertools import chain, repeat
-from typing import Any, Callable, Iterable, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Iterable, Iterator, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ class Wires:
         views: NDArray[Any] = np.ndarray((len(self.data) - 3,), _U4, self.data, 0, (1,))
         return views[ats].astype(np.int64)
 
-    def slices(self, ats: Offsets, ends: Offsets) -> List[bytes]:
+    def slices(self, ats: Offsets, ends: Offsets) -> list[bytes]:
         """Return the bytes from each offset to its end."""
         data = self.data
         return [data[at:end] for at, end in zip(ats.tolist(), ends.tolist())]
@@ -62,7 +62,7 @@ class ColumnList:
     """
 
     def __init__(self) -> None:
-        self.columns: List[FieldValues] = []
+        self.columns: list[FieldValues] = []
         self.objects = 0.0
 
     def add(self, values: Iterable[Any], objects: float = 0) -> None:
@@ -94,9 +94,9 @@ class FixedFields:
 
     def __init__(self) -> None:
         self.size = 0
-        self._readers: List[Callable[[ByteRows, int], Iterable[Any]]] = []
+        self._readers: list[Callable[[ByteRows, int], Iterable[Any]]] = []
 
-    def add(self, type_: str, length: Optional[int]) -> None:
+    def add(self, type_: str, length: int | None) -> None:
         """Add a field of a primitive type; length: of a fixed array, None = a single value."""
         at, code = self.size, CODES[type_]
         self.size += PRIMITIVE_SIZES[type_] * (1 if length is None else length)
@@ -169,7 +169,7 @@ class PrimitiveArray:
             out.add(map(list, found) if self._type == "bool" else found, 1)
         return ends
 
-    def _one(self, data: bytes, at: int, length: int) -> Tuple[Any, ...]:
+    def _one(self, data: bytes, at: int, length: int) -> tuple[Any, ...]:
         return struct.unpack_from(f"<{length}{self._code}", data, at)
 
     def skip(self, wires: Wires, ats: Offsets) -> Offsets:
@@ -198,7 +198,7 @@ class TextField:
         return ats + 4 + wires.lengths(ats)
 
 
-def _same(wires: Wires, begins: Offsets, ends: Offsets) -> Optional[bytes]:
+def _same(wires: Wires, begins: Offsets, ends: Offsets) -> bytes | None:
     """Return the bytes that are the same at all offsets; None if they differ."""
     size = int(ends[0] - begins[0])
     if not (ends - begins == size).all():

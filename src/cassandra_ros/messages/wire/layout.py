@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, replace
-from typing import Iterator, NamedTuple, Optional, Tuple
+from typing import Iterator, NamedTuple
 
 from cassandra_ros.messages.spec import Field, Specs
 from cassandra_ros.messages.wire.field_ends import Skip, compile_field_skip, fixed_size
@@ -89,8 +89,8 @@ class VariableField:
 class Segment(NamedTuple):
     """Fields of fixed size, then at most one field of variable size."""
 
-    fixed: Tuple[FixedField, ...]
-    tail: Optional[VariableField]
+    fixed: tuple[FixedField, ...]
+    tail: VariableField | None
 
 
 # ROS type -> struct code on the wire, struct code in CQL, CQL type, kind, special

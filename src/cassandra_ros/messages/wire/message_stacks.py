@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Iterable, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,10 +89,10 @@ class Layout:
         self._wire = wire
         self._most = most
         self._specs = definition.specs
-        self._offsets: Dict[str, List[Int64Array]] = {}
-        self._length_offsets: List[int] = []
-        self.texts: Dict[str, List[TextRange]] = {}
-        self.arrays: Dict[str, List[ArrayOffsets]] = {}
+        self._offsets: dict[str, list[Int64Array]] = {}
+        self._length_offsets: list[int] = []
+        self.texts: dict[str, list[TextRange]] = {}
+        self.arrays: dict[str, list[ArrayOffsets]] = {}
         self.end = self._message(definition.type, "", 0)
         if self.end > len(wire):
             raise short_buffer()
@@ -198,9 +198,9 @@ class Head:
 
     def __init__(self, definition: Definition) -> None:
         self._specs = definition.specs
-        self._ats: Dict[str, Int64Array] = {}
-        self.texts: Dict[str, List[TextRange]] = {}
-        self.arrays: Dict[str, List[ArrayOffsets]] = {}
+        self._ats: dict[str, Int64Array] = {}
+        self.texts: dict[str, list[TextRange]] = {}
+        self.arrays: dict[str, list[ArrayOffsets]] = {}
         self.lengths: ByteArray = np.zeros(0, np.uint8)
         self.size, _ = self._message(definition.type, "", 0)
 
@@ -211,7 +211,7 @@ class Head:
         """Return the offset of a number, bool or time."""
         return self._ats[path]
 
-    def _message(self, msg_type: str, prefix: str, at: int) -> Tuple[int, bool]:
+    def _message(self, msg_type: str, prefix: str, at: int) -> tuple[int, bool]:
         """Record the offsets of a message's fields.
 
         Return the offset after, and whether all are fixed.
@@ -234,7 +234,7 @@ class Head:
         return at, True
 
 
-def _size_of(type_: str, specs: Specs) -> Optional[int]:
+def _size_of(type_: str, specs: Specs) -> int | None:
     known = PRIMITIVE_SIZES.get(type_)
     return fixed_size(type_, specs) if known is None or type_ == "string" else known
 
@@ -242,7 +242,7 @@ def _size_of(type_: str, specs: Specs) -> Optional[int]:
 class Stack(NamedTuple):
     """Messages of one layout, or the heads of messages of one type."""
 
-    layout: Union[Layout, Head]
+    layout: Layout | Head
     members: Int64Array
     """Indices of the messages, as the caller numbers them."""
     planes: ByteArray
@@ -266,9 +266,9 @@ class Stack(NamedTuple):
         ats = [e.ats + index * PRIMITIVE_SIZES[base] for e in found if index < e.length]
         return read_numbers(self.planes, ats[0] if ats else _NOWHERE, base)
 
-    def texts(self, path: str) -> List[bytes]:
+    def texts(self, path: str) -> list[bytes]:
         """Return the distinct values of a string, or of all strings of an array."""
-        found: Dict[bytes, None] = {}
+        found: dict[bytes, None] = {}
         for at, size in dict.fromkeys(self.layout.texts.get(path, [])):
             rows = self.planes[at : at + size]
             if (rows == rows[:, :1]).all():
@@ -289,9 +289,9 @@ class Stacker:
     def __init__(self, definition: Definition) -> None:
         self._definition = definition
         self.head = Head(definition)
-        self._cache: Dict[int, Tuple[Layout, ...]] = {}
+        self._cache: dict[int, tuple[Layout, ...]] = {}
 
-    def stacks(self, planes: ByteArray, members: Int64Array) -> Tuple[List[Stack], Int64Array]:
+    def stacks(self, planes: ByteArray, members: Int64Array) -> tuple[list[Stack], Int64Array]:
         """Group messages of equal size by their layout.
 
         Args:
@@ -304,8 +304,8 @@ class Stacker:
         """
         size, count = planes.shape
         least = 1 if size >= LARGE_BYTES else MIN_STACKED
-        found: List[Stack] = []
-        rest: List[Int64Array] = []
+        found: list[Stack] = []
+        rest: list[Int64Array] = []
         left = np.arange(count)
         for _ in range(MAX_LAYOUTS_TRIED):
             if len(left) < max(1, least):
@@ -323,7 +323,7 @@ class Stacker:
             left = left[~fits]
         return found, _joined([*rest, members[left]])
 
-    def heads(self, groups: Iterable[Tuple[ByteArray, Int64Array]]) -> Stack:
+    def heads(self, groups: Iterable[tuple[ByteArray, Int64Array]]) -> Stack:
         """Return the heads of messages of any size as one stack; shorter messages are left out.
 
         Args:
@@ -343,7 +343,7 @@ class Stacker:
         joined = np.frombuffer(b"".join([w[:size] for w in wires if len(w) >= size]), np.uint8)
         return Stack(self.head, members, joined.reshape(len(members), size).T)
 
-    def _layout(self, wire: ByteArray, most: int) -> Optional[Layout]:
+    def _layout(self, wire: ByteArray, most: int) -> Layout | None:
         """Return the layout of a message.
 
         None: it is malformed, or has more than ``most`` lengths.
@@ -373,7 +373,7 @@ def as_planes(wires: Sequence[bytes]) -> ByteArray:
     return joined.reshape(len(wires), len(joined) // len(wires)).T
 
 
-def by_size(wires: Sequence[bytes]) -> Iterable[Tuple[Int64Array, ByteArray]]:
+def by_size(wires: Sequence[bytes]) -> Iterable[tuple[Int64Array, ByteArray]]:
     """Yield the indices and the planes of the messages of each size."""
     if len(set(map(len, wires))) == 1:
         yield np.arange(len(wires)), as_planes(wires)

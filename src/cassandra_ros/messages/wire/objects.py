@@ -16,7 +16,7 @@ import struct
 from collections import deque
 from itertools import chain, islice, repeat
 from types import MemberDescriptorType
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, NamedTuple, Sequence, Union
 
 import genpy
 import numpy as np
@@ -45,7 +45,7 @@ MIN_LIVE = 4
 differ in size."""
 MAX_OBJECTS = 500
 """Maximum number of objects made in one batch, below the threshold of Python's collector."""
-_STAMPS: Dict[str, Tuple[Any, str]] = {
+_STAMPS: dict[str, tuple[Any, str]] = {
     "time": (genpy.Time, "uint32"),
     "duration": (genpy.Duration, "int32"),
 }
@@ -56,7 +56,7 @@ _NUMBERS = frozenset(CODES) - frozenset(_STAMPS)
 class _ElementArray:
     """An array of messages, times or strings."""
 
-    def __init__(self, length: Optional[int], size: Optional[int], element: _ElementReader) -> None:
+    def __init__(self, length: int | None, size: int | None, element: _ElementReader) -> None:
         self._length, self._size, self._element = length, size, element
 
     def read(self, group: ElementGroup, out: ColumnList) -> Offsets:
@@ -81,7 +81,7 @@ class _ElementArray:
         out.add(lists, 1 + objects * total / len(counts))
         return group.checked(ends)
 
-    def _counts(self, wires: Wires, ats: Offsets) -> Tuple[Offsets, Offsets]:
+    def _counts(self, wires: Wires, ats: Offsets) -> tuple[Offsets, Offsets]:
         """Return the offsets of the first elements, and the numbers of elements."""
         if self._length is None:
             return ats + 4, wires.lengths(ats)
@@ -89,7 +89,7 @@ class _ElementArray:
 
     def _walk(
         self, wires: Wires, begins: Offsets, counts: Offsets, firsts: Offsets
-    ) -> Tuple[Offsets, Offsets]:
+    ) -> tuple[Offsets, Offsets]:
         """Return the offset of each element, in order, and the offsets after the arrays."""
         if int(counts.sum()) < MIN_LIVE * int(counts.max()):
             raise CannotBatch
@@ -122,7 +122,7 @@ class _ObjectPlan(NamedTuple):
     """How the objects of one class are made from the columns of their fields."""
 
     cls: Any
-    slots: List[Tuple[Callable[[Any, Any], object], Union[int, _ObjectPlan]]]
+    slots: list[tuple[Callable[[Any, Any], object], int | _ObjectPlan]]
     """For each field its setter, and the index of its column or how the message in it is made."""
 
     @property
@@ -130,7 +130,7 @@ class _ObjectPlan(NamedTuple):
         """Number of objects made for one message, without those in its columns."""
         return 1 + sum(s.size for _, s in self.slots if not isinstance(s, int))
 
-    def make(self, columns: Sequence[FieldValues], count: int) -> List[Any]:
+    def make(self, columns: Sequence[FieldValues], count: int) -> list[Any]:
         """Make the next ``count`` objects."""
         made = list(map(object.__new__, repeat(self.cls, count)))
         for put, source in self.slots:
@@ -146,12 +146,10 @@ class _ElementReader:
         least: Minimum size on the wire, bytes.
     """
 
-    def __init__(
-        self, steps: List[_FieldReader], objects: Optional[_ObjectPlan], least: int
-    ) -> None:
+    def __init__(self, steps: list[_FieldReader], objects: _ObjectPlan | None, least: int) -> None:
         self._steps, self._objects, self.least = steps, objects, least
 
-    def make(self, group: ElementGroup) -> Tuple[Iterator[Any], Offsets, float]:
+    def make(self, group: ElementGroup) -> tuple[Iterator[Any], Offsets, float]:
         """Read objects or texts, which are made when the iterator is advanced.
 
         Returns:
@@ -175,7 +173,7 @@ class _ElementReader:
 
 def _in_batches(
     objects: _ObjectPlan, columns: Sequence[FieldValues], count: int, most: int
-) -> Iterator[List[Any]]:
+) -> Iterator[list[Any]]:
     for first in range(0, count, max(1, most)):
         yield objects.make(columns, min(count - first, max(1, most)))
 
@@ -196,15 +194,15 @@ class _Compiler:
         """Compile a message type, 'time', 'duration' or 'string'."""
         if type_ == "string":
             return _ElementReader([TextField()], None, PRIMITIVE_SIZES["string"])
-        steps: List[_FieldReader] = []
-        columns: List[int] = [0]
+        steps: list[_FieldReader] = []
+        columns: list[int] = [0]
         objects = self._objects(type_, steps, columns)
         return _ElementReader(steps, objects, max(1, _least(type_, self._specs)))
 
-    def _objects(self, type_: str, steps: List[_FieldReader], columns: List[int]) -> _ObjectPlan:
+    def _objects(self, type_: str, steps: list[_FieldReader], columns: list[int]) -> _ObjectPlan:
         """Append the steps that read a message. ``columns`` holds the number of columns so far."""
         cls, fields = self._class(type_)
-        slots: List[Tuple[Callable[[Any, Any], object], Union[int, _ObjectPlan]]] = []
+        slots: list[tuple[Callable[[Any, Any], object], int | _ObjectPlan]] = []
         for field in fields:
             put = getattr(cls, attribute_name(field.name)).__set__
             if not field.is_array and field.type != "string" and field.type not in _NUMBERS:
@@ -215,7 +213,7 @@ class _Compiler:
             self._field(field, steps)
         return _ObjectPlan(cls, slots)
 
-    def _field(self, field: Field, steps: List[_FieldReader]) -> None:
+    def _field(self, field: Field, steps: list[_FieldReader]) -> None:
         if field.type == "string" and not field.is_array:
             steps.append(TextField())
         elif field.type not in _NUMBERS:
@@ -230,7 +228,7 @@ class _Compiler:
                 steps.append(last)
             last.add(field.type, field.length if field.is_array else None)
 
-    def _class(self, type_: str) -> Tuple[Any, Sequence[Field]]:
+    def _class(self, type_: str) -> tuple[Any, Sequence[Field]]:
         """Return the class and the fields of a type."""
         if type_ in _STAMPS:
             cls, half = _STAMPS[type_]
@@ -262,7 +260,7 @@ class _Compiler:
             raise CannotBatch from exc
 
 
-def _fixed(type_: str, specs: Specs) -> Optional[int]:
+def _fixed(type_: str, specs: Specs) -> int | None:
     return PRIMITIVE_SIZES[type_] if type_ in _STAMPS else fixed_size(type_, specs)
 
 

@@ -10,7 +10,7 @@ constant; only times are computed. One numpy ``take`` then does for a batch of m
 from __future__ import annotations
 
 import struct
-from typing import List, NamedTuple, Optional, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,9 +40,9 @@ class _Value(NamedTuple):
     """A value of a column, or of an element of a list."""
 
     size: int
-    runs: Tuple[Tuple[int, int], ...]
+    runs: tuple[tuple[int, int], ...]
     """Offset and number of its bytes in the message, run by run; offset -1 - byte is a constant."""
-    stamp: Optional[Tuple[int, str]] = None
+    stamp: tuple[int, str] | None = None
     """Offset of a time in the message and numpy code of its halves; the value is computed."""
 
 
@@ -60,12 +60,12 @@ class Permutation:
 
     def __init__(self, segments: Sequence[Segment], wire: bytes) -> None:
         self._wire, self.wire_size = wire, len(wire)
-        self._runs: List[Tuple[int, int]] = []
+        self._runs: list[tuple[int, int]] = []
         """Ranges of source bytes of a row, in the message followed by the 256 byte constants."""
         self._size = self._value_count = 0
-        self._stamps: List[_TimeField] = []
-        self._bools: List[int] = []
-        self._texts: List[Tuple[int, int]] = []
+        self._stamps: list[_TimeField] = []
+        self._bools: list[int] = []
+        self._texts: list[tuple[int, int]] = []
         at = 0
         for segment in segments:
             at = self._segment(segment, at, None)
@@ -81,7 +81,7 @@ class Permutation:
         self._invert()
         del self._wire, self._runs, self._bools, self._texts, self._size
 
-    def rows(self, wires: ByteArray) -> Tuple[ByteArray, NDArray[np.bool_]]:
+    def rows(self, wires: ByteArray) -> tuple[ByteArray, NDArray[np.bool_]]:
         """Return the rows of messages, (messages, bytes), and which rows are exact."""
         count, size = wires.shape
         good = np.ones(count, np.bool_)
@@ -118,7 +118,7 @@ class Permutation:
         self._lost = np.flatnonzero(lost)
         self._lengths = np.frombuffer(self._wire, np.uint8)[self._lost]
 
-    def wires(self, rows: ByteArray) -> Tuple[ByteArray, NDArray[np.bool_]]:
+    def wires(self, rows: ByteArray) -> tuple[ByteArray, NDArray[np.bool_]]:
         """Return the messages of rows, (rows, bytes), and which rows have this layout."""
         good: NDArray[np.bool_] = rows.take(self._constant_at, axis=1) == self._constants
         good = good.all(axis=1)
@@ -132,7 +132,7 @@ class Permutation:
             wires[:, at : at + 8] = parts.view(np.uint8)
         return wires, good
 
-    def _segment(self, segment: Segment, at: int, out: Optional[List[_Value]]) -> int:
+    def _segment(self, segment: Segment, at: int, out: list[_Value] | None) -> int:
         """Add the columns of a segment, or append its values to ``out``.
 
         Return the offset after it.
@@ -162,7 +162,7 @@ class Permutation:
         zeros = ((-1, 1),) * (fixed.cql_size - size)
         return _Value(fixed.cql_size, (*zeros, *((at + size - 1 - n, 1) for n in range(size))))
 
-    def _tail(self, tail: VariableField, at: int, out: Optional[List[_Value]]) -> int:
+    def _tail(self, tail: VariableField, at: int, out: list[_Value] | None) -> int:
         count, start = tail.length, at
         if tail.has_count:
             (count,) = _length(self._wire, at)
@@ -203,9 +203,9 @@ class Permutation:
     def _elements(self, tail: VariableField, count: int, at: int) -> int:
         if count * len(tail.columns) > MAX_VALUES:
             raise NoPermutation
-        elements: List[List[_Value]] = []
+        elements: list[list[_Value]] = []
         for _ in range(count):
-            values: List[_Value] = []
+            values: list[_Value] = []
             for segment in tail.element:
                 at = self._segment(segment, at, values)
             elements.append(values)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,13 +45,13 @@ _Good = NDArray[np.bool_]
 class _Segment(NamedTuple):
     """One segment: its fixed bytes, and the variable field after them."""
 
-    permutation: Optional[Permutation]
+    permutation: Permutation | None
     """Permutation of the fixed bytes; None if there are no fixed bytes."""
     unit: int
     """Size of an element of the variable field, bytes; 0 = no variable field."""
     is_text: bool
 
-    def convert(self, data: ByteArray, ats: Int64Array, back: bool) -> Tuple[ByteArray, _Good, int]:
+    def convert(self, data: ByteArray, ats: Int64Array, back: bool) -> tuple[ByteArray, _Good, int]:
         """Permute the fixed bytes at some offsets; return also the number of bytes read at each."""
         if self.permutation is None:
             return np.zeros((len(ats), 0), np.uint8), np.ones(len(ats), np.bool_), 0
@@ -74,7 +74,7 @@ class SegmentPermuter:
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        self._segments: List[_Segment] = []
+        self._segments: list[_Segment] = []
         for fixed, tail in segments:
             if tail is not None and (tail.kind not in ("text", "bytes") or not tail.has_count):
                 raise NoPermutation
@@ -87,7 +87,7 @@ class SegmentPermuter:
         if not self._segments:
             raise NoPermutation
 
-    def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
+    def rows(self, wires: Sequence[bytes]) -> list[bytes | None]:
         """Return for each message its columns, each after its size.
 
         None: convert it by ``walk``.
@@ -96,15 +96,15 @@ class SegmentPermuter:
         ends = np.cumsum(sizes)
         return self._convert(b"".join(wires), ends - sizes, ends, back=False)
 
-    def wires(self, data: bytes, starts: Int64Array, ends: Int64Array) -> List[Optional[bytes]]:
+    def wires(self, data: bytes, starts: Int64Array, ends: Int64Array) -> list[bytes | None]:
         """Return the messages of rows from ``starts`` to ``ends``; None for a malformed row."""
         return self._convert(data, starts, ends, back=True)
 
     def _convert(
         self, data: bytes, starts: Int64Array, ends: Int64Array, back: bool
-    ) -> List[Optional[bytes]]:
+    ) -> list[bytes | None]:
         every, ats, good = np.frombuffer(data, np.uint8), starts, np.ones(len(starts), np.bool_)
-        parts: List[List[bytes]] = []
+        parts: list[list[bytes]] = []
         for segment in self._segments:
             good &= ats + segment.size(back) <= ends
             if not good.any():
@@ -134,7 +134,7 @@ class SegmentPermuter:
 
 def _lengths(
     data: ByteArray, ats: Int64Array, unit: int, back: bool
-) -> Tuple[ByteArray, Int64Array, _Good]:
+) -> tuple[ByteArray, Int64Array, _Good]:
     """Read the length prefixes at some offsets; return them converted, and the sizes in bytes.
 
     On the wire a length prefix counts elements, in a row bytes.
@@ -163,19 +163,19 @@ class Permuter:
         self._stacker = stacker(definition)
         self._segments = layout(definition.type, definition.specs)
         try:
-            self._by_segment: Optional[SegmentPermuter] = SegmentPermuter(self._segments)
+            self._by_segment: SegmentPermuter | None = SegmentPermuter(self._segments)
         except NoPermutation:
             self._by_segment = None
-        self._cache: Dict[Tuple[int, bytes], Optional[Permutation]] = {}
-        self._row_cache: Dict[Tuple[int, int], List[Permutation]] = {}
+        self._cache: dict[tuple[int, bytes], Permutation | None] = {}
+        self._row_cache: dict[tuple[int, int], list[Permutation]] = {}
         """Permutations by row size and message size, bytes."""
 
-    def rows(self, wires: Sequence[bytes]) -> List[Optional[bytes]]:
+    def rows(self, wires: Sequence[bytes]) -> list[bytes | None]:
         """Return for each message its columns, each after its size; None: convert it by ``walk``.
 
         None is also returned for messages whose columns are inexact.
         """
-        found: List[Optional[bytes]] = [None] * len(wires)
+        found: list[bytes | None] = [None] * len(wires)
         if len(wires) < MIN_ROWS:
             return found
         if self._by_segment is not None:
@@ -194,7 +194,7 @@ class Permuter:
                         found[at] = row
         return found
 
-    def _permutation(self, stack: Stack) -> Optional[Permutation]:
+    def _permutation(self, stack: Stack) -> Permutation | None:
         key = len(stack.planes), stack.layout.lengths.tobytes()
         kept = self._cache  # another thread may replace the cache meanwhile
         if key in kept:
@@ -205,7 +205,7 @@ class Permuter:
         kept[key] = made
         return made
 
-    def _make(self, wire: bytes) -> Optional[Permutation]:
+    def _make(self, wire: bytes) -> Permutation | None:
         try:
             return Permutation(self._segments, wire)
         except (NoPermutation, struct.error):
@@ -213,7 +213,7 @@ class Permuter:
 
     def wires(
         self, data: bytes, starts: Int64Array, ends: Int64Array, sizes: Int64Array
-    ) -> List[Optional[bytes]]:
+    ) -> list[bytes | None]:
         """Return the messages of rows; a row is its columns, each after its size.
 
         Args:
@@ -225,7 +225,7 @@ class Permuter:
         Returns:
             The messages; None for each that must be built alone, and whose row may be malformed.
         """
-        found: List[Optional[bytes]] = [None] * len(starts)
+        found: list[bytes | None] = [None] * len(starts)
         if len(starts) < MIN_ROWS:
             return found
         if self._by_segment is not None:
@@ -247,7 +247,7 @@ class Permuter:
         length: int,
         sizes: Int64Array,
         members: Int64Array,
-        found: List[Optional[bytes]],
+        found: list[bytes | None],
     ) -> None:
         """Set the messages of rows of equal size."""
         key = length, int(sizes[members[0]])
@@ -267,7 +267,7 @@ class Permuter:
             if not len(members):
                 return
 
-    def _learn(self, key: Tuple[int, int], row: bytes) -> Optional[Permutation]:
+    def _learn(self, key: tuple[int, int], row: bytes) -> Permutation | None:
         """Return the permutation for the layout of a row; None if there is no permutation."""
         try:
             made = self._make(self._plan.build(_columns(row)))
@@ -276,16 +276,16 @@ class Permuter:
         fits = made is not None and (made.row_size, made.wire_size) == key
         return made if fits else None
 
-    def _keep(self, key: Tuple[int, int], known: List[Permutation]) -> None:
+    def _keep(self, key: tuple[int, int], known: list[Permutation]) -> None:
         kept = self._row_cache  # another thread may replace the cache meanwhile
         if key not in kept and len(kept) >= MAX_CACHED:
             kept = self._row_cache = {}
         kept[key] = known
 
 
-def _columns(row: bytes) -> List[Optional[bytes]]:
+def _columns(row: bytes) -> list[bytes | None]:
     """Split a row into its columns; raises struct.error."""
-    found: List[Optional[bytes]] = []
+    found: list[bytes | None] = []
     at = 0
     while at < len(row):
         (size,) = _size(row, at)
@@ -295,7 +295,7 @@ def _columns(row: bytes) -> List[Optional[bytes]]:
     return found
 
 
-def split_rows(rows: ByteArray) -> List[bytes]:
+def split_rows(rows: ByteArray) -> list[bytes]:
     """Return the bytes of each row as a list."""
     size, data = rows.shape[1], rows.tobytes()
     return [data[at : at + size] for at in range(0, len(data), size)]

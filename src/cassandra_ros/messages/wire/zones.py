@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple
+from typing import Any, Dict, List, NamedTuple, Sequence
 
 import numpy as np
 
@@ -44,10 +44,10 @@ _LAST = "\U0010ffff".encode("utf-8")
 class Zones(NamedTuple):
     """Bounds of the values in a block."""
 
-    values: Sequence[Optional[bytes]]
+    values: Sequence[bytes | None]
     """Encoded bounds in the order of the zone columns; None = unset, because no message has a
     value."""
-    nan: Tuple[str, ...]
+    nan: tuple[str, ...]
     """Names of the fields with a NaN value, sorted."""
     odd: bool
     """Whether a field may have values outside its bounds: the block must then always be read."""
@@ -69,7 +69,7 @@ class ZoneMap:
     def __init__(self, definition: Definition) -> None:
         plan = wire_plan(definition)
         able = [column for column in plan.all_columns if _has_bounds(column)]
-        self.fields: Dict[str, FieldColumn] = {c.name: c for c in able[:MAX_FIELDS]}
+        self.fields: dict[str, FieldColumn] = {c.name: c for c in able[:MAX_FIELDS]}
         self.columns = {
             prefix + name: column.element_type
             for name, column in self.fields.items()
@@ -83,7 +83,7 @@ class ZoneMap:
         """Whether no message that was measured alone had more than MAX_WALKED values."""
         self._skip = compile_skip(definition.type, definition.specs)
         self._texts = [name for name, column in self.fields.items() if column.kind == "text"]
-        self._numbers: Dict[str, List[str]] = {}
+        self._numbers: dict[str, list[str]] = {}
         """Field names by primitive type."""
         for name, column in self.fields.items():
             if column.kind != "text":
@@ -92,7 +92,7 @@ class ZoneMap:
     def measure(self, wires: Sequence[bytes]) -> Zones:
         """Return the bounds over some serialised messages; any bytes are accepted."""
         candidates: _Candidates = {name: [] for name in self.fields}
-        nan: Set[str] = set()
+        nan: set[str] = set()
         if len(wires) == 1 and self._few:
             odd = not self._add_one(wires[0], candidates, nan)
             self._few = sum(map(len, candidates.values())) <= MAX_WALKED
@@ -100,14 +100,14 @@ class ZoneMap:
             odd = self._add_heads(wires, candidates, nan)
         else:
             odd = self._add_sizes(wires, candidates, nan)
-        zones: List[Optional[bytes]] = []
+        zones: list[bytes | None] = []
         for name, column in self.fields.items():
             low, high = _encoded(column, candidates[name])
             odd = odd or (high is None and bool(candidates[name]))
             zones += (low, high)
         return Zones(zones, tuple(sorted(nan)), odd)
 
-    def _add_heads(self, wires: Sequence[bytes], candidates: _Candidates, nan: Set[str]) -> bool:
+    def _add_heads(self, wires: Sequence[bytes], candidates: _Candidates, nan: set[str]) -> bool:
         """Add the bounds of messages of any size; return whether one is malformed."""
         stack = self._stacker.heads_of([wire for wire in wires if self._is_one(wire)])
         if len(stack.members):
@@ -122,7 +122,7 @@ class ZoneMap:
             return False
         return True
 
-    def _add_sizes(self, wires: Sequence[bytes], candidates: _Candidates, nan: Set[str]) -> bool:
+    def _add_sizes(self, wires: Sequence[bytes], candidates: _Candidates, nan: set[str]) -> bool:
         """Add the bounds of messages size by size; return whether one is malformed."""
         odd = False
         for members, planes in by_size(wires):
@@ -133,7 +133,7 @@ class ZoneMap:
                 odd = not self._add_one(wires[n], candidates, nan) or odd
         return odd
 
-    def _add_stack(self, stack: Stack, candidates: _Candidates, nan: Set[str]) -> None:
+    def _add_stack(self, stack: Stack, candidates: _Candidates, nan: set[str]) -> None:
         """Add the bounds of messages of one layout."""
         for name in self._texts:
             candidates[name] += [raw.decode("utf-8", "replace") for raw in stack.texts(name)]
@@ -150,7 +150,7 @@ class ZoneMap:
                 if has_value:
                     candidates[name] += ends
 
-    def _add_one(self, wire: bytes, candidates: _Candidates, nan: Set[str]) -> bool:
+    def _add_one(self, wire: bytes, candidates: _Candidates, nan: set[str]) -> bool:
         """Add the values of one message; return whether it is well-formed."""
         try:
             values = self._read(wire)
@@ -165,7 +165,7 @@ class ZoneMap:
         return True
 
 
-def _ends(values: NumberArray) -> Tuple[List[Any], List[Any], Tuple[List[bool], List[bool]]]:
+def _ends(values: NumberArray) -> tuple[list[Any], list[Any], tuple[list[bool], list[bool]]]:
     """Return for each row minimum, maximum, whether it has NaN, and whether it has other values."""
     nan = values != values if values.dtype.kind == "f" else None
     if nan is None or not nan.any():
@@ -182,7 +182,7 @@ def _has_bounds(column: FieldColumn) -> bool:
     return not many and column.kind not in ("array", "wire")
 
 
-def _encoded(column: FieldColumn, values: Sequence[Any]) -> Tuple[Optional[bytes], Optional[bytes]]:
+def _encoded(column: FieldColumn, values: Sequence[Any]) -> tuple[bytes | None, bytes | None]:
     """Encode the minimum and maximum of values without NaN; None if there are no values."""
     if not values:
         return None, None
@@ -199,7 +199,7 @@ def _below(text: str) -> bytes:
     return raw if len(raw) <= MAX_TEXT_BYTES else _head(raw)
 
 
-def _above(text: str) -> Optional[bytes]:
+def _above(text: str) -> bytes | None:
     raw = text.encode("utf-8")
     if len(raw) <= MAX_TEXT_BYTES:
         return raw

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from itertools import islice
-from typing import List, Optional, Sequence, Tuple
+from typing import Sequence
 
 import numpy as np
 
@@ -50,7 +50,7 @@ class _Budget:
 
 def refined(
     pieces: Sequence[RangeCounts], scale: Scale, whose: Whose, gone: threading.Event
-) -> List[RangeCounts]:
+) -> list[RangeCounts]:
     """Return pieces in more detail, where buckets cover several cells or have no counts.
 
     Args:
@@ -85,7 +85,7 @@ def _coarse(piece: RangeCounts, scale: Scale) -> Bools:
 
 def _better(
     piece: RangeCounts, coarse: Bools, cost: float, scale: Scale, whose: Whose, budget: _Budget
-) -> Optional[RangeCounts]:
+) -> RangeCounts | None:
     """Return a piece with its buckets read in detail; None if that would be too much to read."""
     buckets = np.unique(piece.buckets[coarse])
     left = ~np.isin(piece.buckets, buckets)
@@ -106,8 +106,8 @@ def _better(
 
 def _keys(
     piece: RangeCounts, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
-) -> Optional[MessageKeys]:
-    rows: List[Tuple[int, int, int]] = []
+) -> MessageKeys | None:
+    rows: list[tuple[int, int, int]] = []
     for bucket in map(int, buckets):
         scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
         some = [(t, writer_of(seq), size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
@@ -120,8 +120,8 @@ def _keys(
 
 def _blocks(
     piece: RangeCounts, buckets: Longs, scale: Scale, whose: Whose, budget: _Budget
-) -> Optional[Tuple[TimeRanges, Longs]]:
-    rows: List[Tuple[int, ...]] = []
+) -> tuple[TimeRanges, Longs] | None:
+    rows: list[tuple[int, ...]] = []
     for bucket in map(int, buckets):
         read = headers(piece.table, piece.node, bucket, scale.start, scale.end, whose.writers)
         some = list(islice(read, budget.blocks + 1))

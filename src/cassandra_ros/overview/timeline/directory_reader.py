@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter, OrderedDict
-from typing import Callable, Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Iterator, List, NamedTuple, Sequence, Tuple
 
 import numpy as np
 
@@ -80,11 +80,11 @@ class DirectoryReader:
         self._directory = directory
         self._clock = clock
         self._kept: OrderedDict[SlotKey, _CachedRows] = OrderedDict()
-        self._slots: Dict[str, Tuple[float, Listed]] = {}
+        self._slots: dict[str, tuple[float, Listed]] = {}
         self._size = 0
         self._mutex = threading.Lock()
 
-    def slots(self, tables: Sequence[TopicTable]) -> Dict[str, Listed]:
+    def slots(self, tables: Sequence[TopicTable]) -> dict[str, Listed]:
         """Return the slots and nodes of the tables with a time key, by name of table."""
         now = self._clock()
         with self._mutex:
@@ -99,7 +99,7 @@ class DirectoryReader:
             self._slots.update((name, (until, known[name])) for name in missing)
         return {table.name: known[table.name] for table in tables if not table.named}
 
-    def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Optional[Ends]:
+    def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Ends | None:
         """Return the first and the last time of messages in some tables; None without messages.
 
         For single writers the times come from ``pieces``.
@@ -111,8 +111,8 @@ class DirectoryReader:
             if not own:
                 return None
             return min(int(s.first.min()) for s in own), max(int(s.last.max()) for s in own)
-        ends: List[int] = []
-        emptied: Dict[str, TopicTable] = {}
+        ends: list[int] = []
+        emptied: dict[str, TopicTable] = {}
         for reverse in (False, True):
             for table, times in self._outmost(tables, whose, reverse):
                 ends += times
@@ -126,7 +126,7 @@ class DirectoryReader:
 
     def _outmost(
         self, tables: Sequence[TopicTable], whose: Whose, reverse: bool
-    ) -> Iterator[Tuple[TopicTable, List[int]]]:
+    ) -> Iterator[tuple[TopicTable, list[int]]]:
         """Yield the times in the first (reverse: last) bucket of each table and node.
 
         A bucket with deleted messages gives no times, because the directory does not know them.
@@ -142,7 +142,7 @@ class DirectoryReader:
         answers = self._directory.begin_buckets(params, _WRITERS, reverse=reverse)
         for (table, _), answer in zip(wanted, sent_ahead(answers, AT_ONCE)):
             length, ttl = table.metadata.bucket_ns, table.metadata.ttl
-            times: List[int] = []
+            times: list[int] = []
             rows = [row for row in answer() if not (ttl and row.expired(ttl))]
             for row in [] if any(row.cut for row in rows) else rows:
                 if row.rows:
@@ -151,12 +151,12 @@ class DirectoryReader:
                     times += (row.bucket * length, (row.bucket + 1) * length - 1)
             yield table, times
 
-    def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> List[RangeCounts]:
+    def pieces(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> list[RangeCounts]:
         """Return what tables hold in the buckets that meet a time range.
 
         Tables whose messages have names are left out.
         """
-        found: List[RangeCounts] = []
+        found: list[RangeCounts] = []
         parts = list(self._parts(tables, ends, whose))
         stride = max(1, -(-len(parts) // MAX_PARTITIONS))
         chosen, left = _thinned(parts, stride)
@@ -179,7 +179,7 @@ class DirectoryReader:
                     inside = max(begin, low), min(begin + SLOT_BUCKETS - 1, high)
                     yield table, (table.name, node, slot), inside
 
-    def _columns(self, parts: Sequence[SlotPart], limit: int) -> List[Tuple[BucketColumns, int]]:
+    def _columns(self, parts: Sequence[SlotPart], limit: int) -> list[tuple[BucketColumns, int]]:
         """Return the buckets of partitions, and the number of buckets for which each one stands."""
         until, left = self._clock() + KEEP_SEC, MAX_RECOUNTS
         tables = {place: table for table, place, _ in parts}
@@ -193,14 +193,14 @@ class DirectoryReader:
             found[place] = self._keep(place, _CachedRows(until, ends, columns, stride))
 
         # One row more than the limit shows that there are too many.
-        wanted: List[SlotRange] = [(place, ends, limit + 1) for place, ends in missing]
-        many: List[Tuple[SlotKey, Ends, int]] = []
+        wanted: list[SlotRange] = [(place, ends, limit + 1) for place, ends in missing]
+        many: list[tuple[SlotKey, Ends, int]] = []
         for (place, ends), columns in zip(missing, self._directory.columns(wanted)):
             if len(columns.bucket) > limit:
                 many.append((place, ends, -(-(ends[1] - ends[0] + 1) // limit)))
             else:
                 keep(place, ends, columns, 1)
-        samples: List[SlotRange] = [
+        samples: list[SlotRange] = [
             (place, _sample(ends, stride), ALL_ROWS) for place, ends, stride in many
         ]
         answers = self._directory.columns(samples, single=True)
@@ -210,7 +210,7 @@ class DirectoryReader:
 
     def _recounted(
         self, table: TopicTable, node: str, columns: BucketColumns, most: int
-    ) -> Tuple[BucketColumns, int]:
+    ) -> tuple[BucketColumns, int]:
         """Count the messages of buckets with deleted messages; return columns and number counted.
 
         Args:
@@ -231,7 +231,7 @@ class DirectoryReader:
             columns.closed[n] = not columns.writing[n]
         return columns, len(buckets)
 
-    def _get(self, place: SlotKey, ends: Ends, limit: int) -> Optional[Tuple[BucketColumns, int]]:
+    def _get(self, place: SlotKey, ends: Ends, limit: int) -> tuple[BucketColumns, int] | None:
         """Return the cached rows of a partition.
 
         None if they are too few, too coarse or too old.
@@ -247,7 +247,7 @@ class DirectoryReader:
         inside = (bucket > ends[0] - kept.stride) & (bucket <= ends[1])
         return kept.columns.where(inside), kept.stride
 
-    def _keep(self, place: SlotKey, kept: _CachedRows) -> Tuple[BucketColumns, int]:
+    def _keep(self, place: SlotKey, kept: _CachedRows) -> tuple[BucketColumns, int]:
         with self._mutex:
             before = self._kept.pop(place, None)
             self._kept[place] = kept
@@ -259,23 +259,23 @@ class DirectoryReader:
         return kept.columns, kept.stride
 
 
-def _sample(ends: Ends, stride: int) -> List[int]:
+def _sample(ends: Ends, stride: int) -> list[int]:
     """Choose one of each ``stride`` buckets, at changing places: recordings may be regular."""
     cells = range(ends[0] // stride, ends[1] // stride + 1)
     return [cell * stride + (cell * _SPREAD % 2**32 * stride >> 32) for cell in cells]
 
 
-def _outmost_slots(slots: Listed, reverse: bool) -> Dict[str, int]:
+def _outmost_slots(slots: Listed, reverse: bool) -> dict[str, int]:
     """Return the first (reverse: last) slot of each node."""
     ordered = slots if reverse else reversed(slots)
     return {node: slot for slot, node in ordered}  # of equal keys the last one stays
 
 
-def _thinned(parts: Sequence[SlotPart], stride: int) -> Tuple[List[SlotPart], List[SlotPart]]:
+def _thinned(parts: Sequence[SlotPart], stride: int) -> tuple[list[SlotPart], list[SlotPart]]:
     """Choose one in ``stride`` partitions of each table and node, always with the first one."""
-    met: Counter[Tuple[str, str]] = Counter()
-    chosen: List[SlotPart] = []
-    left: List[SlotPart] = []
+    met: Counter[tuple[str, str]] = Counter()
+    chosen: list[SlotPart] = []
+    left: list[SlotPart] = []
     for part in parts:
         lane = part[1][:2]
         (left if met[lane] % stride else chosen).append(part)
@@ -285,7 +285,7 @@ def _thinned(parts: Sequence[SlotPart], stride: int) -> Tuple[List[SlotPart], Li
 
 def _rest(parts: Sequence[SlotPart], read: Sequence[RangeCounts]) -> Iterator[RangeCounts]:
     """Yield estimates for the partitions that were not read."""
-    left: Dict[Tuple[str, str], Tuple[TopicTable, List[Ends]]] = {}
+    left: dict[tuple[str, str], tuple[TopicTable, list[Ends]]] = {}
     for table, (_, node, _), inside in parts:
         left.setdefault((table.name, node), (table, []))[1].append(inside)
     for (name, node), (table, ends) in left.items():

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from typing import List, NamedTuple, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
@@ -103,7 +103,7 @@ def _end_of_slot(buckets: Longs, length: int) -> Longs:
 
 
 def unread(
-    table: TopicTable, node: str, ends: Sequence[Tuple[int, int]], read: Sequence[RangeCounts]
+    table: TopicTable, node: str, ends: Sequence[tuple[int, int]], read: Sequence[RangeCounts]
 ) -> RangeCounts:
     """Return estimates for buckets that were not read: each part has the average of those read.
 
@@ -124,10 +124,10 @@ def unread(
     return RangeCounts(table, node, time_ranges, unknown - 1, sampled=True)
 
 
-def named_pieces(table: TopicTable, whose: Whose) -> List[RangeCounts]:
+def named_pieces(table: TopicTable, whose: Whose) -> list[RangeCounts]:
     """Return the pieces of messages with names, by robot; at most MAX_NAMES messages."""
     keys, every = some_names(table, MAX_NAMES)
-    by_node: dict[str, List[Tuple[int, int, int]]] = {}
+    by_node: dict[str, list[tuple[int, int, int]]] = {}
     for (t, node, seq, _, _), size, *_ in keys:
         if whose.wrote(seq) and (whose.nodes is None or node in whose.nodes):
             by_node.setdefault(node, []).append((t, seq >> 32, size))
@@ -141,6 +141,6 @@ def named_pieces(table: TopicTable, whose: Whose) -> List[RangeCounts]:
     return found
 
 
-def slots_between(table: TopicTable, ends: Tuple[int, int]) -> Tuple[int, int]:
+def slots_between(table: TopicTable, ends: tuple[int, int]) -> tuple[int, int]:
     """Return the slots of a table in which the ends of a time range are."""
     return slot_of(table.bucket_of(ends[0])), slot_of(table.bucket_of(ends[1]))

@@ -9,7 +9,7 @@ across several cells is spread over them evenly, and marked as such if it covers
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Iterable, NamedTuple, Sequence, Tuple
+from typing import Iterable, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,7 +187,7 @@ class Cells:
         np.add.at(self._rises, np.clip(last, 0, count), -per_ns * step)
 
 
-def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[Tuple[int, int]]:
+def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[tuple[int, int]]:
     """Find the visible pauses of each writer that are much longer than usual.
 
     Args:
@@ -202,7 +202,7 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[Tuple[int, int]]
         column[order] for column in (time_ranges.writer, time_ranges.first, time_ranges.last)
     )
     seen = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
-    found: list[Tuple[int, int]] = []
+    found: list[tuple[int, int]] = []
     for one in np.unique(writer[1:][seen]):  # of thousands of runs few have a pause
         own = order[writer == one]
         columns = time_ranges.first[own], time_ranges.last[own], time_ranges.messages[own]
@@ -210,7 +210,7 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[Tuple[int, int]]
     return _longest(found)
 
 
-def _gaps(first: Longs, last: Longs, messages: Longs, scale: Scale) -> list[Tuple[int, int]]:
+def _gaps(first: Longs, last: Longs, messages: Longs, scale: Scale) -> list[tuple[int, int]]:
     steps = np.maximum(messages - 1, 0).sum()
     if len(first) < 2 or not steps:
         return []  # the usual time between messages is unknown
@@ -221,7 +221,7 @@ def _gaps(first: Longs, last: Longs, messages: Longs, scale: Scale) -> list[Tupl
     return [(int(low), int(high)) for low, high in zip(*ends)]
 
 
-def gaps_in(times: Longs, scale: Scale) -> list[Tuple[int, int]]:
+def gaps_in(times: Longs, scale: Scale) -> list[tuple[int, int]]:
     """Find the pauses of single messages of one writer, like gaps_between."""
     if len(times) < 3:
         return []
@@ -231,7 +231,7 @@ def gaps_in(times: Longs, scale: Scale) -> list[Tuple[int, int]]:
     return _longest([(int(low), int(high)) for low, high in zip(times[:-1][wide], times[1:][wide])])
 
 
-def _longest(gaps: Iterable[Tuple[int, int]]) -> list[Tuple[int, int]]:
+def _longest(gaps: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
     return sorted(sorted(gaps, key=lambda gap: gap[0] - gap[1])[:MAX_GAPS])
 
 

@@ -12,7 +12,7 @@ no message out.
 from __future__ import annotations
 
 import math
-from typing import Any, Callable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, Optional, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,16 +51,16 @@ _WHOLE = {"uint32": "time", "int32": "duration"}
 """Type of the field by the type of its secs and nsecs."""
 
 
-def compile_sift(expression: Expression, definition: Definition) -> Optional[Sift]:
+def compile_sift(expression: Expression, definition: Definition) -> Sift | None:
     """Return the filter of blocks of one type; None if the condition leaves no message out."""
-    refs: List[FieldRef] = []
+    refs: list[FieldRef] = []
     test, finder = _compile(expression, definition, refs), stacker(definition)
     if test is None:
         return None
     # Fields before the first variable one have the same offset in messages of any size.
     by_head = all(_is_plain(ref) and ref.column in finder.head for ref in refs)
 
-    def sift(block: Block) -> Optional[Mask]:
+    def sift(block: Block) -> Mask | None:
         mask = np.ones(len(block), np.bool_)
         groups = [(group.planes, group.members) for group in block.groups]
         if by_head and len(groups) > 1:
@@ -79,9 +79,7 @@ def _is_plain(ref: FieldRef) -> bool:
     return ref.index is None and not ref.is_array and not any(step.many for step in ref.steps)
 
 
-def _compile(
-    expression: Expression, definition: Definition, refs: List[FieldRef]
-) -> Optional[_Test]:
+def _compile(expression: Expression, definition: Definition, refs: list[FieldRef]) -> _Test | None:
     """Compile a condition to a test, and append the fields that it reads to ``refs``."""
     if isinstance(expression, Negation):
         return None
@@ -105,7 +103,7 @@ def _joined(tests: Sequence[_Test], join: Any) -> _Test:
     return test
 
 
-def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
+def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | None:
     if isinstance(leaf, Quantified):
         return _quantified(leaf, definition, refs)
     if isinstance(leaf, Compare) and isinstance(leaf.operand, Call):
@@ -140,7 +138,7 @@ def _leaf(leaf: Leaf, definition: Definition, refs: List[FieldRef]) -> Optional[
     return lambda stack: compare(get(stack)).any(axis=0)
 
 
-def _quantified(leaf: Quantified, definition: Definition, refs: List[FieldRef]) -> Optional[_Test]:
+def _quantified(leaf: Quantified, definition: Definition, refs: list[FieldRef]) -> _Test | None:
     if len(leaf.tests) != 1 or leaf.negated:
         return None
     ((operator, value),) = leaf.tests
@@ -156,8 +154,8 @@ def _elements(
     value: Literal,
     join: Any,
     definition: Definition,
-    refs: List[FieldRef],
-) -> Optional[_Test]:
+    refs: list[FieldRef],
+) -> _Test | None:
     """Compile a test of the elements of an array of numbers; ``join`` is np.any or np.all."""
     try:
         ref = field_of(array, definition, array=True)
@@ -186,7 +184,7 @@ def _never(stack: Stack) -> Mask:
     return np.zeros(stack.planes.shape[1], np.bool_)
 
 
-def _place(ref: FieldRef) -> Optional[slice]:
+def _place(ref: FieldRef) -> slice | None:
     """Return which offsets of a field in arrays of messages are selected; None: unknown."""
     many = [step for step in ref.steps if step.many]
     indexes = [step.index for step in many if step.index is not None]
@@ -196,7 +194,7 @@ def _place(ref: FieldRef) -> Optional[slice]:
     return slice(indexes[0], indexes[0] + 1) if len(many) == 1 else None
 
 
-def _getter(ref: FieldRef) -> Optional[_Get]:
+def _getter(ref: FieldRef) -> _Get | None:
     """Return the function that reads a number: (offsets, messages)."""
     base = _WHOLE[ref.type] if ref.part else ref.type
     path, chosen = ref.column, _place(ref)
@@ -221,7 +219,7 @@ def _part(part: str, get: _Get) -> _Get:
     return get
 
 
-def _text_test(ref: FieldRef, operator: str, values: Sequence[str]) -> Optional[_Test]:
+def _text_test(ref: FieldRef, operator: str, values: Sequence[str]) -> _Test | None:
     """Compile a test for equal texts; None for values that bytes cannot be compared with."""
     chosen, path = _place(ref), ref.column
     many = any(step.many for step in ref.steps)
@@ -285,7 +283,7 @@ def _one_of(dtype: np.dtype[Any], values: Sequence[Any]) -> _Compare:
     return lambda x: np.isin(x, wanted)
 
 
-def _neighbours(dtype: np.dtype[Any], value: Any) -> Tuple[Any, Any]:
+def _neighbours(dtype: np.dtype[Any], value: Any) -> tuple[Any, Any]:
     """Return the largest number of a type that is <= a value, and the smallest that is >= it.
 
     They are equal if the type can hold the value. None: the type has no such number.
@@ -304,7 +302,7 @@ def _neighbours(dtype: np.dtype[Any], value: Any) -> Tuple[Any, Any]:
     )
 
 
-def _float_neighbours(dtype: np.dtype[Any], value: Any) -> Tuple[Any, Any]:
+def _float_neighbours(dtype: np.dtype[Any], value: Any) -> tuple[Any, Any]:
     try:
         wide = float(value)
     except OverflowError:

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass, replace
 from itertools import chain
 from numbers import Real
-from typing import Callable, Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Callable, Iterator, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery
@@ -69,7 +69,7 @@ class Bounds:
     """Whether no row can match."""
     whole: bool = True
     """Whether the bounds are the whole condition, so that every row inside matches."""
-    spans: Optional[RangeSource] = None
+    spans: RangeSource | None = None
     """Function that returns the ranges of KEY outside of which no row matches; None = unknown."""
 
     def reads(self) -> Iterator[Read]:
@@ -88,7 +88,7 @@ class Bounds:
         for span in self.spans(low, high, read.reverse):
             yield replace(read, time_range=TimeRange(*span))
 
-    def within(self, low: Optional[int], high: Optional[int]) -> Bounds:
+    def within(self, low: int | None, high: int | None) -> Bounds:
         """Return the bounds narrowed to a time range; None = open."""
         first, last = self.read.time_range
         first = first if low is None else max(first, low)
@@ -108,7 +108,7 @@ class Bounds:
 
 
 def bounds_of(
-    select: Select, read: Read = EVERYTHING, named: bool = False, runs: Optional[Runs] = None
+    select: Select, read: Read = EVERYTHING, named: bool = False, runs: Runs | None = None
 ) -> Bounds:
     """Return the bounds of a statement, inside of a read.
 
@@ -136,7 +136,7 @@ def bounds_of(
     return bounds
 
 
-def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
+def meant_as_seconds(condition: Expression | None) -> Iterator[Literal]:
     """Yield the integers compared with KEY that look like seconds; integers mean ns."""
     compared = (leaf for leaf in leaves(condition) if not isinstance(leaf, Near))
     keys = (leaf for leaf in compared if isinstance(leaf.operand, KeyOperand))
@@ -145,7 +145,7 @@ def meant_as_seconds(condition: Optional[Expression]) -> Iterator[Literal]:
             yield literal
 
 
-def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Optional[Runs]) -> Bounds:
+def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Runs | None) -> Bounds:
     if isinstance(part, Compare) and isinstance(part.operand, RunOperand) and part.operator == "=":
         if runs is not None:
             return bounds.of(Whose(None, runs.called(fit_to_text(part.value, "RUN"))))
@@ -250,7 +250,7 @@ def _text(name: str, literal: Literal) -> str:
     raise StatementError(literal.position, reason)
 
 
-def spans_of(condition: Optional[Expression]) -> Optional[RangeSource]:
+def spans_of(condition: Expression | None) -> RangeSource | None:
     """Return the time ranges outside of which a condition is never true; None = all time.
 
     The ranges may be too long, never too short.
@@ -287,7 +287,7 @@ def _united(every: Sequence[RangeSource]) -> RangeSource:
     def spans(low: int, high: int, reverse: bool) -> Iterator[NsRange]:
         sign = -1 if reverse else 1
         streams = [each(low, high, reverse) for each in every]
-        last: Optional[NsRange] = None
+        last: NsRange | None = None
         # Descending ranges are merged by their ends, ascending ones by their starts.
         for span in heapq.merge(*streams, key=lambda span: sign * span[1 if reverse else 0]):
             if last is not None and last[0] <= span[1] + 1 and span[0] - 1 <= last[1]:

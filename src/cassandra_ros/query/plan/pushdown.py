@@ -26,7 +26,6 @@ from typing import (
     Any,
     Callable,
     Dict,
-    FrozenSet,
     NamedTuple,
     Optional,
     Protocol,
@@ -124,7 +123,7 @@ def _equal(held: ServerColumn, operator: str, values: Sequence[Comparable]) -> W
     return tuple(ways)
 
 
-def _exact(held: ServerColumn, value: Comparable) -> Optional[list[bytes]]:
+def _exact(held: ServerColumn, value: Comparable) -> list[bytes] | None:
     """Encode all values that equal one; None if the column may lack such a value."""
     if isinstance(value, str) != (held.cql_type == "text") or value != value:
         return []
@@ -280,7 +279,7 @@ class _Bucket(Protocol):
     @property
     def closed(self) -> bool: ...
     @property
-    def filled(self) -> FrozenSet[str]: ...
+    def filled(self) -> frozenset[str]: ...
 
 
 class ServerCheck(NamedTuple):
@@ -323,7 +322,7 @@ class Pushdown:
 
     def __init__(
         self,
-        expression: Optional[Expression],
+        expression: Expression | None,
         plan: str = "auto",
         watch: Watch = unwatched,
     ) -> None:
@@ -332,8 +331,8 @@ class Pushdown:
         self._expression = expression
         self._plan = plan
         self._watch = watch
-        self._branches: dict[str, Optional[list[Branch]]] = {}
-        self._sifts: dict[str, Optional[Sift]] = {}
+        self._branches: dict[str, list[Branch] | None] = {}
+        self._sifts: dict[str, Sift | None] = {}
         self._many: set[str] = set()
         self._dense: set[str] = set()
         self._crowded: set[str] = set()
@@ -349,7 +348,7 @@ class Pushdown:
         """Whether there is a condition to check."""
         return self._expression is not None
 
-    def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[Sequence[Query]]:
+    def choose(self, table: Table, bucket: Sequence[_Bucket]) -> Sequence[Query] | None:
         """Return the queries whose rows include all matching rows; None = read all rows."""
         self._watch()
         chosen = self._chosen(table, bucket)
@@ -384,7 +383,7 @@ class Pushdown:
             if found > CROWDED_SHARE * every:
                 self._crowded.add(table.name)
 
-    def sift(self, table: Table) -> Optional[Sift]:
+    def sift(self, table: Table) -> Sift | None:
         """Return the filter of blocks for a table; None if it would leave no message out."""
         if self._plan == "client" or self._expression is None or table.definition is None:
             return None
@@ -400,7 +399,7 @@ class Pushdown:
         self.unpacked += messages
         self.kept += kept
 
-    def _chosen(self, table: Table, bucket: Sequence[_Bucket]) -> Optional[list[Query]]:
+    def _chosen(self, table: Table, bucket: Sequence[_Bucket]) -> list[Query] | None:
         if self._plan == "client" or self._expression is None:
             return None
         if table.name not in self._branches:
@@ -430,7 +429,7 @@ class Pushdown:
 
     def _queries(
         self, branch: Branch, filled: frozenset[str], used: Used, way_without: str
-    ) -> Optional[list[Query]]:
+    ) -> list[Query] | None:
         """Return the queries of one branch; None if the server cannot check any part of it."""
         if any(NEVER in (check.filtered, check.indexed) for check in branch):
             return []
@@ -459,7 +458,7 @@ def _is_range(check: ServerCheck) -> bool:
 def _compatible(terms: Sequence[ServerTerm]) -> tuple[ServerTerm, ...]:
     """Remove terms that the server refuses in combination: second bounds, bounds with =."""
     equal = {column for column, operator, _ in terms if operator == "="}
-    kept: dict[Tuple[object, ...], ServerTerm] = {}
+    kept: dict[tuple[object, ...], ServerTerm] = {}
     for term in terms:
         column, operator, value = term
         if operator == "CONTAINS":
@@ -469,7 +468,7 @@ def _compatible(terms: Sequence[ServerTerm]) -> tuple[ServerTerm, ...]:
     return tuple(kept.values())
 
 
-def _branches(expression: Expression, table: Table) -> Optional[list[Branch]]:
+def _branches(expression: Expression, table: Table) -> list[Branch] | None:
     """Convert a condition to the form (a AND b …) OR …; parts that do not fit are dropped."""
     if isinstance(expression, Negation):
         return None
@@ -483,7 +482,7 @@ def _branches(expression: Expression, table: Table) -> Optional[list[Branch]]:
     return None if check.filtered is None and check.indexed is None else [(check,)]
 
 
-def _joined(found: Sequence[Optional[list[Branch]]]) -> Optional[list[Branch]]:
+def _joined(found: Sequence[list[Branch] | None]) -> list[Branch] | None:
     known = sorted((branches for branches in found if branches is not None), key=len)
     if not known:
         return None
@@ -520,7 +519,7 @@ def _check_of(leaf: Leaf, table: Table) -> ServerCheck:
 
 
 def _ways(
-    held: Optional[ServerColumn], operator: str, values: Sequence[Comparable], most: int
+    held: ServerColumn | None, operator: str, values: Sequence[Comparable], most: int
 ) -> Ways:
     if held is None:
         return None
@@ -537,7 +536,7 @@ def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comp
     return found if found is None or len(found) <= FEW_VALUES else zone_span(held, values)
 
 
-def _column_of(ref: FieldRef, table: Table) -> Optional[ServerColumn]:
+def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:
     """Return the column of format ``ros`` with a field's value or all its elements, or None."""
     if not table.by_field:
         return None

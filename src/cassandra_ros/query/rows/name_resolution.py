@@ -31,7 +31,7 @@ from __future__ import annotations
 import operator
 import re
 from functools import partial
-from typing import Any, Callable, NamedTuple, Optional, Pattern, Sequence, Tuple, Union
+from typing import Any, Callable, NamedTuple, Optional, Pattern, Sequence
 
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.protocols import Table
@@ -105,7 +105,7 @@ _SWAPPED = {
 """Operators with swapped arguments, so that ``partial`` can bind the right operand."""
 
 
-def compile_condition(expression: Optional[Expression], fields: NameResolver) -> Check:
+def compile_condition(expression: Expression | None, fields: NameResolver) -> Check:
     """Return the function from values to the truth of a condition; None is always true."""
     if expression is None:
         return lambda values: True
@@ -130,7 +130,7 @@ def compile_condition(expression: Optional[Expression], fields: NameResolver) ->
     return lambda values: check((compute(values),))
 
 
-def _leaf(leaf: Union[Compare, OneOf, IsNull], place: Optional[int], fields: NameResolver) -> Check:
+def _leaf(leaf: Compare | OneOf | IsNull, place: int | None, fields: NameResolver) -> Check:
     if isinstance(leaf, IsNull):
         return (lambda values: True) if place is None else (lambda values: values[place] is None)
     listed = [fields.fit(leaf, value) for value in given(leaf)]
@@ -148,19 +148,19 @@ def _near(leaf: Near, node: int, run: int, time: int) -> Check:
     return lambda values: holds(values[node], values[run], values[time])
 
 
-def _related(sign: str, left: Optional[Get], right: Optional[Get]) -> Check:
+def _related(sign: str, left: Get | None, right: Get | None) -> Check:
     if left is None or right is None:
         return lambda values: None
     first, second, test = left, right, _SWAPPED[sign]
 
-    def check(values: RowValues) -> Optional[bool]:
+    def check(values: RowValues) -> bool | None:
         x, y = first(values), second(values)
         return None if x is None or y is None else bool(test(y, x))
 
     return check
 
 
-def _quantified(leaf: Quantified, place: Optional[int], gets: Sequence[Optional[Get]]) -> Check:
+def _quantified(leaf: Quantified, place: int | None, gets: Sequence[Get | None]) -> Check:
     """Return the check of ANY or ALL. For an empty array ANY is false and ALL true."""
     known = [get for get in gets if get is not None]
     if place is None or len(known) < len(gets):
@@ -171,7 +171,7 @@ def _quantified(leaf: Quantified, place: Optional[int], gets: Sequence[Optional[
     if all(isinstance(term, Literal) for _, term in leaf.tests):
         fixed = _element_test(leaf, [_test(s, get(())) for s, get in zip(signs, known)])
 
-    def check(values: RowValues) -> Optional[bool]:
+    def check(values: RowValues) -> bool | None:
         array = values[place]
         if array is None:
             return None
@@ -199,13 +199,13 @@ def _test(sign: str, wanted: Any) -> Callable[[Any], bool]:
     return _like(wanted) if sign == "LIKE" else partial(_SWAPPED[sign], wanted)
 
 
-def _comparison(place: int, sign: str, wanted: Optional[Comparable]) -> Check:
+def _comparison(place: int, sign: str, wanted: Comparable | None) -> Check:
     if wanted is None:
         return lambda values: None
     return _tested(place, _holding(wanted) if sign == "CONTAINS" else _test(sign, wanted))
 
 
-def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:
+def _membership(place: int, listed: Sequence[Comparable | None]) -> Check:
     """Return the check of IN: like ``=`` with each value, joined by OR."""
     # NaN is left out: it equals nothing, but a set would find it by identity.
     members = frozenset(value for value in listed if value is not None and value == value)
@@ -213,7 +213,7 @@ def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:
         None if None in listed else False
     )  # a value of another kind makes the result unknown
 
-    def check(values: RowValues) -> Optional[bool]:
+    def check(values: RowValues) -> bool | None:
         value = values[place]
         return None if value is None else value in members or otherwise
 
@@ -221,7 +221,7 @@ def _membership(place: int, listed: Sequence[Optional[Comparable]]) -> Check:
 
 
 def _tested(place: int, test: Callable[[Any], bool]) -> Check:
-    def check(values: RowValues) -> Optional[bool]:
+    def check(values: RowValues) -> bool | None:
         value = values[place]
         return None if value is None else test(value)
 
@@ -272,7 +272,7 @@ def _holding(wanted: Comparable) -> Callable[[Any], bool]:
 
 
 def _negation(inner: Check) -> Check:
-    def check(values: RowValues) -> Optional[bool]:
+    def check(values: RowValues) -> bool | None:
         found = inner(values)
         return None if found is None else not found
 
@@ -282,8 +282,8 @@ def _negation(inner: Check) -> Check:
 def _joined(checks: list[Check], decisive: bool) -> Check:
     """Return the check of AND (decisive False) or OR (decisive True): one decisive part decides."""
 
-    def check(values: RowValues) -> Optional[bool]:
-        result: Optional[bool] = not decisive
+    def check(values: RowValues) -> bool | None:
+        result: bool | None = not decisive
         for part in checks:
             found = part(values)
             if found is decisive:
@@ -316,9 +316,9 @@ class Output(NamedTuple):
     """Index of its value among the values of a row."""
     kind: str
     """ROS type of a value; 'sum' is an integer of any size."""
-    ref: Optional[FieldRef] = None
+    ref: FieldRef | None = None
     """Field that it shows; None for KEY, NODE, RUN and computed columns."""
-    compute: Optional[Get] = None
+    compute: Get | None = None
     """Function that computes its value, if the value has no index yet."""
 
 
@@ -333,13 +333,13 @@ class NameResolver:
         """Fields found so far, in the order of their values."""
         self._places: dict[FieldRef, int] = {}
         self._used: set[int] = set()
-        self._counted: list[Tuple[Path, Array]] = []
+        self._counted: list[tuple[Path, Array]] = []
         self.unnested: list[Array] = []
         """Arrays of messages whose elements are named, outermost first."""
         self.runs = False
         """Whether RUN is needed."""
 
-    def outputs(self, selected: Optional[Selected]) -> Sequence[Output]:
+    def outputs(self, selected: Selected | None) -> Sequence[Output]:
         """Return the columns of one selected path; None = every field."""
         if selected is None:
             return self._shown(() if self._definition is None else all_fields(self._definition))
@@ -384,7 +384,7 @@ class NameResolver:
         kinds = {"count": COUNTED, "avg": "float64", "sum": total}
         return [found._replace(name=name, kind=kinds[function], ref=None)]
 
-    def _output(self, term: Term, array: Optional[bool] = False) -> Optional[Output]:
+    def _output(self, term: Term, array: bool | None = False) -> Output | None:
         """Return the column of one term; None if the table lacks it."""
         if isinstance(term, (Literal, Call)):
             made = self._computed(term)
@@ -399,7 +399,7 @@ class NameResolver:
             return Output(term.text, RUN_PLACE, "string")
         return Output(term.text, KEY_PLACE, "string" if self._named else "time")
 
-    def _computed(self, term: Term) -> Optional[Computed]:
+    def _computed(self, term: Term) -> Computed | None:
         """Compile a term; None if the table lacks it."""
         made = None
         try:
@@ -415,7 +415,7 @@ class NameResolver:
                     self._computed(part)
         return made
 
-    def _find(self, operand: Operand, array: Optional[bool]) -> Optional[OperandPlace]:
+    def _find(self, operand: Operand, array: bool | None) -> OperandPlace | None:
         if array is None and isinstance(operand, Path):
             return self._find_counted(operand)
         found = self._output(operand, array)
@@ -424,7 +424,7 @@ class NameResolver:
         self._used.add(found.place)
         return OperandPlace(found.kind, found.place, found.ref is not None and found.ref.is_array)
 
-    def _find_counted(self, path: Path) -> Optional[OperandPlace]:
+    def _find_counted(self, path: Path) -> OperandPlace | None:
         """Return a field with one value per element, also for an array of messages."""
         found = self._resolved(path, lambda definition: [counted_field(path, definition)])
         if not found:
@@ -445,13 +445,13 @@ class NameResolver:
                 reason += "ask for their number in another statement"
                 self._refuse(path, f"the statement takes len({path.text}) and {reason}")
 
-    def condition(self, expression: Optional[Expression]) -> tuple[frozenset[int], Check]:
+    def condition(self, expression: Expression | None) -> tuple[frozenset[int], Check]:
         """Compile a condition; return the indices of the values that it needs, and its check."""
         self._used.clear()
         check = compile_condition(expression, self)
         return frozenset(self._used), check
 
-    def locate(self, leaf: Comparison) -> Optional[int]:
+    def locate(self, leaf: Comparison) -> int | None:
         """Return the index of a comparison's operand; None if the table lacks it."""
         found = self._output(leaf.operand, wants_array(leaf))
         if found is None:
@@ -459,12 +459,12 @@ class NameResolver:
         self._used.add(found.place)
         return found.place
 
-    def whereabouts(self) -> Tuple[int, int, int]:
+    def whereabouts(self) -> tuple[int, int, int]:
         """Return the indices of node, run and time, which identify the robot's position."""
         self.runs = True
         return NODE_PLACE, RUN_PLACE, TIME_PLACE
 
-    def compute(self, leaf: Comparison) -> Sequence[Optional[Get]]:
+    def compute(self, leaf: Comparison) -> Sequence[Get | None]:
         """Return the functions of a comparison's terms, except of an array; None: missing."""
         if isinstance(leaf, Quantified):
             return self._tests(leaf)
@@ -479,13 +479,11 @@ class NameResolver:
             return [None, None]
         return [made.get, other.get]
 
-    def _tests(self, leaf: Quantified) -> Sequence[Optional[Get]]:
+    def _tests(self, leaf: Quantified) -> Sequence[Get | None]:
         array = self._output(leaf.operand, array=True)
         return [self._wanted(leaf, array, sign, term) for sign, term in leaf.tests]
 
-    def _wanted(
-        self, leaf: Quantified, array: Optional[Output], sign: str, term: Term
-    ) -> Optional[Get]:
+    def _wanted(self, leaf: Quantified, array: Output | None, sign: str, term: Term) -> Get | None:
         # The term is resolved even if the array is missing: naming its fields may unnest arrays.
         made = None if isinstance(term, Literal) else self._computed(term)
         if array is None:
@@ -510,7 +508,7 @@ class NameResolver:
         self._findings.wrong.setdefault(mark, problem)
         return False
 
-    def _hint_at_quotes(self, leaf: Relate, left: Optional[Computed]) -> None:
+    def _hint_at_quotes(self, leaf: Relate, left: Computed | None) -> None:
         """Extend the error for an unknown field that may be a text without quotes."""
         other = leaf.other
         problem = self._findings.wrong.get(other.position)
@@ -519,7 +517,7 @@ class NameResolver:
             reason = f"{problem.reason}; text stands in quotes: '{other.text}'"
             self._findings.wrong[other.position] = StatementError(problem.position, reason)
 
-    def fit(self, leaf: Comparison, literal: Literal) -> Optional[Comparable]:
+    def fit(self, leaf: Comparison, literal: Literal) -> Comparable | None:
         """Convert a literal for comparison with its operand.
 
         None if they cannot be compared here.
@@ -527,7 +525,7 @@ class NameResolver:
         found = self._output(leaf.operand, wants_array(leaf))
         return None if found is None else self._fitted(leaf, found, literal)
 
-    def _fitted(self, leaf: Comparison, found: Output, literal: Literal) -> Optional[Comparable]:
+    def _fitted(self, leaf: Comparison, found: Output, literal: Literal) -> Comparable | None:
         try:
             fitted = _fitted(found, leaf, literal)
         except StatementError as exc:

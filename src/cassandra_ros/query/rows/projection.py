@@ -19,7 +19,6 @@ from typing import (
     Any,
     Callable,
     Container,
-    Dict,
     Iterable,
     Iterator,
     List,
@@ -105,19 +104,19 @@ class Extractor:
         self._stored = [numbers[name] for name in names if name in numbers]
         asked = sorted(set(self._stored))
         self._projected = [asked.index(n) for n in self._stored]
-        self.columns: Optional[list[str]] = None
+        self.columns: list[str] | None = None
         if len(self._stored) == len(names):
             self.columns = [self._plan.columns[n].name for n in asked]
         self._gets = [each[0] for each in gets]
 
-    def direct(self) -> Optional[list[ColumnField]]:
+    def direct(self) -> list[ColumnField] | None:
         """Return how each field is read from its column; None if that is impossible."""
         if self.columns is None or self._depth or not all(self._given):
             return None
         found = zip(self._projected, self._stored, self._gets)
         return [self._direct(asked, stored, get) for asked, stored, get in found]
 
-    def whole(self) -> Optional[Callable[[bytes], FieldValueList]]:
+    def whole(self) -> Callable[[bytes], FieldValueList] | None:
         """Return the function that reads all fields of a serialised message; None if unnested.
 
         The function raises CorruptMessage.
@@ -299,18 +298,18 @@ class Projection:
     """Columns of each selected path: one, or those of all fields of a message."""
     check: Check
     """The condition."""
-    columns: Optional[Sequence[str]]
+    columns: Sequence[str] | None
     """Columns of the table that are read, in order; None = all."""
     unnested: tuple[Array, ...]
     """Arrays of messages each of whose elements becomes a row, outermost first."""
     named: bool
     """Whether KEY is a name."""
-    extractor: Optional[Extractor]
+    extractor: Extractor | None
     width: int
     """Number of values of a row."""
     runs: bool = False
     """Whether RUN is needed; else its value is ''."""
-    shown: tuple[tuple[Optional[int], Optional[Get]], ...] = ()
+    shown: tuple[tuple[int | None, Get | None], ...] = ()
     """For each column of the result the index of its value (None: missing in this table), and the
     conversion for display."""
     checked: frozenset[int] = frozenset()
@@ -329,7 +328,7 @@ class Projection:
         checked, check = names.condition(select.condition)
         names.check_lengths()
         extractor = None
-        columns: Optional[Sequence[str]] = ()
+        columns: Sequence[str] | None = ()
         if table.definition is not None and names.refs:
             extractor = extractor_of(table.definition, tuple(names.refs), tuple(names.unnested))
             columns = extractor.columns if table.by_field else None
@@ -343,14 +342,14 @@ class Projection:
 
     def showing(self, names: Sequence[Sequence[str]]) -> Projection:
         """Return a projection with these columns for each selected path, None for missing ones."""
-        shown: list[tuple[Optional[int], Optional[Get]]] = []
+        shown: list[tuple[int | None, Get | None]] = []
         for group, wanted in zip(self.groups, names):
             known = {output.name: (output.place, _show_of(output)) for output in group}
             shown += [known.get(name, (None, None)) for name in wanted]
         return replace(self, shown=tuple(shown))
 
     @cached_property
-    def compiled(self) -> Optional[_CompiledRows]:
+    def compiled(self) -> _CompiledRows | None:
         """Fast function for the result rows of nearly all stored rows.
 
         None if something is unnested or, in format ``ros``, a field has no column. The fields of
@@ -477,7 +476,7 @@ class Projections:
             self._made[table.name] = projection.showing(self.names)
         return self._made[table.name]
 
-    def columns(self, table: Table) -> Optional[Sequence[str]]:
+    def columns(self, table: Table) -> Sequence[str] | None:
         """Return the columns of a table that are read, in order; None = all."""
         return self.of(table).columns
 
@@ -512,7 +511,7 @@ def _shown_as(make: Get) -> Get:
     return show
 
 
-def _time(ns: int) -> Union[Stamp, int]:
+def _time(ns: int) -> Stamp | int:
     try:
         return Stamp.from_ns(ns)
     except InvalidKey:
@@ -531,7 +530,7 @@ def _duration(ns: int) -> object:
 _SHOWS = {"time": _shown_as(_time), "duration": _shown_as(_duration)}
 
 
-def _show_of(output: Output) -> Optional[Get]:
+def _show_of(output: Output) -> Get | None:
     """Return the conversion of a value for display.
 
     None = unchanged, or KEY, shown as the row's key.
@@ -542,14 +541,14 @@ def _show_of(output: Output) -> Optional[Get]:
 
 
 def _compile_wire_rows(
-    read: Callable[[bytes], List[Any]],
+    read: Callable[[bytes], list[Any]],
     own: Callable[[Row], RowIdentity],
     check: Check,
     show: _Show,
 ) -> _CompiledRows:
     """Compile the function for a table whose rows hold serialised messages, read by ``read``."""
 
-    def rows(row: Row) -> Optional[_ResultRows]:
+    def rows(row: Row) -> _ResultRows | None:
         try:
             values = [*own(row), *read(row.wire)]
         except (CorruptMessage, MessageNotFound):
@@ -560,7 +559,7 @@ def _compile_wire_rows(
 
 
 def _compile_rows(
-    layouts: Dict[int, Tuple[_Fill, _Fill]],
+    layouts: dict[int, tuple[_Fill, _Fill]],
     own: Callable[[Row], RowIdentity],
     check: Check,
     fields: int,
@@ -574,12 +573,12 @@ def _compile_rows(
     """
     blank = [None] * fields
 
-    def rows(row: Row) -> Optional[_ResultRows]:
+    def rows(row: Row) -> _ResultRows | None:
         held = row.columns
         fills = layouts.get(len(held))
         if fills is None:
             return None
-        values: List[Any] = [*own(row), *blank]
+        values: list[Any] = [*own(row), *blank]
         try:
             if not fills[0](held, values):
                 return None
@@ -594,7 +593,7 @@ def _compile_rows(
     return rows
 
 
-def _fills(parts: Sequence[_FieldPlace], checked: Container[int]) -> Tuple[_Fill, _Fill]:
+def _fills(parts: Sequence[_FieldPlace], checked: Container[int]) -> tuple[_Fill, _Fill]:
     """Return the functions that set the checked fields, and the other fields.
 
     If one number is checked, all numbers are read: together they cost hardly more than one.
@@ -618,8 +617,8 @@ def _compile_fill(parts: Sequence[_FieldPlace]) -> _Fill:
     return lambda held, values: fills[0](held, values) and fills[1](held, values)
 
 
-def _others(parts: Sequence[Tuple[int, int, Get]]) -> _Fill:
-    def fill(held: _RawColumns, values: List[Any]) -> bool:
+def _others(parts: Sequence[tuple[int, int, Get]]) -> _Fill:
+    def fill(held: _RawColumns, values: list[Any]) -> bool:
         for place, at, decode in parts:
             raw = held[at]
             if raw is None:
@@ -637,7 +636,7 @@ def _numbers(parts: Sequence[_FieldPlace]) -> _Fill:
     first, end = places[0], places[-1] + 1
     together = places == list(range(first, end))
 
-    def fill(held: _RawColumns, values: List[Any]) -> bool:
+    def fill(held: _RawColumns, values: list[Any]) -> bool:
         raws = take(held)
         if None in raws:
             return False
@@ -657,7 +656,7 @@ def _compile_show(shown: _ShownColumns, computed: Sequence[Get] = ()) -> _Show:
         inner = _compile_show(shown)
         return lambda row, values: inner(row, [*values, *[get(values) for get in computed]])
     keys = [n for n, (place, get) in enumerate(shown) if place == KEY_PLACE and get is None]
-    made: Dict[Tuple[int, Get], int] = {}
+    made: dict[tuple[int, Get], int] = {}
     gets, copies = [], []
     for n, (place, get) in enumerate(shown):
         if place is not None and get:
@@ -674,7 +673,7 @@ def _compile_show(shown: _ShownColumns, computed: Sequence[Get] = ()) -> _Show:
     else:
         take = itemgetter(*places)
 
-    def show(row: Row, values: List[Any]) -> Tuple[Any, ...]:
+    def show(row: Row, values: list[Any]) -> tuple[Any, ...]:
         if keys:
             values.append(row.key)
         if not gets:
@@ -689,5 +688,5 @@ def _compile_show(shown: _ShownColumns, computed: Sequence[Get] = ()) -> _Show:
     return show
 
 
-def _take(places: Sequence[Optional[int]]) -> Callable[[List[Any]], Tuple[Any, ...]]:
+def _take(places: Sequence[int | None]) -> Callable[[list[Any]], tuple[Any, ...]]:
     return lambda values: tuple([None if place is None else values[place] for place in places])

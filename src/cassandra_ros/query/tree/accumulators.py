@@ -14,7 +14,7 @@ import math
 import operator
 from collections import defaultdict
 from fractions import Fraction
-from typing import Any, Callable, Dict, Union
+from typing import Any, Callable
 
 
 class Count:
@@ -53,12 +53,12 @@ class _Sum(Count):
     def __init__(self, mean: bool = False) -> None:
         self._mean = self._floats = mean
         # One fraction per row would take thirty times as long as integers.
-        self._numerators: Dict[int, int] = defaultdict(int)
+        self._numerators: dict[int, int] = defaultdict(int)
         """Sum of the numerators, by denominator."""
         self._odd = 0.0
         """Sum of infinities and NaNs."""
 
-    def add(self, value: Union[int, float]) -> None:
+    def add(self, value: int | float) -> None:
         self._count += 1
         if not isinstance(value, int):
             self._floats = True
@@ -68,7 +68,7 @@ class _Sum(Count):
         numerator, denominator = value.as_integer_ratio()
         self._numerators[denominator] += numerator
 
-    def value(self) -> Union[int, float, None]:
+    def value(self) -> int | float | None:
         if not self._count:
             return None
         if self._odd != 0:

@@ -24,7 +24,7 @@ import operator
 from fractions import Fraction
 from numbers import Integral, Real
 from operator import itemgetter
-from typing import Any, Callable, NamedTuple, Optional, Sequence, Union
+from typing import Any, Callable, NamedTuple, Optional, Sequence
 
 from cassandra_ros.messages.stamps import is_time
 from cassandra_ros.query.tree.accumulators import total_of
@@ -82,7 +82,7 @@ def family(kind: str) -> str:
     return kind if kind in NO_NUMBERS else "number"
 
 
-def compile_term(term: Term, find: OperandFinder) -> Optional[Computed]:
+def compile_term(term: Term, find: OperandFinder) -> Computed | None:
     """Compile a term to a function; None if the table lacks one of its fields.
 
     Raises:
@@ -114,9 +114,9 @@ def compile_term(term: Term, find: OperandFinder) -> Optional[Computed]:
     return Computed(kind, _unary(compute, *gets) if len(gets) == 1 else _binary(compute, *gets))
 
 
-def _compile_all(terms: Sequence[Term], find: OperandFinder) -> list[Optional[Computed]]:
+def _compile_all(terms: Sequence[Term], find: OperandFinder) -> list[Computed | None]:
     """Compile terms; all fields are looked up before the first error is raised."""
-    parts: list[Optional[Computed]] = []
+    parts: list[Computed | None] = []
     problems: list[StatementError] = []
     for term in terms:
         try:
@@ -128,7 +128,7 @@ def _compile_all(terms: Sequence[Term], find: OperandFinder) -> list[Optional[Co
     return parts
 
 
-def fold(call: Call) -> Union[Literal, Call]:
+def fold(call: Call) -> Literal | Call:
     """Compute a call of constants only; StatementError: it has no value."""
     made = compile_term(call, lambda operand, array: None)
     value = None if made is None else made.get(())
@@ -257,17 +257,17 @@ def _multiply(x: Any, y: Any) -> Any:
     return None if isinstance(product, int) and product.bit_length() > MAX_BITS else product
 
 
-def _length(ns: int) -> Optional[int]:
+def _length(ns: int) -> int | None:
     return ns if abs(ns) < BEYOND_NS else None
 
 
-def _scaled(ns: int, factor: Any) -> Optional[int]:
+def _scaled(ns: int, factor: Any) -> int | None:
     if isinstance(factor, float) and not math.isfinite(factor):
         return None
     return _length(round(ns * Fraction(factor)))
 
 
-def _shared(ns: int, parts: Any) -> Optional[int]:
+def _shared(ns: int, parts: Any) -> int | None:
     if parts == 0 or parts != parts:
         return None
     return 0 if abs(parts) == math.inf else _length(round(ns / Fraction(parts)))
@@ -308,7 +308,7 @@ float, else INTEGER."""
 _OF_ARRAYS = ("len", "min", "max", "sum", "avg")
 
 
-def _of_array(call: Call, find: OperandFinder) -> Optional[Computed]:
+def _of_array(call: Call, find: OperandFinder) -> Computed | None:
     array, function = call.arguments[0], call.function
     if not isinstance(array, Path):
         reason = f"{function} takes an array here, and {array.text} is not an array"

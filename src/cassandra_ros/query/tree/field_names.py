@@ -11,7 +11,7 @@ from __future__ import annotations
 import difflib
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Iterator, Optional, Sequence, Tuple
+from typing import Iterator, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.definition import Definition
@@ -35,7 +35,7 @@ class FieldStep:
     name: str
     many: bool = False
     """Whether the field is an array of messages."""
-    index: Optional[int] = None
+    index: int | None = None
     """Index of the selected element of the array; None = no index."""
 
 
@@ -53,7 +53,7 @@ class FieldRef:
     """Primitive type, aliases resolved."""
     is_array: bool = False
     """Whether it is a whole primitive array."""
-    index: Optional[int] = None
+    index: int | None = None
     """Index of the selected element of a primitive array; None = no index."""
     part: str = ""
     """'secs' or 'nsecs' of a time or duration; '' = the whole field."""
@@ -116,7 +116,7 @@ def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
     return list(_leaves(definition, msg_type, steps))
 
 
-def field_of(path: Path, definition: Definition, array: Optional[bool] = False) -> FieldRef:
+def field_of(path: Path, definition: Definition, array: bool | None = False) -> FieldRef:
     """Return the single field that a path names, for a condition; StatementError: no such field.
 
     ``array``: whether it must be a whole array; None = either.

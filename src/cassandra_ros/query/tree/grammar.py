@@ -19,7 +19,7 @@ import re
 from dataclasses import replace
 from decimal import Decimal, localcontext
 from functools import lru_cache
-from typing import Any, Optional, Sequence, Union
+from typing import Any, Optional, Sequence
 
 import lark
 from lark import Lark, Token, Transformer, v_args
@@ -118,14 +118,14 @@ class _Builder(Transformer):  # type: ignore[type-arg]
 
     def select(
         self,
-        distinct: Optional[Token],
-        columns: Union[Token, tuple[Selected, ...]],
+        distinct: Token | None,
+        columns: Token | tuple[Selected, ...],
         topic: tuple[str, int],
-        condition: Optional[Expression],
-        group: Optional[tuple[Term, ...]],
-        order: Optional[tuple[Ordering, ...]],
-        limit: Optional[Literal],
-    ) -> tuple[Select, Optional[Literal]]:
+        condition: Expression | None,
+        group: tuple[Term, ...] | None,
+        order: tuple[Ordering, ...] | None,
+        limit: Literal | None,
+    ) -> tuple[Select, Literal | None]:
         shown = None if isinstance(columns, Token) else columns
         order, group = order or (), group or ()
         down = False
@@ -134,7 +134,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         select = Select("", shown, *topic, condition, down, None, distinct is not None)
         return replace(select, group=group, order=order), limit
 
-    def delete(self, topic: tuple[str, int], condition: Optional[Expression]) -> Delete:
+    def delete(self, topic: tuple[str, int], condition: Expression | None) -> Delete:
         if condition is not None:
             return Delete("", *topic, condition)
         reason = "DELETE takes a condition: WHERE KEY < …, say; every message of a topic is removed"
@@ -144,13 +144,11 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return Truncate("", *topic)
 
     def create_index(
-        self, unless: Optional[object], name: Optional[IndexName], indexed: Indexed
+        self, unless: object | None, name: IndexName | None, indexed: Indexed
     ) -> CreateIndex:
         return CreateIndex("", indexed, name, unless is not None)
 
-    def drop_index(
-        self, condition: Optional[object], index: Union[IndexName, Indexed]
-    ) -> DropIndex:
+    def drop_index(self, condition: object | None, index: IndexName | Indexed) -> DropIndex:
         return DropIndex("", index, condition is not None)
 
     def index_name(self, token: Token) -> IndexName:
@@ -169,10 +167,10 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def selected(self, *columns: Selected) -> tuple[Selected, ...]:
         return columns
 
-    def column(self, what: Term, alias: Optional[Token]) -> Selected:
+    def column(self, what: Term, alias: Token | None) -> Selected:
         return Selected(_column(what), None if alias is None else _name(alias))
 
-    def call(self, word: Token, argument: Union[None, Token, Term]) -> Call:
+    def call(self, word: Token, argument: None | Token | Term) -> Call:
         function, at = word.lower(), _at(word)
         if function == "now":
             if argument is not None:
@@ -205,7 +203,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
     def order(self, *parts: Ordering) -> tuple[Ordering, ...]:
         return parts
 
-    def ordering(self, what: Term, direction: Optional[Token]) -> Ordering:
+    def ordering(self, what: Term, direction: Token | None) -> Ordering:
         down = direction is not None and direction.type == "DESC"
         return Ordering(_column(what), down, what.position)
 
@@ -237,7 +235,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             return _quantified(operand, [(sign, _value(value))], negated, False)
         return _unless(negated, Compare(_part(operand), sign, _value(value)))
 
-    def one_of(self, operand: Term, negated: _Not, *values: Optional[Term]) -> Expression:
+    def one_of(self, operand: Term, negated: _Not, *values: Term | None) -> Expression:
         listed = tuple(_value(v) for v in values if v is not None)
         if _quantifies(operand):
             return _quantified(operand, [("=", value) for value in listed], negated, True)
@@ -256,7 +254,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         inside = All(tuple(compared(operand, s, end, end.position) for s, end in ends))
         return _unless(negated, inside)
 
-    def near(self, word: Token, *values: Optional[Term]) -> Near:
+    def near(self, word: Token, *values: Term | None) -> Near:
         given = tuple(_value(value) for value in values if value is not None)
         if not NEAR_VALUES[0] <= len(given) <= NEAR_VALUES[1]:
             reason = (
@@ -276,7 +274,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         names = tuple(name for part in parts for name in part)
         return Path(names, names[0].position)
 
-    def part(self, token: Token, index: Optional[Token]) -> tuple[PathPart, ...]:
+    def part(self, token: Token, index: Token | None) -> tuple[PathPart, ...]:
         names = _name(token).split(".") if token.type == "QUOTED" else [str(token)]
         made = [PathPart(name, None, _at(token)) for name in names]
         if index is not None:
@@ -358,7 +356,7 @@ def _part(term: Term) -> Term:
     return term
 
 
-def _column(term: Term) -> Union[Term, Aggregate]:
+def _column(term: Term) -> Term | Aggregate:
     """Return the term or aggregate of a column of a result."""
     if isinstance(term, Call) and term.function in AGGREGATES:
         operand = _part(term.arguments[0]) if term.arguments else None

@@ -13,7 +13,7 @@ import math
 from contextlib import suppress
 from decimal import Decimal
 from numbers import Integral, Real
-from typing import Any, Callable, Iterator, Optional, Union
+from typing import Any, Callable, Iterator, Union
 
 import numpy as np
 
@@ -92,7 +92,7 @@ def fit_to_text(literal: Literal, name: str) -> str:
     raise StatementError(literal.position, reason)
 
 
-def _number(value: object) -> Optional[Comparable]:
+def _number(value: object) -> Comparable | None:
     if isinstance(value, (bool, TimeNs, DurationNs, np.timedelta64)):
         return None
     if isinstance(value, Integral):
@@ -100,15 +100,15 @@ def _number(value: object) -> Optional[Comparable]:
     return float(value) if isinstance(value, Real) else None
 
 
-def _bool(value: object) -> Optional[Comparable]:
+def _bool(value: object) -> Comparable | None:
     return value if isinstance(value, bool) else _number(value)
 
 
-def _text(value: object) -> Optional[Comparable]:
+def _text(value: object) -> Comparable | None:
     return value if isinstance(value, str) else None
 
 
-def _number_to_ns(value: object) -> Optional[int]:
+def _number_to_ns(value: object) -> int | None:
     """Return the ns of an int (nanoseconds) or another number (seconds); None for other values."""
     if isinstance(value, bool) or not isinstance(value, (Real, Decimal)):
         return None
@@ -125,7 +125,7 @@ def _number_to_ns(value: object) -> Optional[int]:
         return None  # NaN
 
 
-def length_ns(value: Any) -> Optional[int]:
+def length_ns(value: Any) -> int | None:
     """Return the ns of an object whose type is a length of time; None for other types."""
     if isinstance(value, DurationNs):
         return int(value)
@@ -134,14 +134,14 @@ def length_ns(value: Any) -> Optional[int]:
     return None
 
 
-def _duration(value: Any) -> Optional[Comparable]:
+def _duration(value: Any) -> Comparable | None:
     ns = length_ns(value)
     if ns is not None or isinstance(value, (TimeNs, np.timedelta64)):
         return ns
     return _number_to_ns(value)
 
 
-_FITS: dict[str, tuple[Callable[[object], Optional[Comparable]], str]] = {
+_FITS: dict[str, tuple[Callable[[object], Comparable | None], str]] = {
     "bool": (_bool, "true or false"),
     "string": (_text, "'text'"),
     "duration": (_duration, "500ms, say, or a number (integer nanoseconds, decimal seconds)"),

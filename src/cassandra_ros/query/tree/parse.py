@@ -18,9 +18,7 @@ from typing import (
     Iterable,
     Iterator,
     Mapping,
-    Optional,
     Sequence,
-    Union,
     cast,
 )
 
@@ -100,7 +98,7 @@ _INSTEAD = {
 """What to use instead of CQL statements that this language lacks."""
 
 
-def parse_statement(text: str, params: Sequence[object] = ()) -> Union[Select, Change]:
+def parse_statement(text: str, params: Sequence[object] = ()) -> Select | Change:
     """Parse a statement and bind its parameters, one value for each ``?`` or ``%s``, in order.
 
     Raises:
@@ -119,7 +117,7 @@ def parse_statement(text: str, params: Sequence[object] = ()) -> Union[Select, C
         raise InvalidQuery(text, exc.position, exc.reason) from None
     if limit is not None:
         parsed = replace(parsed, limit=_limit(text, bound.value(limit)))
-    statement: Union[Select, Change] = replace(parsed, text=text)
+    statement: Select | Change = replace(parsed, text=text)
     return statement
 
 
@@ -320,7 +318,7 @@ class Binding:
             return Literal(self._values[at], at)
         return cast(Literal, self._term(value.made))
 
-    def _what(self, what: Union[Term, Aggregate]) -> Union[Term, Aggregate]:
+    def _what(self, what: Term | Aggregate) -> Term | Aggregate:
         if not isinstance(what, Aggregate):
             return self._term(what)
         return what if what.operand is None else replace(what, operand=self._term(what.operand))
@@ -342,13 +340,13 @@ class Binding:
         return tuple(Literal(element, whole.position) for element in whole.value)
 
 
-def terms_of_condition(condition: Optional[Expression]) -> Iterator[Term]:
+def terms_of_condition(condition: Expression | None) -> Iterator[Term]:
     """Yield the terms in the comparisons of a condition."""
     for leaf in leaves(condition):
         yield from terms_of(leaf)
 
 
-def terms_of_statement(statement: Union[Select, Change]) -> Iterator[Term]:
+def terms_of_statement(statement: Select | Change) -> Iterator[Term]:
     """Yield all terms of a statement that may contain parameters, except for its LIMIT."""
     if isinstance(statement, (Select, Delete)):
         yield from terms_of_condition(statement.condition)

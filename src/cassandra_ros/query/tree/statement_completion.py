@@ -9,7 +9,7 @@ names of topics, fields and values, which the caller provides.
 from __future__ import annotations
 
 import re
-from typing import Callable, NamedTuple, Optional, Sequence, Set
+from typing import Callable, NamedTuple, Sequence
 
 from lark import Token, UnexpectedInput
 
@@ -143,7 +143,7 @@ def _without_indexes(word: str) -> str:
     return re.sub(r"\[\d*\]?", "", word)
 
 
-def _tokens(before: str) -> Optional[tuple[Set[str], Sequence[Token]]]:
+def _tokens(before: str) -> tuple[set[str], Sequence[Token]] | None:
     """Return the tokens accepted after a text, and those in it; None if the text is wrong."""
     parser = grammar().parse_interactive(before, start="statement")
     previous: list[Token] = []
@@ -152,12 +152,12 @@ def _tokens(before: str) -> Optional[tuple[Set[str], Sequence[Token]]]:
             previous.append(token)
     except (UnexpectedInput, StatementError):
         return None
-    accepted: Set[str] = parser.accepts()  # type: ignore[no-untyped-call]
+    accepted: set[str] = parser.accepts()  # type: ignore[no-untyped-call]
     return accepted, previous
 
 
 def _offers(
-    accepted: Set[str], previous: Sequence[Token], text: str, known: NameSource
+    accepted: set[str], previous: Sequence[Token], text: str, known: NameSource
 ) -> Sequence[Offer]:
     offers: list[Offer] = []
     if "TOPIC" in accepted:
@@ -188,7 +188,7 @@ def _is_condition(previous: Sequence[Token]) -> bool:
     return places[-1:] == ["_WHERE"]
 
 
-def _values(previous: Sequence[Token], accepted: Set[str], known: NameSource) -> Sequence[Offer]:
+def _values(previous: Sequence[Token], accepted: set[str], known: NameSource) -> Sequence[Offer]:
     """Return the known nodes or runs if NODE or RUN is compared with a text."""
     if "TEXT" not in accepted or len(previous) < 2 or previous[-1].type != "OPERATOR":
         return ()

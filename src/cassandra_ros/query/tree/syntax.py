@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Iterator, Sequence, Union
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.query.protocols import Stays
@@ -64,7 +64,7 @@ class Literal:
     position: int
     bound: bool = True
     """False for a ``?`` or ``%s`` whose value is not bound yet, and for ``made``."""
-    made: Optional[Call] = None
+    made: Call | None = None
     """Call of constants, parameters and ``now()`` that computes the value."""
 
     @property
@@ -78,7 +78,7 @@ class PathPart:
     """One name of a dotted path, with the index after it."""
 
     name: str
-    index: Optional[int]
+    index: int | None
     position: int
 
 
@@ -100,7 +100,7 @@ class Path:
         return ".".join(part.name for part in self.parts)
 
 
-def path_text(names: Sequence[Tuple[str, Optional[int]]]) -> str:
+def path_text(names: Sequence[tuple[str, int | None]]) -> str:
     """Return names and their indexes as in a statement.
 
     A field called KEY, NODE or RUN is quoted, because unquoted these words have another meaning.
@@ -203,7 +203,7 @@ class Aggregate:
 
     function: str
     """One of AGGREGATES."""
-    operand: Optional[Term]
+    operand: Term | None
     """Aggregated term; None = ``*``, for count only."""
     position: int
 
@@ -217,8 +217,8 @@ class Aggregate:
 class Selected:
     """A column that a statement selects, with its alias."""
 
-    what: Union[Term, Aggregate]
-    alias: Optional[str] = None
+    what: Term | Aggregate
+    alias: str | None = None
 
     @property
     def text(self) -> str:
@@ -303,7 +303,7 @@ class Near:
 
     values: tuple[Literal, ...]
     position: int
-    stays: Optional[Stays] = field(default=None, compare=False)
+    stays: Stays | None = field(default=None, compare=False)
     """Times of the robot's stays; None until they are looked up."""
 
     @property
@@ -364,7 +364,7 @@ def terms_of(leaf: Leaf) -> tuple[Term, ...]:
     return (leaf.operand, *given(leaf), *(term for _, term in tests))
 
 
-def leaves(expression: Optional[Expression]) -> Iterator[Leaf]:
+def leaves(expression: Expression | None) -> Iterator[Leaf]:
     """Yield the comparisons of a condition, from left to right."""
     if isinstance(expression, LEAVES):
         yield expression
@@ -373,14 +373,14 @@ def leaves(expression: Optional[Expression]) -> Iterator[Leaf]:
             yield from leaves(part)
 
 
-def wants_array(leaf: Comparison) -> Optional[bool]:
+def wants_array(leaf: Comparison) -> bool | None:
     """Return whether a comparison's operand must be a whole array; None = either."""
     if isinstance(leaf, IsNull):
         return None
     return isinstance(leaf, Quantified) or getattr(leaf, "operator", "") == "CONTAINS"
 
 
-def conjuncts(expression: Optional[Expression]) -> Iterator[Expression]:
+def conjuncts(expression: Expression | None) -> Iterator[Expression]:
     """Yield the conditions that are joined by AND at the top of a condition."""
     if isinstance(expression, All):
         for item in expression.items:
@@ -393,7 +393,7 @@ def conjuncts(expression: Optional[Expression]) -> Iterator[Expression]:
 class Ordering:
     """One item of ORDER BY."""
 
-    what: Union[Term, Aggregate]
+    what: Term | Aggregate
     descending: bool
     position: int
     place: int = -1
@@ -405,14 +405,14 @@ class Select:
     """A SELECT statement with all its values bound."""
 
     text: str
-    columns: Optional[tuple[Selected, ...]]
+    columns: tuple[Selected, ...] | None
     """Selected columns; None = ``*``."""
     topic: str
     topic_position: int
-    condition: Optional[Expression]
+    condition: Expression | None
     descending: bool = False
     """Whether rows are read from the last KEY to the first."""
-    limit: Optional[int] = None
+    limit: int | None = None
     distinct: bool = False
     group: tuple[Term, ...] = ()
     """Terms of GROUP BY."""
@@ -428,12 +428,12 @@ class Select:
         return tuple(what for what in found if isinstance(what, Aggregate))
 
     @property
-    def visible(self) -> tuple[Optional[Selected], ...]:
+    def visible(self) -> tuple[Selected | None, ...]:
         """Columns that are shown; None = every field."""
         return (Selected(KeyOperand(0)), None) if self.columns is None else self.columns
 
     @property
-    def asked(self) -> tuple[Optional[Selected], ...]:
+    def asked(self) -> tuple[Selected | None, ...]:
         """All columns, hidden ones included."""
         return (*self.visible, *self.hidden)
 
@@ -491,7 +491,7 @@ class CreateIndex:
 
     text: str
     on: Indexed
-    name: Optional[IndexName]
+    name: IndexName | None
     unless_exists: bool
     """Whether the statement has IF NOT EXISTS."""
 
@@ -501,7 +501,7 @@ class DropIndex:
     """A DROP INDEX statement."""
 
     text: str
-    index: Union[IndexName, Indexed]
+    index: IndexName | Indexed
     if_exists: bool
 
 

@@ -8,7 +8,7 @@ fields have no unit.
 
 from __future__ import annotations
 
-from typing import Sequence, Union
+from typing import Sequence
 
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.tree.field_names import FieldStep, field_of
@@ -71,7 +71,7 @@ def unit_of_field(steps: Sequence[FieldStep], definition: Definition) -> str:
     return _BY_NAME.get(steps[-1].name, unit) if steps else unit
 
 
-def unit_of(what: Union[Term, Aggregate], definition: Definition) -> str:
+def unit_of(what: Term | Aggregate, definition: Definition) -> str:
     """Return the unit of a selected term; '' = unknown."""
     if isinstance(what, Path):
         try:
