@@ -165,7 +165,7 @@ def run(command, **options):
     return done.stdout
 
 
-def pytest_command(program, arguments):
+def command_of_tests(program, arguments):
     """Return the command that runs tests in the prepared environment."""
     workspace = program.parents[2] / "devel/setup.bash"
     pytest_ = [program, "-m", "pytest", "-p", "other_python", "-p", "no:cacheprovider"]
@@ -200,7 +200,9 @@ def pytest_terminal_summary(terminalreporter):
 def _reason(report):
     text = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
     text = text.replace("Skipped: ", "", 1).splitlines()[0]
-    return "NO REASON GIVEN" if text in ("", "unconditional skip") else text
+    if text in ("", "unconditional skip"):
+        return "NO REASON GIVEN"
+    return text if "::" in report.nodeid else f"{text} (all of {report.nodeid})"
 
 
 def main(arguments):
@@ -212,7 +214,7 @@ def main(arguments):
         return 2
     print(f"other_python: {python}, in .ws/python3.{minor}", flush=True)
     program, env = prepare(minor, python)
-    return subprocess.run(pytest_command(program, arguments[1:]), cwd=ROOT, env=env).returncode
+    return subprocess.run(command_of_tests(program, arguments[1:]), cwd=ROOT, env=env).returncode
 
 
 if __name__ == "__main__":

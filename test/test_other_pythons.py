@@ -15,7 +15,7 @@ import sys
 import pytest
 from campaign import LENGTH
 from conftest import ROOT, SERVER_VARIABLE
-from other_python import find_python, found_pythons, prepare, pytest_command, run
+from other_python import command_of_tests, find_python, found_pythons, prepare, run
 
 SOURCES = ("src", "scripts", "test", "examples", "benchmark", "faults")
 
@@ -76,7 +76,7 @@ def test_some_or_all_tests_pass(other_python, cassandra, record_property):
     program, env = other_python
     env = {**env, SERVER_VARIABLE: f"{cassandra.host}:{cassandra.port}"}
     names = [] if LENGTH == "long" else [f"test/{name}" for name in SOME]
-    said = run(pytest_command(program, ["-q", "-W", "ignore", *names]), env=env)
+    said = run(command_of_tests(program, ["-q", "-W", "ignore", *names]), env=env)
     assert " passed" in said.splitlines()[-1], said
     assert "NO REASON GIVEN" not in said
     record_property("told", said[said.rindex(" Python 3.") :])
