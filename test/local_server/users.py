@@ -17,7 +17,7 @@ KEYSPACE = "fleet"
 
 
 def user_of(role):
-    """Name of the user of a role."""
+    """Return the name of the user of a role."""
     return f"{role}_1"
 
 
@@ -26,21 +26,22 @@ def make_users(cqlshrc, folder):
     store = ["--cqlshrc", cqlshrc, "--keyspace", KEYSPACE]
     for _ in range(2):  # repeating it changes nothing
         assert cassandra_bag.main(["roles", "--apply", *store]) == 0
-    files = {}
     with RosCassandra(cqlshrc=cqlshrc, keyspace=KEYSPACE) as ours:
-        for role in ROLES:
-            user = user_of(role)
-            for cql in (
-                f"CREATE ROLE {user} WITH LOGIN = true AND PASSWORD = 'of {role}'",
-                f"GRANT {role_name(KEYSPACE, role)} TO {user}",
-            ):
-                ours.cassandra.execute_text(cql, what="making a user")
-            files[role] = folder / role
-            files[role].write_text(
-                f"[PlainTextAuthProvider]\nusername = {user}\npassword = of {role}\n"
-            )
-            files[role].chmod(0o600)
-    return files
+        return {role: make_user(ours, role, role, folder) for role in ROLES}
+
+
+def make_user(store, name, role, folder):
+    """Make a user that has a role of the keyspace; return its credentials file."""
+    user, password = user_of(name), f"of {name}"
+    for cql in (
+        f"CREATE ROLE {user} WITH LOGIN = true AND PASSWORD = '{password}'",
+        f"GRANT {role_name(KEYSPACE, role)} TO {user}",
+    ):
+        store.cassandra.execute_text(cql, what="making a user")
+    file = folder / name
+    file.write_text(f"[PlainTextAuthProvider]\nusername = {user}\npassword = {password}\n")
+    file.chmod(0o600)
+    return file
 
 
 class Stranger:

@@ -25,6 +25,7 @@ from cassandra_ros.cli import (
     recorder,
     viewer,
 )
+from cassandra_ros.nodes import query_node, recorder_services
 from cassandra_ros.viewing.routes import ROUTES
 
 sys.path.insert(0, str(ROOT / "doc"))
@@ -101,7 +102,10 @@ def test_every_service_is_in_the_tables_of_the_page():
         assert f"[{path.stem}](#srv-{path.stem.lower()})" in text, path.stem
     nodes = "".join(path.read_text(encoding="utf-8") for path in ROOT.glob("src/*/nodes/*.py"))
     offered = set(re.findall(r'"(~\w+)", [A-Z]', nodes))
-    assert {"~getData", "~seek", "~snapshot"} <= offered
+    assert {"~seek", "~setRate"} <= offered
+    tables = (query_node.SERVICES, recorder_services.TOPIC_SERVICES)
+    for table in (*tables, recorder_services.OTHER_SERVICES):
+        offered |= {f"~{name}" for name in table}
     for name in offered:
         assert f"`{name}`" in text, name
 
