@@ -44,6 +44,8 @@ block (0.5 s) and for its acknowledgement."""
 KILLED = "recorder killed"
 """Reason of the loss that the next recorder notes for one with --journal."""
 SECOND_NS = 10**9
+DELAY_NS = 30 * SECOND_NS
+"""Maximum time from publishing to receiving, ns: on a busy machine a recorder falls behind."""
 TIMEOUT_SEC = 60
 TEXT_COLUMNS = ("data", "value")
 """Fields of std_msgs/String and diagnostic_msgs/KeyValue that hold the text."""
@@ -290,7 +292,7 @@ def gone_with_keyspace(
     """
     gone = sum(time_ns < before_ns for time_ns in missing)
     told = sum(count for _, _, _, count in losses)
-    told_then = sum(count for _, first, _, count in losses if first <= before_ns + SECOND_NS)
+    told_then = sum(count for _, first, _, count in losses if first <= before_ns + DELAY_NS)
     return gone - max(0, min(gone, told_then, told - (len(missing) - gone)))
 
 
