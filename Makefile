@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms clean distclean
+.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms deb clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -44,6 +44,7 @@ help:
 	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
 	@echo "make bench-trees    compare two checkouts: ARGS=\"EARLIER LATER\""
 	@echo "make bench-mechanisms  compare conversions of many messages together with one by one"
+	@echo "make deb            build/cassandra-ros_*.deb for Debian's own ROS 1 (needs what debian/control names)"
 	@echo "make clean          remove what was built; make distclean: also .venv"
 
 setup:
@@ -119,6 +120,14 @@ bench-trees: setup
 
 bench-mechanisms: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_mechanisms.py $(ARGS)
+
+# From what is committed; with Debian's own programs, whatever comes first on PATH.
+deb:
+	@rm -rf build/debian && mkdir -p build/debian
+	@git archive --prefix=cassandra-ros/ HEAD | tar -x -C build/debian
+	@cd build/debian/cassandra-ros && env -u PYTHONPATH -u CMAKE_PREFIX_PATH -u ROS_PACKAGE_PATH \
+	  PATH=/usr/sbin:/usr/bin:/sbin:/bin dpkg-buildpackage -b -us -uc >../log 2>&1 || { tail -n 30 ../log; exit 1; }
+	@mv build/debian/*.deb build/ && rm -rf build/debian && ls build/*.deb
 
 clean:
 	rm -rf .ws build .mypy_cache .pytest_cache .ruff_cache .hypothesis demo-output

@@ -1,16 +1,18 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The package where it is installed: by pip from a wheel, and by catkin_make install."""
+"""The package where it is installed: by pip from a wheel, by catkin_make install, as a .deb."""
 
 from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import venv
 
 import pytest
+from campaign import LENGTH
 from conftest import ROOT
 
 VERSION = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]
@@ -91,3 +93,26 @@ def test_catkin_make_install(copy, tmp_path):
         ROS_PACKAGE_PATH=f"{tmp_path / 'install/share'}:/usr/share:/opt/ros/noetic",
     )
     check_installed(env, share, tmp_path, sys.executable)
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(LENGTH != "long", reason="it downloads 30 MB and takes minutes")
+@pytest.mark.skipif(not shutil.which("dh"), reason="the program dh of debhelper is not installed")
+def test_a_deb_holds_all_that_debian_lacks(tmp_path):
+    run(["make", "deb"], plain_env(), ROOT)
+    (deb,) = (ROOT / "build").glob(f"cassandra-ros_{VERSION}_*.deb")
+    run(["dpkg-deb", "-x", deb, tmp_path], plain_env(), tmp_path)
+    pure = [
+        tmp_path / "usr/lib" / name for name in ("python3/dist-packages", "cassandra_ros_python")
+    ]
+    env = plain_env(
+        PATH="/usr/bin:/bin",
+        PYTHONPATH=":".join(map(str, pure)),
+        ROS_PACKAGE_PATH=f"{tmp_path / 'usr/share'}:/usr/share",
+        CMAKE_PREFIX_PATH=f"{tmp_path / 'usr'}:/usr",
+    )
+    program = tmp_path / "usr/lib/cassandra_ros/recorder"
+    assert program.read_text().startswith("#!/usr/bin/python3\n")
+    assert run([program, "--version"], env, tmp_path).startswith(f"recorder {VERSION} ")
+    code = "import cassandra_ros as c, cassandra_ros.srv; print(c.RosCassandra)"
+    run(["/usr/bin/python3", "-c", code], env, tmp_path)
