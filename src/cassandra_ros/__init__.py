@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Keep ROS topics in Apache Cassandra: every message a row, stored exactly, found by time."""
 
+from __future__ import annotations
+
 from pkgutil import extend_path
 
 # The generated modules cassandra_ros.msg and .srv are in another folder of the same name.

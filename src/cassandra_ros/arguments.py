@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from numbers import Integral
-from typing import Any, Iterable, Mapping, Optional, Type, Union
+from typing import Any, Iterable, Mapping
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
 from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
@@ -46,7 +46,7 @@ def check_text(
     name: str,
     value: Any,
     most: int = MAX_TEXT_BYTES,
-    error: Type[CassandraRosError] = InvalidOption,
+    error: type[CassandraRosError] = InvalidOption,
     wanted: str = "a text",
 ) -> str:
     """Return a text that can be stored: valid Unicode of at most ``most`` bytes of UTF-8.
@@ -71,7 +71,7 @@ def check_text(
 
 
 def check_integer(
-    name: str, value: Any, least: int, most: int, error: Type[CassandraRosError] = InvalidOption
+    name: str, value: Any, least: int, most: int, error: type[CassandraRosError] = InvalidOption
 ) -> int:
     """Return a whole number from least to most, both included. A float with this value is accepted.
 
@@ -111,12 +111,12 @@ def check_new_node(node: Any) -> str:
     return check_text("nodeID", node, MAX_NAME_BYTES, InvalidName, wanted)
 
 
-def check_nodes(node: Any) -> Optional[tuple[str, ...]]:
+def check_nodes(node: Any) -> tuple[str, ...] | None:
     """Return the robots that a nodeID selects (None = all), or raise InvalidName."""
     return None if node is None else (check_node(node),)
 
 
-def check_run(run: Any) -> Union[None, str, int]:
+def check_run(run: Any) -> None | str | int:
     """Return the name or the writer id of a run (None = all runs), or raise InvalidName."""
     if run is None:
         return None
@@ -188,7 +188,7 @@ def check_ros_name(name: str, what: str = "") -> str:
     )
 
 
-def check_topics(topics: Any) -> Optional[list[str]]:
+def check_topics(topics: Any) -> list[str] | None:
     """Return a list of topic names (None = all), or raise InvalidName. A text means one name."""
     if topics is None:
         return None
@@ -214,7 +214,7 @@ def check_list(name: str, values: Any, example: str) -> list[Any]:
     raise InvalidName(f"{name}={_shown(values)} is no list of names: give one like {example}")
 
 
-def check_limit(limit: Any) -> Optional[int]:
+def check_limit(limit: Any) -> int | None:
     """Return a maximum number of messages or rows (None = no maximum), or raise InvalidOption."""
     if limit is None:
         return None

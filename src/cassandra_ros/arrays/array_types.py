@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import TYPE_CHECKING, Any, Optional, Sequence, Tuple
+from typing import TYPE_CHECKING, Any, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ class ArrayType:
     integers of any size."""
     depth: int = 0
     """Number of arrays around a value."""
-    length: Optional[int] = None
+    length: int | None = None
     """Number of elements of the array, if there is one array, of fixed length."""
 
     @property

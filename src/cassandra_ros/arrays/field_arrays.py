@@ -60,7 +60,7 @@ def gather_fields(
     fields: Fields,
     where: Where,
     read: ReadRows,
-    blocks: Optional[ReadBlocks] = None,
+    blocks: ReadBlocks | None = None,
     *,
     whose: Whose = EVERYBODY,
 ) -> dict[str, FieldArray]:
@@ -114,7 +114,7 @@ def gather_fields(
 
 def _from_blocks(
     select: Select, tables: Mapping[str, TableValues], blocks: ReadBlocks
-) -> Optional[dict[str, FieldArray]]:
+) -> dict[str, FieldArray] | None:
     """Gather fields from blocks; None: they must be read as rows."""
     read = blocks()
     if read is None:
@@ -159,7 +159,7 @@ def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Selec
 
 
 def _statement(
-    topic: Source[Row], fields: Fields, where: Optional[str], params: Sequence[object]
+    topic: Source[Row], fields: Fields, where: str | None, params: Sequence[object]
 ) -> Select:
     """Return the statement that selects these fields."""
     names = ["*"] if fields is None else check_list("fields", fields, "['linear.x']")
@@ -212,7 +212,7 @@ def _join_tables(select: Select, tables: Sequence[TableValues]) -> dict[str, Fie
     return found
 
 
-def _as_int64(values: AnyArray, missing: AnyArray) -> Tuple[ArrayType, AnyArray]:
+def _as_int64(values: AnyArray, missing: AnyArray) -> tuple[ArrayType, AnyArray]:
     """Return computed integers as int64, or as Python integers if one does not fit."""
     try:
         return ArrayType("int64"), np.where(missing, 0, values).astype(np.int64)
@@ -220,7 +220,7 @@ def _as_int64(values: AnyArray, missing: AnyArray) -> Tuple[ArrayType, AnyArray]
         return ArrayType(MIXED), values
 
 
-def _order_of(places: Sequence[MessageBlock]) -> Optional[AnyArray]:
+def _order_of(places: Sequence[MessageBlock]) -> AnyArray | None:
     """Return the order by time, node, _seq and table; None if they are already in order."""
     times = np.concatenate([place.times for place in places])
     if (times[1:] > times[:-1]).all():

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import heapq
 import logging
-from typing import Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Iterator, Sequence, Union
 
 from cassandra_ros.blocks.block_row import HEADER, WHOLE, BlockRow
 from cassandra_ros.blocks.bucket_read import (
@@ -59,29 +59,29 @@ class Headers:
         early = part.wanted and part.filters is None
         self._early = part.ask(WHOLE, part.early) if early else None
         self.more = bool(self._asked)
-        self.last: Optional[Order] = None
+        self.last: Order | None = None
         """Key of the last block whose header was read."""
-        self._behind: Optional[RawRow] = None
+        self._behind: RawRow | None = None
 
-    def take_early(self) -> Optional[PagedRead]:
+    def take_early(self) -> PagedRead | None:
         """Return, once, the read of the first whole blocks; None = there is no such read."""
         early, self._early = self._early, None
         return early
 
-    def _filtered(self, filters: Sequence[Terms]) -> List[PagedRead]:
+    def _filtered(self, filters: Sequence[Terms]) -> list[PagedRead]:
         try:
             return [self._part.ask(HEADER, MAX_HEADERS, terms=terms) for terms in filters]
         except SchemaConflict as exc:
             return self._unfiltered(exc)
 
-    def _unfiltered(self, exc: object) -> List[PagedRead]:
+    def _unfiltered(self, exc: object) -> list[PagedRead]:
         """Read the headers of all blocks, if a server forbids filtering or is too slow at it."""
         topic = self._part.table.metadata.topic
         _log.info("topic %s is read whole, the server does not filter it: %s", topic, exc)
         self._filters = None
         return [self._part.ask(HEADER, MAX_HEADERS)]
 
-    def read(self) -> List[BlockRow]:
+    def read(self) -> list[BlockRow]:
         """Read the next page of headers."""
         if self._filters is not None:
             return self._every()
@@ -95,7 +95,7 @@ class Headers:
             self._behind, self.last = page[-1], key_of(page[-1])
         return self._part.blocks(page)
 
-    def _every(self) -> List[BlockRow]:
+    def _every(self) -> list[BlockRow]:
         """Read all headers that pass one of the filters, some 100 bytes a block."""
         self.more = False
         try:
@@ -115,13 +115,13 @@ class _Batch:
     """
 
     def __init__(
-        self, part: BucketRead, taken: List[_Item], wanted: int, early: Optional[PagedRead] = None
+        self, part: BucketRead, taken: list[_Item], wanted: int, early: PagedRead | None = None
     ) -> None:
         self._part = part
         self.taken, self.wanted = taken, wanted
         self._open = [item for item in taken if isinstance(item, OpenedBlock)]
         headers = [item for item in taken if isinstance(item, BlockRow)]
-        self._here: List[BlockRow] = []
+        self._here: list[BlockRow] = []
         if early is not None:
             keys = {header.key for header in headers}
             self._here = [row for row in part.blocks(early.page()) if row.key in keys]
@@ -149,13 +149,13 @@ class BlockQueue:
     def __init__(self, part: BucketRead, headers: Headers) -> None:
         self._part = part
         self._headers = headers
-        self._known: List[Tuple[Order, int, _Item]] = []
+        self._known: list[tuple[Order, int, _Item]] = []
         self._count = 0
         self._wanted, self._bytes = part.wanted, part.page_bytes
         if part.wanted:
             self._bytes = min(part.page_bytes, BLOCK_BYTES)
 
-    def batch(self) -> Optional[_Batch]:
+    def batch(self) -> _Batch | None:
         """Request the blocks that are needed next; None if all blocks were read."""
         while self._headers.more and not self._is_known():
             self.read()
@@ -180,7 +180,7 @@ class BlockQueue:
         """Return the time of the last message of a block that is in the range to be read."""
         return min(item.last, self._part.ends[1][0])
 
-    def rows(self, batch: _Batch) -> Iterator[List[TableRow]]:
+    def rows(self, batch: _Batch) -> Iterator[list[TableRow]]:
         """Yield rows of each block; of a large block only as many as are wanted, the rest later."""
         for block in batch.blocks():
             taken = block
@@ -205,9 +205,9 @@ class BlockQueue:
         last = self._headers.last
         return MAX_SEQ if last is None else last[0] + self._part.table.metadata.span_ns
 
-    def _take(self) -> List[_Item]:
+    def _take(self) -> list[_Item]:
         """Take the blocks that may hold the first message, and as many as are wanted."""
-        found: List[_Item] = []
+        found: list[_Item] = []
         count, size = self._wanted or MAX_SEQ, self._bytes
         first = self._known[0][0][0] if self._known else 0
         if not self._part.reverse:  # earlier blocks may hold the first message too
@@ -220,7 +220,7 @@ class BlockQueue:
             count, size = count - item.left, size - item.size
         return found
 
-    def bound_up(self, coming: Optional[_Batch]) -> Optional[Order]:
+    def bound_up(self, coming: _Batch | None) -> Order | None:
         """Return a key before which no further message comes; None = no message comes."""
         if coming is not None:
             return coming.taken[0].key
@@ -229,19 +229,19 @@ class BlockQueue:
             ends.append(self._headers.last)
         return min(ends, default=None)
 
-    def bound_down(self, coming: Optional[_Batch]) -> int:
+    def bound_down(self, coming: _Batch | None) -> int:
         """Return a time after which no further message comes in descending order."""
         known = self._known_end(coming)
         return max(known, self._unread_end) if self._headers.more else known
 
-    def look(self, coming: Optional[_Batch]) -> bool:
+    def look(self, coming: _Batch | None) -> bool:
         """Read more headers if that may lower the bound; return whether headers were read."""
         short = self._headers.more and self._unread_end > self._known_end(coming)
         if short:
             self.read()
         return short
 
-    def _known_end(self, coming: Optional[_Batch]) -> int:
+    def _known_end(self, coming: _Batch | None) -> int:
         first = [-self._known[0][0][0]] if self._known else []
         if coming is not None:
             first.append(self._end(coming.taken[0]))
@@ -310,9 +310,9 @@ class _Pages:
     def __init__(self, part: BucketRead) -> None:
         self._part = part
         self._count = max(1, part.page_bytes // BLOCK_BYTES)
-        self._asked: Optional[PagedRead] = part.ask(WHOLE, self._count)
+        self._asked: PagedRead | None = part.ask(WHOLE, self._count)
 
-    def __iter__(self) -> Iterator[Tuple[List[BlockRow], Optional[Order]]]:
+    def __iter__(self) -> Iterator[tuple[list[BlockRow], Order | None]]:
         """Yield blocks, and a key that all blocks of later pages lie after.
 
         None = the last page.
@@ -337,7 +337,7 @@ class _Pages:
 def _whole(part: BucketRead, pages: _Pages) -> Iterator[TableRow]:
     held = WaitingRows()
     for blocks, behind in pages:
-        keys: List[Optional[Order]] = [*(block.key for block in blocks[1:]), behind]
+        keys: list[Order | None] = [*(block.key for block in blocks[1:]), behind]
         for block, bound in zip(blocks, keys):
             opened = part.open(block)
             if not held and opened.left and (bound is None or opened.last < bound[0]):

@@ -43,7 +43,7 @@ from __future__ import annotations
 
 import threading
 from functools import cached_property
-from typing import Any, Callable, FrozenSet, List, NamedTuple, Optional, Sequence, Set, Tuple, Union
+from typing import Any, Callable, NamedTuple, Sequence, Union
 
 import numpy as np
 import zstandard
@@ -189,7 +189,7 @@ _SAMPLE, _WIRES = 1024, 16
 """Number of words in the sample that is tried first, and number of its messages."""
 
 
-def code_words(wires: Sequence[bytes]) -> Optional[bytes]:
+def code_words(wires: Sequence[bytes]) -> bytes | None:
     """Code serialised messages; return None if most of their words are not such numbers."""
     scale = _find_scale(_words(wires[:: -(-len(wires) // _WIRES)]))
     if scale is None:
@@ -248,7 +248,7 @@ def _words(wires: Sequence[bytes]) -> Words:
     return np.frombuffer(b"".join([wire[len(wire) & 3 :] for wire in wires]), _WORD)
 
 
-def _find_scale(words: Words) -> Optional[int]:
+def _find_scale(words: Words) -> int | None:
     """Return the divisor of most of the larger words; None if there is no such divisor."""
     step = len(words) // _SAMPLE | 1  # odd, because lengths and numbers may take turns
     sample = words[::step]
@@ -260,7 +260,7 @@ def _find_scale(words: Words) -> Optional[int]:
     return None
 
 
-def _as_integers(words: Words, scale: int) -> Tuple[Integers, NDArray[np.bool_]]:
+def _as_integers(words: Words, scale: int) -> tuple[Integers, NDArray[np.bool_]]:
     """Return words as integers, and for which of them the integer is exact."""
     # A word that is not a number, or too large for an integer, does not come back as it was.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -296,7 +296,7 @@ def _joined(words: bytes, loose: memoryview, sizes: Sequence[int]) -> bytes:
     """Put the bytes of each message that are no words before its words."""
     if not loose:
         return words
-    parts: List[bytes] = []
+    parts: list[bytes] = []
     at = begin = 0
     for size in sizes:
         parts.append(bytes(loose[at : at + (size & 3)]))
@@ -358,9 +358,9 @@ class Unpacked:
         times: Longs,
         seqs: Longs,
         sizes: Longs,
-        received: Optional[Longs],
+        received: Longs | None,
         body: memoryview,
-        as_rows: FrozenSet[int] = frozenset(),
+        as_rows: frozenset[int] = frozenset(),
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
         # Sizes whose messages are stored one after the other, however many there are.
@@ -370,9 +370,9 @@ class Unpacked:
         return len(self.times)
 
     @cached_property
-    def groups(self) -> Tuple[Group, ...]:
+    def groups(self) -> tuple[Group, ...]:
         """The messages by size, the smallest first; no bytes are copied."""
-        found: List[Group] = []
+        found: list[Group] = []
         at = 0
         for members in _members(self.sizes):
             size, count = int(self.sizes[members[0]]), len(members)
@@ -384,7 +384,7 @@ class Unpacked:
         return tuple(found)
 
     @cached_property
-    def _turned(self) -> Tuple[bytes, Longs]:
+    def _turned(self) -> tuple[bytes, Longs]:
         """All messages, those of a group one after the other, and the offset of each."""
         parts = [_turn(group.planes) for group in self.groups]
         starts, at = np.empty(len(self), np.int64), 0
@@ -403,7 +403,7 @@ class Unpacked:
             return bytes(self._body[at + place * size : at + (place + 1) * size])
         return bytes(self._body[at + place : at + size * count : count])
 
-    def wires(self, positions: Optional[Longs] = None) -> List[bytes]:
+    def wires(self, positions: Longs | None = None) -> list[bytes]:
         """Return messages, serialised: those at some positions, None = all."""
         size = len(self._body) // max(1, len(self))
         if positions is None and size >= LONG and size in self._as_rows and len(self.groups) == 1:
@@ -422,7 +422,7 @@ def pack_block(
     times: Sequence[int],
     seqs: Sequence[int],
     wires: Sequence[bytes],
-    received: Optional[Sequence[int]] = None,
+    received: Sequence[int] | None = None,
 ) -> bytes:
     """Pack messages that are sorted by (time, ``_seq``).
 
@@ -434,7 +434,7 @@ def pack_block(
     """
     t = np.array(times, np.int64)
     sizes = np.fromiter(map(len, wires), np.int64, len(wires))
-    parts: List[BytesLike] = []
+    parts: list[BytesLike] = []
     parts += _planes(_differences(t)), _planes(_differences(np.array(seqs, np.int64)))
     parts.append(_planes(sizes.astype("<u4")))
     if received is not None:
@@ -476,7 +476,7 @@ def _finished(flags: int, parts: Sequence[BytesLike], messages: int) -> bytes:
     return bytes((VERSION, flags)) + _mine.compressor.compress(body)
 
 
-def _many(sizes: Longs) -> List[Tuple[int, int]]:
+def _many(sizes: Longs) -> list[tuple[int, int]]:
     """Return the ranges of ascending sizes in which many messages have one size other than 0."""
     if not len(sizes):
         return []
@@ -525,13 +525,13 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     return Unpacked(times, seqs, sizes, arrivals, view[begin:])
 
 
-def _decode(body: memoryview, sizes: Longs, coded: int) -> Tuple[memoryview, FrozenSet[int]]:
+def _decode(body: memoryview, sizes: Longs, coded: int) -> tuple[memoryview, frozenset[int]]:
     """Return the messages, and the sizes with many messages that are not planes but plain."""
     ordered = np.sort(sizes)
     short = int(np.searchsorted(ordered, LONG)) if coded & _WORDS else len(ordered)
     words = ordered[short:].tolist()
-    as_rows: Set[int] = set(words)
-    parts: List[BytesLike] = []
+    as_rows: set[int] = set(words)
+    parts: list[BytesLike] = []
     done = 0
     for begin, end in _many(ordered[:short]) if coded & _LAYOUTS else ():
         size, between = int(ordered[begin]), int(ordered[done:begin].sum())
@@ -548,7 +548,7 @@ def _decode(body: memoryview, sizes: Longs, coded: int) -> Tuple[memoryview, Fro
     return memoryview(found[0] if len(found) == 1 else b"".join(found)), frozenset(as_rows)
 
 
-def _members(sizes: Longs) -> List[Longs]:
+def _members(sizes: Longs) -> list[Longs]:
     """Return the positions of the messages of each size, the smallest first."""
     if len(sizes) and (sizes == sizes[0]).all():
         return [np.arange(len(sizes))]

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from copy import copy
 from dataclasses import replace
-from typing import Any, Dict, Iterable, Iterator, Mapping, Optional, Sequence, Tuple
+from typing import Any, Iterable, Iterator, Mapping, Sequence, Tuple
 
 from cassandra_ros.arguments import check_new_topic, check_text, check_topics
 from cassandra_ros.client.explanation import Explanation
@@ -65,16 +65,16 @@ class RosCassandra:
 
     def __init__(
         self,
-        host: Optional[str] = None,
-        port: Optional[int] = None,
+        host: str | None = None,
+        port: int | None = None,
         *,
-        keyspace: Optional[str] = None,
-        clock: Optional[Clock] = None,
+        keyspace: str | None = None,
+        clock: Clock | None = None,
         **login: Any,
     ) -> None:
         self.cassandra = Cassandra(host, port, **login)
         self._clock = clock
-        self._opened: Optional[Catalog] = None
+        self._opened: Catalog | None = None
         keyspace = from_environment("KEYSPACE") or None if keyspace is None else keyspace
         if keyspace is not None:
             try:
@@ -125,7 +125,7 @@ class RosCassandra:
         return list_keyspaces(self.cassandra)
 
     @property
-    def keyspace(self) -> Optional[str]:
+    def keyspace(self) -> str | None:
         """Name of the connected keyspace, or None."""
         return None if self._opened is None else self._opened.keyspace.name
 
@@ -174,15 +174,15 @@ class RosCassandra:
     def addTopic(
         self,
         topic: str,
-        format: Optional[str] = None,
+        format: str | None = None,
         *,
-        msg_type: Optional[str] = None,
+        msg_type: str | None = None,
         nodeID: str = "",
         ttl: int = 0,
         comment: str = "",
-        key_format: Optional[str] = None,
+        key_format: str | None = None,
         key_part: str = "",
-        metadata: Optional[Mapping[str, Any]] = None,
+        metadata: Mapping[str, Any] | None = None,
         index: Sequence[str] = (),
     ) -> CassandraTopic:
         """Make a topic, or find it if it is stored already.
@@ -229,7 +229,7 @@ class RosCassandra:
         """Return whether getTopic would find the topic."""
         return self.catalog.exists(topic)
 
-    def getAllTopics(self, pattern: Optional[str] = None) -> list[CassandraTopic]:
+    def getAllTopics(self, pattern: str | None = None) -> list[CassandraTopic]:
         """Return all topics, sorted by name.
 
         Args:
@@ -290,9 +290,9 @@ class RosCassandra:
 
     def info(
         self,
-        topics: Optional[Iterable[str]] = None,
+        topics: Iterable[str] | None = None,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         run: RunName = None,
     ) -> InfoList:
         """Describe what is stored: counts, sizes and times by topic, table and node.
@@ -305,7 +305,7 @@ class RosCassandra:
         """Return the recordings and imports, with their present state, counts and losses."""
         return RunList(list_runs(self.catalog.keyspace, self.catalog.tables(None)))
 
-    def runContext(self, run: RunName) -> Optional[RunContext]:
+    def runContext(self, run: RunName) -> RunContext | None:
         """Return parameters and node graph at the start of a run; None if they were not stored.
 
         If several runs have this name, the one that began last counts. Raises RunNotFound.
@@ -314,11 +314,11 @@ class RosCassandra:
 
     def losses(
         self,
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        topics: Iterable[str] | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         run: RunName = None,
     ) -> list[Loss]:
         """Return the losses of topics, also of topics that have no table.
@@ -331,11 +331,11 @@ class RosCassandra:
 
     def readMessages(
         self,
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        topics: Iterable[str] | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         received: bool = False,
         where: Conditions = None,
         run: RunName = None,
@@ -372,12 +372,12 @@ class RosCassandra:
         y: float,
         radius: float,
         frame: str = "map",
-        topics: Optional[Iterable[str]] = None,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        topics: Iterable[str] | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
         robot: str = "",
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         where: Conditions = None,
         run: RunName = None,
     ) -> Iterator[StoredRow]:
@@ -401,10 +401,10 @@ class RosCassandra:
         topic_a: str,
         topic_b: str,
         tolerance: Any,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         where: Conditions = None,
         unpaired: bool = False,
         run: RunName = None,
@@ -453,8 +453,8 @@ class RosCassandra:
         statement: str,
         params: Sequence[Any] = (),
         *,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
+        nodeID: str | None = None,
+        limit: int | None = None,
         run: RunName = None,
     ) -> Rows:
         """Run a statement and return all its rows: a list of tuples with ``.columns``.
@@ -480,9 +480,9 @@ class RosCassandra:
         statement: str,
         params: Sequence[Any] = (),
         *,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
-        after: Optional[Position] = None,
+        nodeID: str | None = None,
+        limit: int | None = None,
+        after: Position | None = None,
         run: RunName = None,
     ) -> QueryResult:
         """Run a SELECT lazily; return an iterator of tuples with ``.columns``. See executeCQL."""
@@ -495,7 +495,7 @@ class RosCassandra:
         statement: str,
         params: Sequence[Any] = (),
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         run: RunName = None,
     ) -> Explanation:
         """Run a SELECT statement and describe how it was answered; ``print`` the result.
@@ -512,7 +512,7 @@ class RosCassandra:
         source: str,
         time: Time,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         tf: str = "/tf",
         tf_static: str = "/tf_static",
         run: RunName = None,
@@ -552,7 +552,7 @@ class RosCassandra:
 def _near_rows(
     catalog: Catalog,
     asked: NearDisk,
-    topics: Optional[Iterable[str]],
+    topics: Iterable[str] | None,
     read: Read,
     where: Conditions,
 ) -> Iterator[StoredRow]:
@@ -561,7 +561,7 @@ def _near_rows(
     names = sorted({table.metadata.topic for table in tables})
     catalog.filters(where, names, read.whose)  # raises for invalid conditions
     given = {catalog.get(name).name: condition for name, condition in (where or {}).items()}
-    conditions: Dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
+    conditions: dict[str, Where] = {name: _and_near(given.get(name), asked) for name in names}
     try:
         with catalog.places.shared():
             filters = catalog.filters(conditions, names, read.whose)
@@ -570,7 +570,7 @@ def _near_rows(
         raise InvalidOption(exc.reason) from exc
 
 
-def _and_near(where: Optional[Where], asked: NearDisk) -> Where:
+def _and_near(where: Where | None, asked: NearDisk) -> Where:
     """Return the condition NEAR, joined with another condition if there is one."""
     values = list(asked if asked[-1] else asked[:-1])
     near = f"NEAR({', '.join('?' * len(values))})"

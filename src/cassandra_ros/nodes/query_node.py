@@ -8,7 +8,7 @@ import logging
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Callable, Iterator, Mapping, Optional, Sequence, TypeVar
+from typing import Callable, Iterator, Mapping, Sequence, TypeVar
 
 import rospy
 
@@ -241,7 +241,7 @@ class Services:
         return ExecuteCQLResponse(success=True, columns=list(result.columns), rows=rows)
 
     def _page(
-        self, select: Select, node: Optional[str], run: Optional[str], limit: int, cursor: str
+        self, select: Select, node: str | None, run: str | None, limit: int, cursor: str
     ) -> ExecuteCQLResponse:
         with self.ros_cas.statements.select(
             select, node=node, limit=limit + 1, after=cursor, run=run
@@ -348,7 +348,7 @@ SERVICES: Mapping[str, tuple[type, Callable[..., Response], str]] = {
 """Services by name: class, class of the response, and the handler of Services."""
 
 
-def _definition(request: AddDataRequest, topic: Optional[CassandraTopic]) -> Definition:
+def _definition(request: AddDataRequest, topic: CassandraTopic | None) -> Definition:
     """Return the definition of a message to be stored, in an existing topic or a new one (None)."""
     kind, md5sum = request.type, request.md5sum or None
     if topic is not None:

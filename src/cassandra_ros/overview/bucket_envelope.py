@@ -84,9 +84,9 @@ class PartEnvelope:
 class _ZoneColumns(NamedTuple):
     """Zone columns of a table, and how to read them."""
 
-    names: Tuple[str, ...]
+    names: tuple[str, ...]
     """Names of the zone columns: two for each column that the table has."""
-    converts: Tuple[Optional[Tuple[Convert, ArrayType]], ...]
+    converts: tuple[tuple[Convert, ArrayType] | None, ...]
     """Conversion for each column; None = the table lacks the column."""
 
 
@@ -98,7 +98,7 @@ class EnvelopeRequest:
     """The statement; only its condition counts."""
     bounds: Bounds
     """Range, node and writers of the condition, narrowed by those of the request."""
-    columns: Tuple[Column, ...]
+    columns: tuple[Column, ...]
     """The columns; none of them is an aggregate."""
     key: str
     """Text that identifies this request among all requests for the topic."""
@@ -126,7 +126,7 @@ class PieceReader:
         self._wanted, self._watch = wanted, watch
         self._select = wanted.selected
         self._count = len(wanted.columns)
-        self._zoned: dict[str, Optional[_ZoneColumns]] = {}
+        self._zoned: dict[str, _ZoneColumns | None] = {}
 
     def ask(self, piece: EnvelopePart) -> ZoneRead:
         """Request the zones of a piece's blocks, if they are enough."""
@@ -167,13 +167,13 @@ class PieceReader:
         writers = self._wanted.bounds.read.whose.writers
         return BucketRead(piece.table, piece.node, piece.bucket, ends, writers=writers)
 
-    def _zones(self, table: TopicTable) -> Optional[_ZoneColumns]:
+    def _zones(self, table: TopicTable) -> _ZoneColumns | None:
         """Return how the zones of all columns are read; None if messages have to be read."""
         known = table.zone_map
         if known is None or not self._wanted.bounds.whole:
             return None
         names: list[str] = []
-        converts: list[Optional[Tuple[Convert, ArrayType]]] = []
+        converts: list[tuple[Convert, ArrayType] | None] = []
         projection = Projection.compile(self._select, table, Findings(self._select.text))
         for column, group in zip(self._wanted.columns, group_types(projection, table)[1:]):
             if not group:
@@ -208,8 +208,8 @@ class PieceReader:
         part.around.add_wide(firsts[edge], lasts[edge], low[:, edge], high[:, edge])
 
     def _numbers(
-        self, zoned: _ZoneColumns, values: Sequence[Sequence[Optional[bytes]]]
-    ) -> Tuple[AnyArray, AnyArray]:
+        self, zoned: _ZoneColumns, values: Sequence[Sequence[bytes | None]]
+    ) -> tuple[AnyArray, AnyArray]:
         """Return the minimum and the maximum of each column: (columns, blocks) each."""
         raws = iter(list(zip(*values)))
         low, high = (np.full((self._count, len(values)), np.nan) for _ in range(2))
@@ -272,7 +272,7 @@ def _check_table(table: Table, piece: EnvelopePart) -> None:
         raise TopicNotFound(f"table {piece.table.name} was replaced while it was read")
 
 
-def _plain_field(column: Column, table: TopicTable) -> Optional[FieldRef]:
+def _plain_field(column: Column, table: TopicTable) -> FieldRef | None:
     """Return the field that a column shows unchanged; None if it shows something else."""
     if not isinstance(column.what, Path) or table.definition is None:
         return None

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Iterator, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence
 
 import numpy as np
 
@@ -51,13 +51,13 @@ _CHUNK_ROWS = 4096
 class Window(NamedTuple):
     """Time range that is drawn, and its resolution."""
 
-    low: Optional[int] = None
+    low: int | None = None
     """First time, ns; None = that of the first message."""
-    high: Optional[int] = None
+    high: int | None = None
     """Last time, included, ns; None = that of the last message."""
     pixels: int = PIXELS
     """Maximum number of pixels, 1 to MOST_PIXELS."""
-    seconds: Optional[float] = None
+    seconds: float | None = None
     """Time limit after which the result so far is returned, s; None = no limit."""
 
 
@@ -76,7 +76,7 @@ class SeriesRequest:
     """
 
     whose: Whose = EVERYBODY
-    cache: Optional[EnvelopeCache] = None
+    cache: EnvelopeCache | None = None
     watch: Watch = unwatched
 
 
@@ -85,8 +85,8 @@ class Series:
     """The numbers of a statement over time."""
 
     topic: str
-    columns: Tuple[Column, ...]
-    left_out: Tuple[OmittedColumn, ...]
+    columns: tuple[Column, ...]
+    left_out: tuple[OmittedColumn, ...]
     """Columns that cannot be drawn."""
     grid: Grid
     """Pixels of the plot: whole ones, so they cover slightly more than the window."""
@@ -170,7 +170,7 @@ def _without(drawn: PlotColumns, reason: str) -> PlotColumns:
     return PlotColumns((), (*left_out, *drawn.left_out))
 
 
-def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[Tuple[int, int]]:
+def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> tuple[int, int] | None:
     """Return the first and the last time to be drawn; None if there is no message."""
     low, high = window.low, window.high
     if not topic.tables or bounds.empty:
@@ -184,7 +184,7 @@ def _extent(topic: CassandraTopic, bounds: Bounds, window: Window) -> Optional[T
     return low, high
 
 
-def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> Optional[int]:
+def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> int | None:
     read = replace(bounds.read, reverse=reverse, columns=lambda table: (), wanted=1)
     return next((row.t for row in topic.read(read)), None)
 
@@ -218,7 +218,7 @@ def _of_rows(
 
 def _arrays(
     select: Select, rows: Iterator[ResultRow], over: int, places: Sequence[int]
-) -> Tuple[AnyArray, AnyArray]:
+) -> tuple[AnyArray, AnyArray]:
     """Return times and numbers of rows; rows without a time are left out."""
     times, numbers, count = [np.zeros(0, np.int64)], [np.zeros((len(places), 0))], 0
     while True:

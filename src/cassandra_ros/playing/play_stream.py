@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import replace
-from typing import Dict, Iterator, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Iterator, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, SECOND_NS, split_seq
@@ -50,7 +50,7 @@ class WindowRule(NamedTuple):
     """Length of a window after a hit, ns."""
 
     @classmethod
-    def of(cls, around: object, before: object, after: object) -> Optional[WindowRule]:
+    def of(cls, around: object, before: object, after: object) -> WindowRule | None:
         """Read the options around ('TOPIC: condition' or a pair), before and after (seconds).
 
         Returns:
@@ -149,7 +149,7 @@ class Stream:
             self.start_ns = self._first_window(self._around)
         self._robot_names = self._source_names() if selection.node_prefix else {}
 
-    def _find_stored_ranges(self) -> List[StoredRange]:
+    def _find_stored_ranges(self) -> list[StoredRange]:
         asked = self.selection
         self._whose = self._catalog.whose(asked.nodeID, asked.run)
         tables = self._catalog.tables(self.topics)
@@ -164,7 +164,7 @@ class Stream:
             "is stored"
         )
 
-    def _find_sources(self, start: Optional[When], end: Optional[When]) -> List[PlaySource]:
+    def _find_sources(self, start: When | None, end: When | None) -> list[PlaySource]:
         asked = self.selection
         whole = PlaySource(
             self._catalog, self.topics, self._whose, asked.where, self._stored_ranges
@@ -180,7 +180,7 @@ class Stream:
             self._with_messages(split_sources(replace(whole, chosen=time_range), self._align))
         )
 
-    def _with_messages(self, sources: Sequence[PlaySource]) -> List[PlaySource]:
+    def _with_messages(self, sources: Sequence[PlaySource]) -> list[PlaySource]:
         with_first = with_first_times(sources)
         if with_first:
             return with_first
@@ -189,7 +189,7 @@ class Stream:
         )
         raise MessageNotFound(f"no message of the selection is left: no message satisfies {where}")
 
-    def _source_names(self) -> Dict[Source, str]:
+    def _source_names(self) -> dict[Source, str]:
         run_names = {run.writer: run.name for run in self._catalog.keyspace.registry.runs()}
         return source_names(self._stored_ranges, run_names, self._align)
 
@@ -201,7 +201,7 @@ class Stream:
         return self._names.of(topic, self._robot_names.get((node, writer), default))
 
     @property
-    def windows(self) -> List[TimeRange]:
+    def windows(self) -> list[TimeRange]:
         """The time ranges of the replay's time line that are played, in order, not overlapping.
 
         With ``around`` this searches for all hits; messages() finds them while it goes.
@@ -234,12 +234,12 @@ class Stream:
             )
         return first.low
 
-    def channels(self) -> List[Channel]:
+    def channels(self) -> list[Channel]:
         """Return the topics to be advertised, by the stored connections, without reading a row."""
-        by_table: Dict[str, List[StoredRange]] = {}
+        by_table: dict[str, list[StoredRange]] = {}
         for stored_range in self._stored_ranges:
             by_table.setdefault(stored_range.table.name, []).append(stored_range)
-        channels: Dict[Tuple[str, str, str], Channel] = {}
+        channels: dict[tuple[str, str, str], Channel] = {}
         for name, _, connection in self._catalog.keyspace.connections.of_tables(by_table):
             metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
             kind = connection.type or metadata.msg_type
@@ -251,7 +251,7 @@ class Stream:
                 channels[key] = known._replace(latched=known.latched or latched)
         return sorted(channels.values())
 
-    def latched(self, t: int) -> List[PlayedMessage]:
+    def latched(self, t: int) -> list[PlayedMessage]:
         """Return the latched messages received before ``t``, in order of reception.
 
         They are published first when playing begins at ``t`` or jumps there: the last message of
@@ -265,7 +265,7 @@ class Stream:
         rows = _merged([source.latched(window) for source in self._play_sources])
         return [self._played(t, row, window) for t, row in rows]
 
-    def messages(self, t: Optional[int] = None) -> Iterator[PlayedMessage]:
+    def messages(self, t: int | None = None) -> Iterator[PlayedMessage]:
         """Yield the messages from ``t`` on, ns, included; None = from the start.
 
         With ``around``, latched messages that changed in a gap between windows come first in the
@@ -276,7 +276,7 @@ class Stream:
         """
         low = self.start_ns if t is None else max(t, self.start_ns)
         sent = [LatchedRecord() for _ in self._play_sources] if self._around else None
-        last: Optional[int] = None
+        last: int | None = None
         for piece in self._pieces(low):
             window = TimeRange(piece.window, piece.high)
             reach = TimeRange(piece.low, piece.high)
@@ -290,7 +290,7 @@ class Stream:
                 yield self._played(at, row, window)
 
     def _rows(
-        self, time_range: TimeRange, sent: Optional[Sequence[LatchedRecord]]
+        self, time_range: TimeRange, sent: Sequence[LatchedRecord] | None
     ) -> Iterator[_Timed]:
         if sent is None:
             return heapq.merge(
@@ -315,6 +315,6 @@ def _merged(sources: Sequence[Sequence[_Timed]]) -> Iterator[_Timed]:
     return heapq.merge(*sources, key=_order)
 
 
-def _order(timed: _Timed) -> Tuple[int, str, int, str]:
+def _order(timed: _Timed) -> tuple[int, str, int, str]:
     t, row = timed
     return t, row.node, row.seq, row.table.name

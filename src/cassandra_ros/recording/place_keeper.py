@@ -18,15 +18,9 @@ from concurrent.futures import Future
 from typing import (
     TYPE_CHECKING,
     Any,
-    Deque,
-    Dict,
     Iterator,
-    List,
     NamedTuple,
-    Optional,
     Sequence,
-    Set,
-    Tuple,
 )
 
 from cassandra_ros.arrays.field_arrays import as_arrays, gather_fields
@@ -81,10 +75,10 @@ class LiveTopic:
     def __init__(self, name: str, node: str, before: Sequence[Row] = ()) -> None:
         self.name = name
         self._node = node
-        self._tables: Dict[str, Table] = {row.table.name: row.table for row in before}
+        self._tables: dict[str, Table] = {row.table.name: row.table for row in before}
         self._before = list(before)
-        self._rows: List[Row] = []
-        self._times: List[int] = []
+        self._rows: list[Row] = []
+        self._times: list[int] = []
 
     @property
     def tables(self) -> Sequence[Table]:
@@ -121,12 +115,12 @@ class LiveTopic:
     def getArrays(
         self,
         fields: Sequence[str],
-        key: Optional[Stamp] = None,
-        to_key: Optional[Stamp] = None,
+        key: Stamp | None = None,
+        to_key: Stamp | None = None,
         *,
-        nodeID: Optional[str] = None,
+        nodeID: str | None = None,
         run: Writers = None,
-    ) -> Dict[str, Any]:
+    ) -> dict[str, Any]:
         """Return fields of the messages in [key, to_key] as numpy arrays."""
         read = Read(range_between(key, to_key))
         return as_arrays(gather_fields(self, fields, None, lambda columns: self.read(read)))
@@ -168,24 +162,24 @@ class PlaceKeeper:
         wanted: bool = True,
     ) -> None:
         self._store, self._whose, self._losses, self._wanted = store, whose, losses, wanted
-        self._taken: Deque[_PoseMessage] = deque()
+        self._taken: deque[_PoseMessage] = deque()
         # Each is changed by one thread alone.
         self._came = self._gone = 0
         """Size of the messages taken, and of those removed from memory, bytes."""
         self._ending = threading.Event()
         self._gave_up = False
-        self._thread: Optional[threading.Thread] = None
-        self._topics: Dict[str, LiveTopic] = {}
-        self._sources: Dict[str, MessageSource] = {}
+        self._thread: threading.Thread | None = None
+        self._topics: dict[str, LiveTopic] = {}
+        self._sources: dict[str, MessageSource] = {}
         """Last connection of each topic, which has its table."""
-        self._first: Dict[str, int] = {}
+        self._first: dict[str, int] = {}
         """Time from which on all poses of a topic are indexed, ns."""
-        self._said: Set[Tuple[str, str]] = set()
+        self._said: set[tuple[str, str]] = set()
         """Tables and robots for which the index has an indexed time range."""
         self._wrong = False
         """Whether these time ranges have become wrong and must be deleted."""
-        self._tf: Optional[TfVisits] = None
-        self._told: Dict[str, TopicVisits] = {}
+        self._tf: TfVisits | None = None
+        self._told: dict[str, TopicVisits] = {}
         self._latest = 0
         self._noted = self._read_to = -1
         """Times up to which all poses are indexed, and were read, ns; -1 = no pose yet."""
@@ -254,8 +248,8 @@ class PlaceKeeper:
             self._gone += self._topics[name].drop(self._noted - 2 * LONGEST_GAP_NS)
         if high < low:
             return  # no pose to index
-        visits: List[Visit] = []
-        placed: List[IndexedPoses] = []
+        visits: list[Visit] = []
+        placed: list[IndexedPoses] = []
         for name in moving:
             visits += self._visits(name, low, high)
             placed += self._placed(name, high)
@@ -308,7 +302,7 @@ class PlaceKeeper:
         self._first = {name: max(t, noted + 1) for name, t in self._first.items()}
         self._told.clear()
 
-    def _stored_statics(self) -> List[Row]:
+    def _stored_statics(self) -> list[Row]:
         """Return the stored static transforms of the robot: queries use the last of all."""
         try:
             topic = self._store.result().get(TF_STATIC)
@@ -325,7 +319,7 @@ class PlaceKeeper:
             raise TopicNotFound(f"topic {name} is not recorded")
         return self._topics[name]
 
-    def _visits(self, name: str, low: int, high: int) -> List[Visit]:
+    def _visits(self, name: str, low: int, high: int) -> list[Visit]:
         if name == TF:
             if self._tf is None:
                 self._tf = TfVisits(self._find, self._whose)
@@ -334,7 +328,7 @@ class PlaceKeeper:
             self._told[name] = TopicVisits(self._find, name, self._whose)
         return list(self._told[name].visits(self._table(name), low, high))
 
-    def _placed(self, name: str, high: int) -> List[IndexedPoses]:
+    def _placed(self, name: str, high: int) -> list[IndexedPoses]:
         notes = self._tf if name == TF else self._told[name]
         if notes is None:
             return []

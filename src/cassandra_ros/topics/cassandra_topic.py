@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import islice
-from typing import Any, Iterator, Optional, Sequence, Union
+from typing import Any, Iterator, Sequence, Union
 
 from cassandra_ros.arguments import (
     check_field,
@@ -141,7 +141,7 @@ class CassandraTopic:
             raise TypeMismatch(f"{data!r:.80} is no encoded message: give what encode returned")
         return self.format.decode(data)
 
-    def addData(self, msg: Any, key: Optional[AnyKey] = None, nodeID: Optional[str] = None) -> Key:
+    def addData(self, msg: Any, key: AnyKey | None = None, nodeID: str | None = None) -> Key:
         """Store one message; return when it is acknowledged.
 
         Args:
@@ -172,14 +172,14 @@ class CassandraTopic:
 
     def getData(
         self,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
-        nearest: Optional[str] = None,
+        nearest: str | None = None,
         default: Any = _REQUIRED,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
-        where: Optional[Where] = None,
+        nodeID: str | None = None,
+        limit: int | None = None,
+        where: Where | None = None,
         run: RunName = None,
     ) -> Any:
         """Return one message, or those of a time range.
@@ -226,13 +226,13 @@ class CassandraTopic:
 
     def items(
         self,
-        key: Optional[AnyKey] = None,
-        to_key: Optional[Time] = None,
+        key: AnyKey | None = None,
+        to_key: Time | None = None,
         *,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
+        nodeID: str | None = None,
+        limit: int | None = None,
         reverse: bool = False,
-        where: Optional[Where] = None,
+        where: Where | None = None,
         run: RunName = None,
     ) -> Iterator[tuple[Key, Any]]:
         """Read (key, message) pairs lazily in order of time.
@@ -256,16 +256,16 @@ class CassandraTopic:
         self,
         key: AnyKey,
         *,
-        nearest: Optional[str] = None,
-        nodeID: Optional[str] = None,
-        where: Optional[Where] = None,
+        nearest: str | None = None,
+        nodeID: str | None = None,
+        where: Where | None = None,
         run: RunName = None,
-    ) -> Optional[StoredRow]:
+    ) -> StoredRow | None:
         """Return one stored row, found as in getData; None if there is no such row."""
         return self._finder(nodeID, where, run).find(key, nearest)
 
     def _finder(
-        self, nodeID: Optional[str] = None, where: Optional[Where] = None, run: RunName = None
+        self, nodeID: str | None = None, where: Where | None = None, run: RunName = None
     ) -> Finder:
         whose, tables = self._whose(nodeID, run), self._stored()
         key_format = (tables[0] if tables else self._wish).metadata.key_format or "time"
@@ -275,11 +275,11 @@ class CassandraTopic:
             passing = self._keyspace.naming(filtered)
         return Finder(self._keyspace, self.name, key_format, tables, whose, passing)
 
-    def _whose(self, nodeID: Optional[str], run: RunName) -> Whose:
+    def _whose(self, nodeID: str | None, run: RunName) -> Whose:
         return Whose(check_nodes(nodeID), self._keyspace.runs.writers(run))
 
     def versions(
-        self, name: str, *, nodeID: Optional[str] = None, reverse: bool = False, run: RunName = None
+        self, name: str, *, nodeID: str | None = None, reverse: bool = False, run: RunName = None
     ) -> Iterator[StoredRow]:
         """Yield the rows with one name, by time, without making message objects."""
         check_text("name", name, error=InvalidKey)
@@ -287,17 +287,17 @@ class CassandraTopic:
 
     def rows(
         self,
-        key: Optional[Time] = None,
-        to_key: Optional[Time] = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
         *,
-        nodeID: Optional[str] = None,
-        limit: Optional[int] = None,
-        after: Optional[Position] = None,
+        nodeID: str | None = None,
+        limit: int | None = None,
+        after: Position | None = None,
         reverse: bool = False,
-        columns: Optional[Columns] = None,
-        chooser: Optional[Chooser] = None,
+        columns: Columns | None = None,
+        chooser: Chooser | None = None,
         run: RunName = None,
-        wanted: Optional[int] = None,
+        wanted: int | None = None,
     ) -> Iterator[StoredRow]:
         """Yield rows by time, like items but without making message objects.
 
@@ -346,15 +346,15 @@ class CassandraTopic:
             )
         return tables
 
-    def first(self, nodeID: Optional[str] = None, *, run: RunName = None) -> Optional[Key]:
+    def first(self, nodeID: str | None = None, *, run: RunName = None) -> Key | None:
         """Return the key of the oldest message; None if there are no messages."""
         return self._end(nodeID, run, reverse=False)
 
-    def last(self, nodeID: Optional[str] = None, *, run: RunName = None) -> Optional[Key]:
+    def last(self, nodeID: str | None = None, *, run: RunName = None) -> Key | None:
         """Return the key of the newest message; None if there are no messages."""
         return self._end(nodeID, run, reverse=True)
 
-    def _end(self, nodeID: Optional[str], run: RunName, reverse: bool) -> Optional[Key]:
+    def _end(self, nodeID: str | None, run: RunName, reverse: bool) -> Key | None:
         rows = self.rows(nodeID=nodeID, limit=1, reverse=reverse, run=run)
         return next((row.key for row in rows), None)
 
@@ -369,11 +369,11 @@ class CassandraTopic:
 
     def countTopicData(
         self,
-        key: Optional[AnyKey] = None,
-        to_key: Optional[Time] = None,
-        nodeID: Optional[str] = None,
+        key: AnyKey | None = None,
+        to_key: Time | None = None,
+        nodeID: str | None = None,
         *,
-        where: Optional[Where] = None,
+        where: Where | None = None,
         run: RunName = None,
     ) -> int:
         """Return the number of messages that items with the same arguments reads.
@@ -384,11 +384,11 @@ class CassandraTopic:
 
     def removeData(
         self,
-        key: Optional[AnyKey] = None,
-        to_key: Optional[Time] = None,
-        nodeID: Optional[str] = None,
+        key: AnyKey | None = None,
+        to_key: Time | None = None,
+        nodeID: str | None = None,
         *,
-        where: Optional[Where] = None,
+        where: Where | None = None,
         run: RunName = None,
     ) -> int:
         """Delete the messages at key, or with key <= time <= to_key; return their number.
@@ -408,10 +408,10 @@ class CassandraTopic:
     def getArrays(
         self,
         fields: Fields,
-        key: Optional[AnyKey] = None,
-        to_key: Optional[Time] = None,
-        where: Optional[Where] = None,
-        nodeID: Optional[str] = None,
+        key: AnyKey | None = None,
+        to_key: Time | None = None,
+        where: Where | None = None,
+        nodeID: str | None = None,
         run: RunName = None,
     ) -> dict[str, Any]:
         """Return fields as numpy arrays of equal length, in order of time.
@@ -446,10 +446,10 @@ class CassandraTopic:
     def toDataFrame(
         self,
         fields: Fields = None,
-        key: Optional[AnyKey] = None,
-        to_key: Optional[Time] = None,
-        where: Optional[Where] = None,
-        nodeID: Optional[str] = None,
+        key: AnyKey | None = None,
+        to_key: Time | None = None,
+        where: Where | None = None,
+        nodeID: str | None = None,
         run: RunName = None,
     ) -> Any:
         """Return messages as a pandas.DataFrame with one column a field.
@@ -474,10 +474,10 @@ class CassandraTopic:
     def _gather(
         self,
         fields: Fields,
-        key: Optional[AnyKey],
-        to_key: Optional[Time],
-        where: Optional[Where],
-        nodeID: Optional[str],
+        key: AnyKey | None,
+        to_key: Time | None,
+        where: Where | None,
+        nodeID: str | None,
         run: RunName,
     ) -> dict[str, FieldArray]:
         finder = self._finder(nodeID, where, run)
@@ -486,7 +486,7 @@ class CassandraTopic:
         )
         return self._keyspace.naming(gather)
 
-    def createIndex(self, field: str, progress: Optional[Progress] = None) -> int:
+    def createIndex(self, field: str, progress: Progress | None = None) -> int:
         """Make an index on a field, so that conditions on it read only the matching rows.
 
         The topic may be recorded meanwhile, and its new rows are found in any case: a bucket that a

@@ -12,7 +12,7 @@ import threading
 from contextlib import suppress
 from dataclasses import replace
 from operator import attrgetter
-from typing import Dict, Iterable, Iterator, List, Mapping, Optional, Sequence, Tuple
+from typing import Iterable, Iterator, Mapping, Optional, Sequence, Tuple
 
 from cassandra_ros.arguments import check_nodes, check_topic, check_topics, spellings
 from cassandra_ros.connection.cassandra import Cassandra
@@ -59,7 +59,7 @@ class Catalog:
     Topics that were added without a type exist only here until their first message.
     """
 
-    def __init__(self, cassandra: Cassandra, keyspace: str, clock: Optional[Clock]) -> None:
+    def __init__(self, cassandra: Cassandra, keyspace: str, clock: Clock | None) -> None:
         self.keyspace = Keyspace(cassandra, keyspace, robots=lambda: self.places)
         self.adder = MessageAdder(self.keyspace, clock)
         self._pending: dict[str, Wish] = {}
@@ -69,7 +69,7 @@ class Catalog:
         self.places = Whereabouts(self.stored_places, self.keyspace.place_index)
         """Lookup of the robots' places in the keyspace."""
 
-    def add(self, wanted: TopicMetadata, msg_type: Optional[str]) -> CassandraTopic:
+    def add(self, wanted: TopicMetadata, msg_type: str | None) -> CassandraTopic:
         """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored."""
         topic = wanted.topic
         if wanted.indexes:
@@ -102,9 +102,7 @@ class Catalog:
                 found.createIndex(field)
         return found
 
-    def _definition_for(
-        self, topic: str, msg_type: Optional[str], known: bool
-    ) -> Optional[Definition]:
+    def _definition_for(self, topic: str, msg_type: str | None, known: bool) -> Definition | None:
         if msg_type is not None:
             return installed_definition(msg_type)
         found = None if known else topic_type(topic)
@@ -132,7 +130,7 @@ class Catalog:
         """Return whether get would find the topic."""
         return self._find(topic, fresh=True) is not None
 
-    def all(self, pattern: Optional[str]) -> list[CassandraTopic]:
+    def all(self, pattern: str | None) -> list[CassandraTopic]:
         """Return the topics whose whole name matches a regular expression, sorted."""
         try:
             wanted = re.compile(".*" if pattern is None else pattern, re.DOTALL)
@@ -170,7 +168,7 @@ class Catalog:
         """
         name, space = self.get(topic).name, self.keyspace
         self.adder.close()
-        tables: List[TopicTable] = []
+        tables: list[TopicTable] = []
         with suppress(DefinitionError):  # a topic that cannot be read here can still be removed
             tables = self.tables([name])
         if renew and self._are_written(tables):
@@ -217,7 +215,7 @@ class Catalog:
                 metadata = wish.metadata.with_(topic=new_name)
                 self._pending[new_name] = replace(wish, metadata=metadata)
 
-    def _find(self, topic: str, fresh: bool) -> Optional[str]:
+    def _find(self, topic: str, fresh: bool) -> str | None:
         check_topic(topic)
         names = self.names(fresh=fresh)
         return next((name for name in spellings(topic) if name in names), None)
@@ -243,14 +241,14 @@ class Catalog:
         wish = replace(wish, pending=not tables)
         return CassandraTopic(self.keyspace, self.adder, wish)
 
-    def tables(self, topics: Optional[Iterable[str]]) -> List[TopicTable]:
+    def tables(self, topics: Iterable[str] | None) -> list[TopicTable]:
         """Return the tables of some topics, None = of all topics that can be read."""
         if topics is not None:
             self.keyspace.schema.tables(fresh=True)
             # A topic may be given twice: with and without its leading slash.
             named = {topic.name: topic for topic in map(self.get, topics)}
             return [table for topic in named.values() for table in topic.tables]
-        found: List[TopicTable] = []
+        found: list[TopicTable] = []
         for topic in self.all(None):
             try:
                 found.extend(topic.tables)
@@ -259,7 +257,7 @@ class Catalog:
         return found
 
     def time_range(
-        self, topics: Optional[Iterable[str]], key: Optional[Time], to_key: Optional[Time]
+        self, topics: Iterable[str] | None, key: Time | None, to_key: Time | None
     ) -> TimeRange:
         """Return the time range between two times, None = open; see time_range_between."""
         if key is None and to_key is None:
@@ -268,21 +266,21 @@ class Catalog:
 
     def read_of(
         self,
-        topics: Optional[Iterable[str]],
-        key: Optional[Time],
-        to_key: Optional[Time],
+        topics: Iterable[str] | None,
+        key: Time | None,
+        to_key: Time | None,
         whose: Whose,
     ) -> Read:
         """Return the read of some topics between two times, None = open; see time_range."""
         return Read(self.time_range(topics, key, to_key), whose)
 
-    def whose(self, node: Optional[str], run: RunName) -> Whose:
+    def whose(self, node: str | None, run: RunName) -> Whose:
         """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
         return Whose(check_nodes(node), self.keyspace.runs.writers(run))
 
     def filters(
-        self, where: Conditions, topics: Optional[Iterable[str]], whose: Whose = EVERYBODY
-    ) -> Dict[str, Filter]:
+        self, where: Conditions, topics: Iterable[str] | None, whose: Whose = EVERYBODY
+    ) -> dict[str, Filter]:
         """Return the filter of each topic with a condition.
 
         It must be one of the topics to read.
@@ -293,7 +291,7 @@ class Catalog:
             raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
         self.keyspace.schema.tables(fresh=True)
         read = None if topics is None else {self.get(name).name for name in topics}
-        found: Dict[str, Filter] = {}
+        found: dict[str, Filter] = {}
         for name, condition in where.items():
             topic = self.get(name)
             if read is not None and topic.name not in read:
@@ -308,8 +306,8 @@ class Catalog:
         return found
 
     def infos(
-        self, topics: Optional[Iterable[str]], node: Optional[str] = None, run: RunName = None
-    ) -> List[TopicInfo]:
+        self, topics: Iterable[str] | None, node: str | None = None, run: RunName = None
+    ) -> list[TopicInfo]:
         """Describe what is stored; see RosCassandra.info."""
         tables, whose = self.tables(check_topics(topics)), self.whose(node, run)
         losses = self.keyspace.runs.losses(None, Read(whose=whose))
@@ -317,7 +315,7 @@ class Catalog:
 
     def read(
         self,
-        topics: Optional[Iterable[str]],
+        topics: Iterable[str] | None,
         read: Read,
         where: Conditions = None,
         *,
@@ -337,8 +335,8 @@ class Catalog:
     ) -> Iterator[StoredRow]:
         """Yield lazily the rows of some tables that pass their filters, merged by time."""
         rows_of = self.keyspace.rows.received if received else self.keyspace.rows.read
-        by_topic: Dict[str, List[TopicTable]] = {name: [] for name in filters}
-        free: List[TopicTable] = []
+        by_topic: dict[str, list[TopicTable]] = {name: [] for name in filters}
+        free: list[TopicTable] = []
         for table in tables:
             by_topic.get(table.metadata.topic, free).append(table)
         if not any(by_topic.values()):
@@ -368,7 +366,7 @@ def nearest_pairs(
         tolerance_ns: Maximum distance of a partner, ns.
         unpaired: Yield rows of the first stream without a partner as (row, None).
     """
-    before: Optional[StoredRow] = None
+    before: StoredRow | None = None
     ahead = next(second, None)
     for row in first:
         while ahead is not None and ahead.t <= row.t:
@@ -384,7 +382,7 @@ def nearest_pairs(
             return  # later rows are even further away
 
 
-def _nearer(t: int, before: Optional[StoredRow], ahead: Optional[StoredRow]) -> Optional[StoredRow]:
+def _nearer(t: int, before: StoredRow | None, ahead: StoredRow | None) -> StoredRow | None:
     if before is None or ahead is None:
         return before or ahead
     return before if t - before.t <= ahead.t - t else ahead

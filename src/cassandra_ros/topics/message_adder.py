@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from types import ModuleType
-from typing import Optional
 
 from cassandra_ros.errors import ClockNotSet
 from cassandra_ros.keys import COUNTER_BITS, Position, RowName, new_writer_id
@@ -27,18 +26,16 @@ from cassandra_ros.topics.topic_table import TopicTable
 class MessageAdder:
     """Stores single messages under one writer id. Thread-safe."""
 
-    def __init__(self, keyspace: Keyspace, clock: Optional[Clock]) -> None:
+    def __init__(self, keyspace: Keyspace, clock: Clock | None) -> None:
         self._keyspace = keyspace
         self._clock = clock
         # Both stay when the writer is closed, so messages with equal stamps keep their order.
         self._writer_id = new_writer_id()
         self._counter = itertools.count()
-        self._writer: Optional[MessageWriter] = None
+        self._writer: MessageWriter | None = None
         self._mutex = threading.Lock()
 
-    def add(
-        self, table: TopicTable, msg: object, t: Optional[Time], node: str, name: str = ""
-    ) -> Key:
+    def add(self, table: TopicTable, msg: object, t: Time | None, node: str, name: str = "") -> Key:
         """Store a message of the table's type (t None = now); return its key when acknowledged."""
         t = now_ns(self._clock) if t is None else to_ns(t)
         wire = serialize(msg)
@@ -74,7 +71,7 @@ class MessageAdder:
                 writer.close()
 
 
-def _rospy() -> Optional[ModuleType]:
+def _rospy() -> ModuleType | None:
     """Return rospy if a node runs in this process, otherwise None."""
     # Not imported here: a program without a node must not need rospy.
     rospy = sys.modules.get("rospy")
@@ -86,7 +83,7 @@ def _caller_id() -> str:
     return "" if rospy is None else str(rospy.get_name())
 
 
-def now_ns(clock: Optional[Clock]) -> int:
+def now_ns(clock: Clock | None) -> int:
     """Return the time, ns: the given clock's, else rospy's if a node runs here, else wall time.
 
     Raises:

@@ -7,7 +7,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from itertools import chain, islice
-from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Optional, Sequence, Union
+from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Sequence, Union
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
@@ -38,7 +38,7 @@ _MAX_DIGITS = 18
 
 
 def rows_inside(
-    source: Source[RowT_co], bounds: Bounds, limit: Optional[int] = None
+    source: Source[RowT_co], bounds: Bounds, limit: int | None = None
 ) -> Iterator[RowT_co]:
     """Yield the rows of a topic within bounds, at most as many as the limit."""
     if bounds.read.wanted is None:
@@ -70,7 +70,7 @@ class Condition:
         InvalidQuery: The text is not a condition, or the parameters do not fit.
     """
 
-    def __init__(self, where: Union[str, Delete], params: Sequence[object] = ()) -> None:
+    def __init__(self, where: str | Delete, params: Sequence[object] = ()) -> None:
         if isinstance(where, Delete):
             self._select = Select(where.text, (), "", 0, where.condition)
         else:
@@ -122,7 +122,7 @@ class ResultPlace(NamedTuple):
     """Number of rows returned so far, for the statement's LIMIT."""
     skip: int
     """Number of rows returned of the message at the position; 0 = all of them."""
-    position: Optional[Position]
+    position: Position | None
     """Position of the message; None = the beginning."""
 
     @property
@@ -186,7 +186,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         source: Source[Row],
         whose: Whose = EVERYBODY,
         *,
-        limit: Optional[int] = None,
+        limit: int | None = None,
         after: Cursor = None,
         plan: str = "auto",
         watch: Watch = unwatched,
@@ -202,7 +202,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             _warn_of_seconds(select)
         self._place = place = read_place(after)
         self._given = self._skip = 0
-        self._row: Optional[Row] = None
+        self._row: Row | None = None
         """Row of which the last result rows were taken."""
         self._projections = Projections(select, tables)
         shown = self._projections.names[: len(select.visible)]
@@ -247,7 +247,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         ).text
 
     @property
-    def position(self) -> Optional[Position]:
+    def position(self) -> Position | None:
         """Position of the message of the last row.
 
         None: made of several messages, or no row taken.
@@ -310,7 +310,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             )
         )
 
-    def _read(self, bounds: Bounds, limit: Optional[int] = None) -> Iterator[Row]:
+    def _read(self, bounds: Bounds, limit: int | None = None) -> Iterator[Row]:
         for row in rows_inside(self._source, bounds, limit):
             self.read += 1
             self._watch()
@@ -338,7 +338,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             self._place = ResultPlace(given, 0, _NOWHERE)
             yield row
 
-    def _made(self, most: Optional[int]) -> Iterator[ResultRow]:
+    def _made(self, most: int | None) -> Iterator[ResultRow]:
         select, bounds, projections = self.select, self._bounds, self._projections
         if self.counted and not bounds.empty:
             count = self._source.count(bounds.read)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import chain, islice
-from typing import Collection, Dict, Iterable, List, Sequence, Set, Tuple, Union
+from typing import Collection, Iterable, Sequence, Tuple, Union
 
 from cassandra_ros.blocks.block_counts import headers
 from cassandra_ros.blocks.block_deletion import BlockDeletion
@@ -44,7 +44,7 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
             # The robot's way between the remaining poses may now lead over deleted ones.
             mine = [r.bucket for r in rows if whose.writers is None or r.writer in whose.writers]
             _withdraw_places(space, table, mine, low, high)
-        writers: Dict[Tuple[str, int], Set[int]] = {}
+        writers: dict[tuple[str, int], set[int]] = {}
         for row in rows:
             writers.setdefault((row.node, row.bucket), set()).add(row.writer)
         for (node, bucket), listed in sorted(writers.items()):
@@ -98,7 +98,7 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
     deleted = 0
     rows = iter(rows)
     while some := list(islice(rows, ROWS_AT_ONCE)):
-        groups: Dict[_Partition, List[StoredRow]] = {}
+        groups: dict[_Partition, list[StoredRow]] = {}
         for row in some:
             groups.setdefault(_partition_of(row), []).append(row)
         for partition, group in groups.items():
@@ -112,7 +112,7 @@ def delete_rows(space: Keyspace, rows: Iterable[StoredRow]) -> int:
     return deleted
 
 
-def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us: int) -> int:
+def thin_rows(space: Keyspace, rated: Iterable[tuple[StoredRow, bool]], until_us: int) -> int:
     """Delete some of the rows of a time range; return their number.
 
     Consecutive rows are deleted together: each deletion leaves a tombstone, and Cassandra refuses
@@ -123,7 +123,7 @@ def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us
         until_us: A time of the server before these were read, us: rows written later stay.
     """
     deleted = held = 0
-    runs: Dict[_Partition, List[List[_Key]]] = {}
+    runs: dict[_Partition, list[list[_Key]]] = {}
     rated = iter(rated)
     for row, goes in rated:
         if row.table.packed:  # from the first row on, or if the topic was converted meanwhile
@@ -143,12 +143,12 @@ def thin_rows(space: Keyspace, rated: Iterable[Tuple[StoredRow, bool]], until_us
     return deleted + held
 
 
-def _delete_runs(space: Keyspace, runs: Dict[_Partition, List[List[_Key]]], until_us: int) -> None:
+def _delete_runs(space: Keyspace, runs: dict[_Partition, list[list[_Key]]], until_us: int) -> None:
     for partition, parts in runs.items():
         table, node, where = partition
         # The chunks of a large message that was written later, and so stays, must stay too.
-        ranges: List[List[_Key]] = []
-        single: List[_Key] = []
+        ranges: list[list[_Key]] = []
+        single: list[_Key] = []
         if parts[0]:
             ends = parts[0][0][0], next(run[-1][0] for run in reversed(parts) if run)
             space.place_index.withdraw(table.name, *ends)
@@ -167,7 +167,7 @@ def _delete_runs(space: Keyspace, runs: Dict[_Partition, List[List[_Key]]], unti
             space.cassandra.execute_many(statement, params, what=_deleting(table))
 
 
-def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> None:
+def _delete_some(space: Keyspace, partition: _Partition, keys: list[_Key]) -> None:
     table, node, where = partition
     space.schema.listing().check_staying(table.name)
     if isinstance(where, int):
@@ -179,10 +179,10 @@ def _delete_some(space: Keyspace, partition: _Partition, keys: List[_Key]) -> No
     _delete_chunks(space, partition, keys)
 
 
-def _cut_some(space: Keyspace, partition: _Partition, rows: List[StoredRow]) -> None:
+def _cut_some(space: Keyspace, partition: _Partition, rows: list[StoredRow]) -> None:
     """Delete messages of one bucket from their blocks."""
     table, node, where = partition
-    cuts: Dict[BlockKey, Set[int]] = {}
+    cuts: dict[BlockKey, set[int]] = {}
     for row in rows:
         block, place = row.block
         if block is not None:
@@ -215,7 +215,7 @@ def _delete_bucket(space: Keyspace, partition: _Partition, low: int, high: int, 
 
 def _mark_deleted(
     directory: Directory, table: TopicTable, node: str, bucket: int, but: Collection[int] = ()
-) -> Set[int]:
+) -> set[int]:
     """Mark the bucket as deleted from, for its present writers except ``but``; return them all."""
     writers = {row.writer for row in directory.find(table.name, node, bucket)}
     for writer in writers.difference(but):
@@ -223,7 +223,7 @@ def _mark_deleted(
     return writers
 
 
-def _delete_chunks(space: Keyspace, partition: _Partition, keys: List[_Key]) -> None:
+def _delete_chunks(space: Keyspace, partition: _Partition, keys: list[_Key]) -> None:
     # After the rows: a row is the commit mark of its chunks.
     table, node, where = partition
     chunked = [(node, where, t, seq) for t, seq, large in keys if large]

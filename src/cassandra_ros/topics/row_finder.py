@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
 from numbers import Integral
-from typing import Any, Callable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
 from cassandra_ros.arrays.field_arrays import ReadBlocks, ReadRows
@@ -39,7 +39,7 @@ AnyKey = Any
 """A Time, or another key of a topic: a name, or the value of a field."""
 
 
-def range_between(key: Optional[Time], to_key: Optional[Time]) -> TimeRange:
+def range_between(key: Time | None, to_key: Time | None) -> TimeRange:
     """Return the time range between two times; None = open."""
     low = 0 if key is None else to_ns(key)
     return TimeRange(low, LAST_NS if to_key is None else to_ns(to_key))
@@ -65,11 +65,11 @@ class Finder:
     key_format: str
     tables: Sequence[TopicTable]
     whose: Whose = EVERYBODY
-    where: Optional[Filter] = None
+    where: Filter | None = None
     """Condition that the messages must pass; None = no condition."""
 
     def many(
-        self, key: AnyKey, to_key: AnyKey, *, limit: Optional[int] = None, reverse: bool = False
+        self, key: AnyKey, to_key: AnyKey, *, limit: int | None = None, reverse: bool = False
     ) -> Iterator[StoredRow]:
         """Yield the rows in the time range from key to to_key, or those with one key."""
         limit = check_limit(limit)
@@ -92,7 +92,7 @@ class Finder:
             return self._rows(read)
         return self._rows(replace(read, columns=columns))
 
-    def reads(self, key: AnyKey, to_key: AnyKey) -> Tuple[ReadRows, Optional[ReadBlocks]]:
+    def reads(self, key: AnyKey, to_key: AnyKey) -> tuple[ReadRows, ReadBlocks | None]:
         """Return how to read the rows of ``many`` for arrays.
 
         Row by row, and as blocks (or None).
@@ -133,7 +133,7 @@ class Finder:
             return delete_time_range(self.keyspace, self.tables, read)
         return delete_rows(self.keyspace, self._rows(read, bare=True))
 
-    def find(self, key: AnyKey, nearest: Optional[str]) -> Optional[StoredRow]:
+    def find(self, key: AnyKey, nearest: str | None) -> StoredRow | None:
         """Return the row that getData means by a key; None if there is no such row."""
         if nearest is not None:
             return self._near(key, nearest)
@@ -146,18 +146,18 @@ class Finder:
         newest = isinstance(read.only, Named)  # of one name the newest; of equal values the first
         return next(self._rows(replace(read, reverse=newest)), None)
 
-    def _at(self, read: Read) -> Optional[StoredRow]:
+    def _at(self, read: Read) -> StoredRow | None:
         """Return the row at a time: of several the first in the order of all reads."""
         if self.where is None:
             return self.keyspace.rows.at(self.tables, read)
         return next(self._rows(replace(read, wanted=1)), None)
 
-    def _table_of(self, key: AnyKey) -> Optional[TopicTable]:
+    def _table_of(self, key: AnyKey) -> TopicTable | None:
         """Return the table of a key that the store gave; None if it was dropped."""
         table = self.keyspace.tables.holding(key.table)
         return table if table is not None and table.metadata.topic == self.topic else None
 
-    def _exact(self, key: AnyKey, table: Optional[TopicTable]) -> Optional[StoredRow]:
+    def _exact(self, key: AnyKey, table: TopicTable | None) -> StoredRow | None:
         row = None if table is None else self.keyspace.rows.exact(table, key)
         passes = row is None or self.where is None or self.where.test(row)
         return row if passes else None
@@ -166,7 +166,7 @@ class Finder:
         """Return whether the store gave this key, which then identifies its row."""
         return _is_ours(key) and self.whose.has(key)
 
-    def _near(self, key: AnyKey, nearest: str) -> Optional[StoredRow]:
+    def _near(self, key: AnyKey, nearest: str) -> StoredRow | None:
         if nearest not in NEAREST:
             raise InvalidKey(f"nearest={nearest!r} is not one of {', '.join(NEAREST)}")
         read = self.one(key)
@@ -179,7 +179,7 @@ class Finder:
         refuse_seconds(self.keyspace, self.tables, key)
         return self._nearest(read.time_range.low, nearest)
 
-    def _nearest(self, t: int, nearest: str) -> Optional[StoredRow]:
+    def _nearest(self, t: int, nearest: str) -> StoredRow | None:
         ways = {"before": [True], "after": [False], "either": [True, False]}[nearest]
         if self.where is None:
             near = self.keyspace.rows.beside(self.tables, t, self.whose, ways)
@@ -199,7 +199,7 @@ class Finder:
                 before = row  # in descending order the last of equal stamps comes first
         return before or after
 
-    def absent(self, key: AnyKey, nearest: Optional[str]) -> str:
+    def absent(self, key: AnyKey, nearest: str | None) -> str:
         """Return an error text for a key without a message, with the nearest one and a hint."""
         read = self.one(key)
         none = f"topic {self.topic} has no message"
@@ -236,7 +236,7 @@ class Finder:
         return self.key_format in NAMED_FORMATS
 
     @cached_property
-    def _parts(self) -> List[KeyPart]:
+    def _parts(self) -> list[KeyPart]:
         return [t.value_part for t in self.tables if t.value_part is not None]
 
     def read_of(self, key: AnyKey, to_key: AnyKey) -> Read:
@@ -285,7 +285,7 @@ class Finder:
 
         Text fields last: they accept all.
         """
-        problem: Optional[InvalidKey] = None
+        problem: InvalidKey | None = None
         for part in sorted(self._parts, key=lambda part: part.is_text):
             try:
                 return part.from_text(text)
@@ -317,7 +317,7 @@ def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: obje
 
 
 def time_range_between(
-    keyspace: Keyspace, tables: Sequence[TopicTable], key: Optional[Time], to_key: Optional[Time]
+    keyspace: Keyspace, tables: Sequence[TopicTable], key: Time | None, to_key: Time | None
 ) -> TimeRange:
     """Return the time range between two times, None = open; refuses keys meant as seconds."""
     time_range = range_between(key, to_key)

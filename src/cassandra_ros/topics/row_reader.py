@@ -16,7 +16,7 @@ from collections import deque
 from dataclasses import replace
 from functools import partial
 from itertools import repeat
-from typing import Callable, Deque, Iterable, Iterator, Optional, Sequence, Tuple, TypeVar, Union
+from typing import Callable, Iterable, Iterator, Sequence, TypeVar
 
 import numpy as np
 
@@ -76,7 +76,7 @@ class RowReader:
         named = self._named([t for t in tables if t.named], read)
         return heapq.merge(rows, named, key=lambda row: row.position, reverse=read.reverse)
 
-    def blocks(self, tables: Sequence[TopicTable], read: Read) -> Optional[Iterator[MessageBlock]]:
+    def blocks(self, tables: Sequence[TopicTable], read: Read) -> Iterator[MessageBlock] | None:
         """Read the messages of a time range as whole blocks; None if a table is not packed.
 
         Only time range, nodes and writers of the read count.
@@ -173,14 +173,14 @@ class RowReader:
         late = self._stored(fetch_rows(wanted), tables)
         return heapq.merge(own, late, key=lambda row: row.arrival)
 
-    def exact(self, table: TopicTable, key: Union[Stamp, RowName]) -> Optional[StoredRow]:
+    def exact(self, table: TopicTable, key: Stamp | RowName) -> StoredRow | None:
         """Return one row by a key that the store gave: one SELECT."""
         t, name = (key.t, str(key)) if isinstance(key, RowName) else (key.ns, "")
         position = Position(t, key.node or "", key.seq or 0, table.name, name)
         row = fetch_row(table, position)
         return None if row is None else StoredRow(row, table)
 
-    def at(self, tables: Sequence[TopicTable], read: Read) -> Optional[StoredRow]:
+    def at(self, tables: Sequence[TopicTable], read: Read) -> StoredRow | None:
         """Return the first row of a read whose time range is one time."""
         timed = [table for table in tables if not table.named]
         if read.whose.writers is not None:  # the first row may be of another writer
@@ -190,7 +190,7 @@ class RowReader:
 
     def beside(
         self, tables: Sequence[TopicTable], t: int, whose: Whose, ways: Sequence[bool]
-    ) -> Optional[Sequence[StoredRow]]:
+    ) -> Sequence[StoredRow] | None:
         """Return the rows nearest to a time; None if this fast way does not work.
 
         See fetch.beside.
@@ -294,7 +294,7 @@ class FollowingReader:
             except TopicNotFound as exc:
                 tables = _replaced(tables, exc)
 
-    def blocks(self, tables: Tables, read: Read) -> Optional[Iterator[MessageBlock]]:
+    def blocks(self, tables: Tables, read: Read) -> Iterator[MessageBlock] | None:
         """Read whole blocks, like RowReader; raises TopicNotFound if a table was replaced."""
         tables = current(tables)
         found = self._rows.blocks(tables, read)
@@ -302,7 +302,7 @@ class FollowingReader:
 
     def received(self, tables: Tables, read: Read) -> Iterator[StoredRow]:
         """Yield the rows received in the time range of a read, in order of their receive times."""
-        last: Optional[StoredRow] = None
+        last: StoredRow | None = None
         while True:
             tables = current(tables)
             given = None if last is None else last.arrival[:3]
@@ -316,17 +316,17 @@ class FollowingReader:
             except TopicNotFound as exc:
                 tables = _replaced(tables, exc)
 
-    def exact(self, table: TopicTable, key: Union[Stamp, RowName]) -> Optional[StoredRow]:
+    def exact(self, table: TopicTable, key: Stamp | RowName) -> StoredRow | None:
         """Return one row by a key that the store gave: one SELECT."""
         return followed([table], lambda now: self._rows.exact(now[0], key))
 
-    def at(self, tables: Tables, read: Read) -> Optional[StoredRow]:
+    def at(self, tables: Tables, read: Read) -> StoredRow | None:
         """Return the first row of a read whose time range is one time."""
         return followed(tables, lambda now: self._rows.at(now, read))
 
     def beside(
         self, tables: Tables, t: int, whose: Whose, ways: Sequence[bool]
-    ) -> Optional[Sequence[StoredRow]]:
+    ) -> Sequence[StoredRow] | None:
         """Return the rows nearest to a time.
 
         None if this fast way does not work and ``read`` must.
@@ -344,11 +344,11 @@ _log = logging.getLogger(__name__)
 
 
 def messages_of(
-    blocks: Iterable[Tuple[BucketRead, OpenedBlock]], tables: Sequence[TopicTable]
+    blocks: Iterable[tuple[BucketRead, OpenedBlock]], tables: Sequence[TopicTable]
 ) -> Iterator[MessageBlock]:
     """Yield the messages to read of blocks; large messages, each a block of one, come last."""
     by_name = {table.name: table for table in tables}
-    large: Deque[StoredRow] = deque()
+    large: deque[StoredRow] = deque()
     for part, opened in blocks:
         table, block, row = by_name[part.table.name], opened.block, opened.row
         if block is None or block.unpacked is None:
@@ -363,7 +363,7 @@ def messages_of(
     yield from filter(None, map(_alone, chunks_ahead(rows)))
 
 
-def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[Tuple[Int64Array, ByteArray]]:
+def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array, ByteArray]]:
     if len(places) == len(unpacked):
         return [(group.members, group.planes) for group in unpacked.groups]
     kept = np.zeros(len(unpacked), bool)
@@ -376,7 +376,7 @@ def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[Tuple[Int64Array
     return chosen
 
 
-def _alone(row: StoredRow) -> Optional[MessageBlock]:
+def _alone(row: StoredRow) -> MessageBlock | None:
     """Return a block of one message; None if the message was deleted meanwhile."""
     groups = []
     try:

@@ -8,7 +8,7 @@ import difflib
 import threading
 import time
 from datetime import datetime
-from typing import Callable, Dict, FrozenSet, Optional, Sequence, Tuple, Union
+from typing import Callable, FrozenSet, Sequence, Union
 
 from cassandra_ros.arguments import check_run, spellings
 from cassandra_ros.errors import RunNotFound
@@ -38,11 +38,11 @@ class Runs:
         self._name = keyspace
         self._registry = registry
         self._has_written = has_written
-        self._texts: Dict[int, Tuple[str, float]] = {}
+        self._texts: dict[int, tuple[str, float]] = {}
         """Writer id → text of its run, and monotonic time until which it is valid, s."""
         self._mutex = threading.Lock()
 
-    def find(self, run: Union[str, int]) -> list[Run]:
+    def find(self, run: str | int) -> list[Run]:
         """Return the runs with a name, or with a writer id; the newest first.
 
         Raises:
@@ -71,7 +71,7 @@ class Runs:
             raise RunNotFound(self._absent(run))
         return found
 
-    def called(self, text: str) -> FrozenSet[int]:
+    def called(self, text: str) -> frozenset[int]:
         """Return the writer ids for which ``self.text`` returns ``text``."""
         with self._mutex:
             every = self._learn()  # later calls of text() for single rows agree with this
@@ -89,7 +89,7 @@ class Runs:
                 self._texts[writer] = text, time.monotonic() + FRESH_SEC
             return text
 
-    def _learn(self) -> Dict[int, str]:
+    def _learn(self) -> dict[int, str]:
         """Read the names of the writers' runs; a repeated import may change them."""
         found = {each.writer: each.name or str(each.writer) for each in self._registry.runs()}
         until = time.monotonic() + FRESH_SEC
@@ -103,13 +103,13 @@ class Runs:
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(every)} runs"
         return f"there is no run {run!r:.80} in keyspace {self._name}; {hint}"
 
-    def nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
+    def nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
         """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
         found = [run for run in self._registry.runs() if run.writer in writers]
         known = {run.writer for run in found} == writers
         return frozenset(run.node for run in found) if known and writers else None
 
-    def context(self, run: RunName) -> Optional[RunContext]:
+    def context(self, run: RunName) -> RunContext | None:
         """Return parameters and node graph at the start of a run; None if they were not stored."""
         for each in self.find("" if run is None or isinstance(run, frozenset) else run):
             found = self._registry.get_context(each.writer, each.node)
@@ -117,7 +117,7 @@ class Runs:
                 return found
         return None
 
-    def losses(self, topics: Optional[Sequence[str]], read: Read) -> list[Loss]:
+    def losses(self, topics: Sequence[str] | None, read: Read) -> list[Loss]:
         """Return the losses that meet the time range of a read, of its robots and writers.
 
         Args:
@@ -140,7 +140,7 @@ def _began(run: Run) -> datetime:
     return run.started or datetime.min
 
 
-def _writer(text: str) -> Optional[int]:
+def _writer(text: str) -> int | None:
     """Return the writer id that a text is, written without leading zeros; None if it is not one."""
     digits = text.isascii() and text.isdigit() and len(text) < 20
     return int(text) if digits and str(int(text)) == text and 0 < int(text) <= MAX_WRITER else None

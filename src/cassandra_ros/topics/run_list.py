@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Counter as Counts
-from typing import Dict, FrozenSet, List, Sequence
+from typing import Sequence
 
 from cassandra_ros.keys import writer_of
 from cassandra_ros.read import Whose
@@ -31,20 +31,20 @@ class _StoredCounts:
     """Time since its last heartbeat of a bucket, s."""
 
 
-def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> List[Run]:
+def list_runs(space: Keyspace, tables: Sequence[TopicTable]) -> list[Run]:
     """Return the runs with their state; for those that have not ended messages are counted.
 
     A run without a sign of life for STALE_SEC is interrupted.
     """
     runs, signs = space.registry.runs(), space.registry.signs()
     left = frozenset(run.writer for run in runs if not _has_ended(run))
-    held: Dict[int, _StoredCounts] = {}
+    held: dict[int, _StoredCounts] = {}
     if left:
         held = followed(tables, lambda now: _held(space.directory, now, left))
-    lost: Dict[int, Counts[str]] = {}
+    lost: dict[int, Counts[str]] = {}
     for loss in space.registry.losses() if left else ():
         lost.setdefault(loss.writer, Counter())[loss.topic] += loss.count
-    listed: List[Run] = []
+    listed: list[Run] = []
     for run in runs:
         sign = signs.get((run.writer, run.node), SignOfLife(math.inf, False))
         if _has_ended(run):
@@ -65,10 +65,10 @@ def _has_ended(run: Run) -> bool:
 
 
 def _held(
-    directory: Directory, tables: Sequence[TopicTable], writers: FrozenSet[int]
-) -> Dict[int, _StoredCounts]:
+    directory: Directory, tables: Sequence[TopicTable], writers: frozenset[int]
+) -> dict[int, _StoredCounts]:
     """Count the stored messages of some writers, by the directory where possible."""
-    counts: Dict[int, _StoredCounts] = {}
+    counts: dict[int, _StoredCounts] = {}
     whose = Whose(None, writers)
     for table in tables:
         topic = table.metadata.topic

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import Callable, FrozenSet, List, Optional, Sequence, Tuple
+from typing import Callable, Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.places.array_source import ArraySource
@@ -51,7 +51,7 @@ class StoredPlaces:
         """Return the time ranges of a topic's messages by run of a node that meet [low, high]."""
         directory, whose = self._keyspace.directory, Whose([node])
 
-        def extents(tables: Sequence[TopicTable]) -> List[Extent]:
+        def extents(tables: Sequence[TopicTable]) -> list[Extent]:
             found = []
             for table in tables:
                 if table.named:
@@ -68,7 +68,7 @@ class StoredPlaces:
 
         return followed(self._tables(topic), extents)
 
-    def _ends(self, table: TopicTable, row: BucketRow) -> Optional[Tuple[int, int]]:
+    def _ends(self, table: TopicTable, row: BucketRow) -> tuple[int, int] | None:
         """Return the time range of a node's messages in a bucket; None = it has no messages."""
         length = table.metadata.bucket_ns
         time_range = TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
@@ -86,7 +86,7 @@ class StoredPlaces:
             found += [each.t for each in islice(self._keyspace.rows.read([table], read), 1)]
         return (min(found), max(found)) if found else None
 
-    def run_nodes(self, writers: FrozenSet[int]) -> Optional[FrozenSet[str]]:
+    def run_nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
         """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
         return self._keyspace.runs.nodes(writers)
 
@@ -94,5 +94,5 @@ class StoredPlaces:
         """Return the text of RUN for the messages of a writer."""
         return self._keyspace.runs.text(writer)
 
-    def _tables(self, topic: ArraySource) -> List[TopicTable]:
+    def _tables(self, topic: ArraySource) -> list[TopicTable]:
         return self._keyspace.tables.of_topic(topic.name)

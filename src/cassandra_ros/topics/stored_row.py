@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from contextlib import suppress
-from typing import Any, Dict, Iterable, Iterator, List, Optional, Sequence, Tuple, Union
+from typing import Any, Iterable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import (
@@ -63,10 +63,10 @@ class StoredRow:
         self.table = table
         self._row = row
         # Messages of blocks were checked with their block; without columns the row has the wire.
-        self._wire: Optional[bytes] = row.raw
+        self._wire: bytes | None = row.raw
         if self.columns:
             self._wire = self.columns[0] if block else None
-        self._sent: Optional[SentRequest] = None
+        self._sent: SentRequest | None = None
 
     def __iter__(self) -> Iterator[Any]:
         t = Stamp.from_ns(self.t, self.node, self.seq, self.table.name)
@@ -99,7 +99,7 @@ class StoredRow:
         return self._row.position
 
     @property
-    def block(self) -> Tuple[Optional[BlockKey], int]:
+    def block(self) -> tuple[BlockKey | None, int]:
         """Block of the message (None = it has its own row), and its position in the block."""
         return self._row[13:15]
 
@@ -188,7 +188,7 @@ class StoredRow:
         return deserialize(self.message_class(), self.wire)
 
 
-def read_wire(table: TopicTable, row: TableRow, sent: Optional[SentRequest] = None) -> bytes:
+def read_wire(table: TopicTable, row: TableRow, sent: SentRequest | None = None) -> bytes:
     """Return the serialised message of a row; ``sent``: its chunks if they were requested before.
 
     Raises:
@@ -253,7 +253,7 @@ long."""
 
 def with_messages(
     cassandra: Cassandra, rows: Iterable[StoredRow]
-) -> Iterator[Tuple[StoredRow, Any]]:
+) -> Iterator[tuple[StoredRow, Any]]:
     """Yield each row with its message.
 
     Rows are taken ahead, never more than have been yielded. An error of a row, or of reading rows,
@@ -266,7 +266,7 @@ def with_messages(
         CorruptMessage: The bytes of a row are not a message of its type.
         ConnectionFailed: The connection was closed.
     """
-    waiting: List[StoredRow] = []
+    waiting: list[StoredRow] = []
     given = held = 0
     try:
         for row in rows:
@@ -287,7 +287,7 @@ def with_messages(
     yield from _made(cassandra, waiting)
 
 
-def _made(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[Tuple[StoredRow, Any]]:
+def _made(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[tuple[StoredRow, Any]]:
     messages: Iterable[Any]
     try:
         messages = _messages(rows)
@@ -300,13 +300,13 @@ def _made(cassandra: Cassandra, rows: Sequence[StoredRow]) -> Iterator[Tuple[Sto
 
 def _messages(rows: Sequence[StoredRow]) -> Iterable[Any]:
     """Return the messages of rows, made together for each class."""
-    by_class: Dict[Any, List[int]] = {}
+    by_class: dict[Any, list[int]] = {}
     for n, row in enumerate(rows):
         by_class.setdefault(row.message_class(), []).append(n)
     if len(by_class) == 1:
         (cls,) = by_class
         return deserialize_all(cls, [row.wire for row in rows])
-    made: List[Any] = [None] * len(rows)
+    made: list[Any] = [None] * len(rows)
     for cls, members in by_class.items():
         found = deserialize_all(cls, [rows[n].wire for n in members])
         for n, message in zip(members, found):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Optional, Sequence
+from typing import Sequence
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
@@ -32,8 +32,8 @@ class TopicInfo:
     count: int
     bytes: int
     """Number of serialised bytes of the messages."""
-    first_ns: Optional[int]
-    last_ns: Optional[int]
+    first_ns: int | None
+    last_ns: int | None
     odd: int
     """Number of messages with a field that is not held exactly in its column."""
     buckets: int
@@ -47,7 +47,7 @@ class TopicInfo:
     """Known number of lost messages of the topic by this node, for all tables together."""
     key: str
     """Key of a message: 'time', 'hash', 'manual', or the name of the key field."""
-    rate_hz: Optional[float]
+    rate_hz: float | None
     """Mean rate while messages were coming, Hz: gaps between buckets, such as between two
     recordings, do not count. None if no bucket has two messages of one writer."""
 
@@ -193,6 +193,6 @@ def _describe(table: TopicTable, node: str, rows: list[BucketRow], lost: int) ->
     )
 
 
-def _rate(filled: Sequence[BucketRow]) -> Optional[float]:
+def _rate(filled: Sequence[BucketRow]) -> float | None:
     covered_ns = sum(row.t_max - row.t_min for row in filled)
     return sum(row.rows - 1 for row in filled) * SECOND_NS / covered_ns if covered_ns else None

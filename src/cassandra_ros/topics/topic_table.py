@@ -52,7 +52,7 @@ class TopicTable(RowTable):
         metadata: TopicMetadata,
         connections: ConnectionCache,
         runs: Runs,
-        heir: Callable[[str, bool], Optional[TopicTable]],
+        heir: Callable[[str, bool], TopicTable | None],
         robots: Callable[[], RobotPlaces],
     ) -> None:
         self.definition = definition = definition_in(metadata)
@@ -90,7 +90,7 @@ class TopicTable(RowTable):
     def __repr__(self) -> str:
         return f"<TopicTable {self.name} of {self.metadata.topic}: {self.msg_type}>"
 
-    def heir(self, fresh: bool) -> Optional[TopicTable]:
+    def heir(self, fresh: bool) -> TopicTable | None:
         """Return the table that has replaced this one; None if it was not replaced.
 
         Args:
@@ -238,17 +238,17 @@ class TopicTables:
                 table.follow(metadata)
             return table
 
-    def by_name(self, name: str) -> Optional[TopicTable]:
+    def by_name(self, name: str) -> TopicTable | None:
         """Return a table by its name; None if there is no table with this name now."""
         metadata = self._schema.tables().get(name)
         return None if metadata is None else self.get(name, metadata)
 
-    def _heir(self, name: str, fresh: bool) -> Optional[TopicTable]:
+    def _heir(self, name: str, fresh: bool) -> TopicTable | None:
         listing = self._schema.listing(fresh=fresh)
         heir = listing.heirs.get(name)
         return None if heir is None else self.get(heir, listing.visible[heir])
 
-    def holding(self, name: str) -> Optional[TopicTable]:
+    def holding(self, name: str) -> TopicTable | None:
         """Return the table that has the messages of a table with this name.
 
         None if it was dropped.
@@ -278,7 +278,7 @@ class TopicTables:
         return found or was
 
 
-def definition_in(metadata: TopicMetadata) -> Optional[Definition]:
+def definition_in(metadata: TopicMetadata) -> Definition | None:
     """Return the definition in a comment; None if it is unusable."""
     try:
         return parse_definition(metadata.msg_type, metadata.definition, metadata.md5sum)
@@ -311,9 +311,7 @@ class IndexColumns:
         digest: The key field whose index holds the md5 of a whole array; None = no such field.
     """
 
-    def __init__(
-        self, topic: str, definition: Optional[Definition], digest: Optional[KeyPart]
-    ) -> None:
+    def __init__(self, topic: str, definition: Definition | None, digest: KeyPart | None) -> None:
         self._topic = topic
         self._definition = definition
         self._digest = digest
@@ -338,7 +336,7 @@ class IndexColumns:
             self._known = indexes, fields
         return fields
 
-    def shadows(self, indexes: Mapping[str, str]) -> Optional[Shadows]:
+    def shadows(self, indexes: Mapping[str, str]) -> Shadows | None:
         """Return the columns of these indexes; None if there is no index."""
         values: dict[str, _Value] = {i.shadow: i.value for i in self.fields(indexes).values()}
         if self._digest is not None:
@@ -348,7 +346,7 @@ class IndexColumns:
         encoders = tuple(values.values())
 
         def together(wire: bytes) -> Indexed:
-            encoded: list[Optional[bytes]] = []
+            encoded: list[bytes | None] = []
             odd = False
             for value in encoders:
                 one, is_odd = value(wire)
@@ -359,6 +357,6 @@ class IndexColumns:
         return Shadows(tuple(values), together)
 
 
-def _digest_of(part: KeyPart, wire: bytes) -> tuple[Optional[bytes], bool]:
+def _digest_of(part: KeyPart, wire: bytes) -> tuple[bytes | None, bool]:
     value = part.value(wire)
     return (None, True) if value is None else (part.index(value), False)

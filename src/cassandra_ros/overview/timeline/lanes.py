@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
-from typing import Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import NamedTuple, Sequence
 
 import numpy as np
 
@@ -41,13 +41,13 @@ ERA_GAP_NS = 10 * 365 * 86_400 * SECOND_NS
 class View:
     """Time range, topics and resolution of a timeline."""
 
-    start: Optional[int] = None
+    start: int | None = None
     """First time, ns since 1970, included; None = that of the first message."""
-    end: Optional[int] = None
+    end: int | None = None
     """Last time, ns since 1970, included; None = that of the last message."""
     cells: int = 1000
     """Maximum number of cells, 1 to MAX_CELLS."""
-    topics: Optional[Sequence[str]] = None
+    topics: Sequence[str] | None = None
     """Names of topics; None = all."""
     whose: Whose = EVERYBODY
     detail: bool = False
@@ -82,7 +82,7 @@ class Lane:
         self._ends = ends
 
     @property
-    def times(self) -> Tuple[Optional[int], Optional[int]]:
+    def times(self) -> tuple[int | None, int | None]:
         """Times of the first and the last message, ns; None if there is no message."""
         firsts = [
             int(each.min()) for each in (self.time_ranges.first, self.keys.times) if len(each)
@@ -91,7 +91,7 @@ class Lane:
         return min(firsts, default=None), max(lasts, default=None)
 
     @property
-    def parts(self) -> List[Tuple[Longs, Longs]]:
+    def parts(self) -> list[tuple[Longs, Longs]]:
         """First and last times of the time ranges and single messages of the lane, ns."""
         every = (self.time_ranges.first, self.time_ranges.last), (self.keys.times, self.keys.times)
         return [part for part in every if len(part[0])]
@@ -113,7 +113,7 @@ class Lane:
         return bool(whole.all()) and not self.sampled
 
     @property
-    def rate_hz(self) -> Optional[float]:
+    def rate_hz(self) -> float | None:
         """Mean rate of a writer while it was sending, Hz.
 
         Pauses between its buckets do not count.
@@ -136,7 +136,7 @@ class Lane:
         cells.add_times(self.keys.times)
         return cells
 
-    def gaps(self, scale: Scale) -> List[Tuple[int, int]]:
+    def gaps(self, scale: Scale) -> list[tuple[int, int]]:
         """Return first and last times of the unusual pauses of runs, ns."""
         found = [] if self.sampled else gaps_between(self.time_ranges, scale)
         for writer in np.unique(self.keys.writers):
@@ -157,16 +157,16 @@ class RunSpan(NamedTuple):
 class Picture(NamedTuple):
     """A timeline that was drawn."""
 
-    extent: Optional[Ends]
+    extent: Ends | None
     """Times of the first and the last of all selected messages, ns; None = no messages. Messages
     with names count only if no others are selected."""
-    scale: Optional[Scale]
+    scale: Scale | None
     """Cells of the time range; None = there is no time range."""
-    lanes: List[Lane]
+    lanes: list[Lane]
     """Lanes by robot and topic, including those without messages in the range."""
 
     @property
-    def eras(self) -> List[Ends]:
+    def eras(self) -> list[Ends]:
         """Time ranges of messages, in order, with ten years or more between two of them.
 
         A clock that was not set begins in 1970, which makes two eras.
@@ -184,9 +184,9 @@ class Picture(NamedTuple):
         return [(int(firsts[low]), int(reached[high])) for low, high in zip(starts, ends)]
 
     @property
-    def runs(self) -> List[RunSpan]:
+    def runs(self) -> list[RunSpan]:
         """Runs with messages in the range, by their first; at most the MAX_RUNS longest."""
-        found: Dict[Tuple[str, int], RunSpan] = {}
+        found: dict[tuple[str, int], RunSpan] = {}
         for lane in self.lanes:
             for span in _spans(lane):
                 key = span.node, span.writer
@@ -195,7 +195,7 @@ class Picture(NamedTuple):
         return sorted(longest, key=lambda span: (span.first, span.last, span.writer))
 
 
-def _spans(lane: Lane) -> List[RunSpan]:
+def _spans(lane: Lane) -> list[RunSpan]:
     s, keys = lane.time_ranges, lane.keys
     ones = np.ones(len(keys.times), np.int64)
     first, last = (np.concatenate([each, keys.times]) for each in (s.first, s.last))
@@ -228,7 +228,7 @@ class Timeline:
         self._catalog = catalog
         self._reader = DirectoryReader(catalog.keyspace.directory)
 
-    def picture(self, view: View, gone: Optional[threading.Event] = None) -> Picture:
+    def picture(self, view: View, gone: threading.Event | None = None) -> Picture:
         """Draw a timeline.
 
         Args:
@@ -262,13 +262,13 @@ class Timeline:
 
     def _lanes(
         self, tables: Sequence[TopicTable], pieces: Sequence[RangeCounts], whose: Whose, ends: Ends
-    ) -> List[Lane]:
+    ) -> list[Lane]:
         """Return the lanes of tables, one for each robot that has messages in them, now or ever."""
         slots = self._reader.slots(tables)
-        of_table: Dict[str, List[RangeCounts]] = {}
+        of_table: dict[str, list[RangeCounts]] = {}
         for piece in pieces:
             of_table.setdefault(piece.table.name, []).append(piece)
-        lanes: Dict[Tuple[str, str], Tuple[List[TopicTable], List[RangeCounts]]] = {}
+        lanes: dict[tuple[str, str], tuple[list[TopicTable], list[RangeCounts]]] = {}
         for table in tables:
             listed = {node for _, node in slots.get(table.name, [])}
             own = of_table.get(table.name, [])
@@ -285,13 +285,13 @@ class Timeline:
         return [lane for lane in found if lane.times[0] is not None]
 
 
-def _extent(named: Sequence[RangeCounts]) -> Optional[Ends]:
+def _extent(named: Sequence[RangeCounts]) -> Ends | None:
     """Return the first and the last time of messages with names, ns; None without messages."""
     times = MessageKeys.joined([piece.keys for piece in named]).times
     return (int(times.min()), int(times.max())) if len(times) else None
 
 
-def _window(view: View, extent: Optional[Ends]) -> Optional[Ends]:
+def _window(view: View, extent: Ends | None) -> Ends | None:
     """Return the range to draw; an open end is never on the wrong side of the other end."""
     start, end = view.start, view.end
     if start is None:

@@ -22,7 +22,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import accumulate
 from sys import getsizeof
-from typing import Any, Callable, Iterable, Iterator, Optional, Sequence, Tuple, Union
+from typing import Any, Callable, Iterable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.protocols import Table
@@ -148,7 +148,7 @@ def _with_order(select: Select) -> Select:
     return replace(select, order=tuple(placed), hidden=tuple(hidden))
 
 
-def _place(select: Select, what: What) -> Optional[int]:
+def _place(select: Select, what: What) -> int | None:
     """Return the index of a term among all columns, hidden ones included, or None."""
     limited = bool(select.group or select.aggregates or select.distinct)
     for place, selected in enumerate(select.asked):
@@ -166,7 +166,7 @@ class Aggregation:
     def __init__(self, select: Select) -> None:
         self._text = select.text
         self._asked = [column.what for column in select.columns or ()]
-        self._totals: list[Union[Count, _First]] = [
+        self._totals: list[Count | _First] = [
             TOTALS[asked.function]() if isinstance(asked, Aggregate) else _First()
             for asked in self._asked
         ]
@@ -213,7 +213,7 @@ LEAST_KEPT = 1000
 
 
 def make_groups(
-    select: Select, names: Sequence[Sequence[str]], rows: Iterable[ResultRow], most: Optional[int]
+    select: Select, names: Sequence[Sequence[str]], rows: Iterable[ResultRow], most: int | None
 ) -> Iterator[ResultRow]:
     """Make the rows of a result from rows with all columns, hidden ones included.
 
@@ -280,7 +280,7 @@ def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[
     memory = _Memory(select, select.group[0].position, remedy)
     widths = slice(shown, shown + len(select.group))
     times = [n for n, t in enumerate(select.group) if isinstance(t, Call) and t.function == "time"]
-    groups: dict[Tuple[Any, ...], Tuple[Aggregation, ResultRow]] = {}
+    groups: dict[tuple[Any, ...], tuple[Aggregation, ResultRow]] = {}
     latest: Any = None
     for row in rows:
         by = row[widths]
@@ -300,7 +300,7 @@ def _grouped(select: Select, rows: Iterable[ResultRow], shown: int) -> Iterator[
 
 
 def _finished(
-    groups: dict[Tuple[Any, ...], Tuple[Aggregation, ResultRow]],
+    groups: dict[tuple[Any, ...], tuple[Aggregation, ResultRow]],
 ) -> Iterator[ResultRow]:
     return ((*totals.values(), *by) for totals, by in groups.values())
 
@@ -340,13 +340,13 @@ Key = Tuple[Any, ...]
 
 
 def _ordered(
-    select: Select, rows: Iterable[ResultRow], places: Sequence[int], most: Optional[int]
+    select: Select, rows: Iterable[ResultRow], places: Sequence[int], most: int | None
 ) -> Iterator[ResultRow]:
     remedy = "choose fewer rows by WHERE KEY > …, select fewer columns, or add a LIMIT"
     memory = _Memory(select, select.order[0].position, remedy)
     key = _key_of(select.order, places)
     enough = None if most is None else max(2 * most, LEAST_KEPT)
-    kept: list[Tuple[Key, ResultRow]] = []
+    kept: list[tuple[Key, ResultRow]] = []
     try:
         for row in rows:
             kept.append((key(row), row))
@@ -364,7 +364,7 @@ def _ordered(
     yield from (row for _, row in found)
 
 
-def _first(kept: list[Tuple[Key, ResultRow]], most: Optional[int]) -> list[Tuple[Key, ResultRow]]:
+def _first(kept: list[tuple[Key, ResultRow]], most: int | None) -> list[tuple[Key, ResultRow]]:
     kept.sort(key=lambda pair: pair[0])  # stable: equal rows keep their order
     return kept[:most]
 
@@ -374,7 +374,7 @@ def _key_of(order: Sequence[Ordering], places: Sequence[int]) -> Callable[[Resul
     return lambda row: tuple([_rank(row[place], down) for place, down in pairs])
 
 
-def _rank(value: Any, descending: bool) -> Tuple[int, Any]:
+def _rank(value: Any, descending: bool) -> tuple[int, Any]:
     if value is None or value != value:
         return (2 if value is None else 1), 0
     value = _identity(value)
