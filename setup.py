@@ -100,7 +100,7 @@ def own_arguments():
         commands = {"bdist_wheel": wheel_command()}
     except ImportError:
         commands = {}
-    extras = ("tables", "viewer")
+    extras = ("java", "tables", "viewer")
     return {
         "cmdclass": commands,
         "install_requires": pins("requirements.txt"),
