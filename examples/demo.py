@@ -302,7 +302,7 @@ class _Progress:
 
     def tell(self, what: str, seconds: float) -> None:
         """Say what is being waited for, and since how many seconds."""
-        if time.monotonic() - self._told >= TELL_SEC:
+        if min(seconds, time.monotonic() - self._told) >= TELL_SEC:
             self._told = time.monotonic()
             print(f"{what}: {seconds:.0f} s", flush=True)
 

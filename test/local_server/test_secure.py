@@ -225,6 +225,24 @@ def test_a_recorder_writes_but_drops_nothing(enter, tmp_path):
         assert not store.existTopic("/b")
 
 
+def test_a_recorder_converts_what_others_made_but_leaves_its_tables(cqlshrc, enter):
+    with RosCassandra(cqlshrc=cqlshrc, keyspace=KEYSPACE) as ours:
+        ours.addTopic("/ours").addData(String("kept"), key=1)
+    with enter("recorder") as store:
+        with pytest.raises(AccessDenied, match="topic /ours is converted, but its earlier") as told:
+            store.convertTopic("/ours", "binary")
+        assert told.value.right == "DROP"
+    with enter("owner") as store:
+        topic = store.getTopic("/ours")
+        assert (topic.getData(1).data, topic.tables[-1].metadata.format) == ("kept", "binary")
+        tables = topic.tables[-1].metadata.replaces
+        listing = store.catalog.keyspace.schema.listing(fresh=True)
+        assert set(tables) <= set(listing.every)
+        store.convertTopic("/ours", "binary")
+        listing = store.catalog.keyspace.schema.listing(fresh=True)
+        assert not set(tables) & set(listing.every)
+
+
 def test_the_nodes_work_with_the_rights_of_their_role(roscore, cqlshrc, users, enter):
     def arguments(role):
         files = ("--cqlshrc", cqlshrc, "--credentials", str(users[role]))

@@ -17,7 +17,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Dict, List, Optional, Sequence, Tuple
 
-from cassandra_ros.errors import CassandraRosError, DefinitionError, SchemaConflict, TopicNotFound
+from cassandra_ros.errors import (
+    AccessDenied,
+    CassandraRosError,
+    DefinitionError,
+    SchemaConflict,
+    TopicNotFound,
+)
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.metadata import TopicMetadata
@@ -256,7 +262,14 @@ class Conversion:
         self._settle()
         if _state(self._space, self._olds) != before:
             copy.add_late()
-        replacement.drop(self._space.schema, self._names)
+        try:
+            replacement.drop(self._space.schema, self._names)
+        except AccessDenied as exc:
+            raise AccessDenied(
+                f"topic {self._topic} is converted, but its earlier tables stay on the disk until "
+                f"somebody who may drop them converts it once more: {exc}",
+                right=exc.right,
+            ) from exc
         return count
 
     def _settle(self) -> None:
