@@ -19,6 +19,7 @@ from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.flight import MAX_BYTES, Flight
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.local_server import LocalCluster, free_port
@@ -28,7 +29,6 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.store.open_bucket import HELD_BYTES
 from cassandra_ros.tables.row_table import CHUNK_BYTES
-from cassandra_ros.tables.side_tables import SchemaLock
 
 ROOT = Path(__file__).resolve().parents[2]
 SEC = 10**9
@@ -69,9 +69,9 @@ def test_their_table_is_made_before_they_come_where_they_are_foreseen(
     rosCas, connect, monkeypatch, large
 ):
     connection, made = api_connection("/big", definition_of(UInt8MultiArray), "/x"), []
-    change = SchemaLock.change
+    change = Cassandra.change_schema
     monkeypatch.setattr(
-        SchemaLock, "change", lambda *args, **said: made.append(change(*args, **said))
+        Cassandra, "change_schema", lambda self, cql: made.extend(cql) or change(self, cql)
     )
     with rosCas.messageWriter(format="binary") as writer:
         handle = writer.connect(connection, large=large)

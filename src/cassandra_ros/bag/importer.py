@@ -28,7 +28,6 @@ from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
-from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import message_kind
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.block_limits import limits_for
@@ -36,7 +35,7 @@ from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.message_writer import Handle, MessageWriter, usable_definition
+from cassandra_ros.topics.message_writer import Asked, Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.stored_totals import holds_any
 
@@ -222,11 +221,13 @@ def import_bag(
         with MessageWriter(
             keyspace, writer_id, format=format, node=node, run=run, limits=limits
         ) as writer:
-            handles = {
-                n: _connect(writer, connection, lengths[n], formats[n])
+            wanted = {
+                n: Asked(connection, *lengths[n], formats[n])
                 for n, connection in reader.connections.items()
                 if n in numbers
             }
+            writer.make_tables([*wanted.values()])
+            handles = {n: _connect(writer, asked) for n, asked in wanted.items()}
             _name_topics(handles, report)
             _remove_other_blocks(keyspace, handles, run)
             store_publish_times(keyspace.side_tables, reader, run)
@@ -235,12 +236,15 @@ def import_bag(
     return report
 
 
-def _connect(
-    writer: MessageWriter, connection: Connection, lengths: Lengths, format_name: str
-) -> Handle:
+def _connect(writer: MessageWriter, asked: Asked) -> Handle:
     """Return the handle with which the writer writes messages of a connection of the bag."""
-    bucket_ns, span_ns, large = lengths
-    return writer.connect(connection, bucket_ns, span_ns=span_ns, large=large, format=format_name)
+    return writer.connect(
+        asked.connection,
+        asked.bucket_ns,
+        span_ns=asked.span_ns,
+        large=asked.large,
+        format=asked.format,
+    )
 
 
 def _name_topics(handles: Mapping[int, Handle], report: ImportReport) -> None:
@@ -355,9 +359,11 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
     """
     whose = Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
+    placed = keyspace.side_tables.has("cr_placed")
     for table in tables.values():
         # Messages that were deleted since are stored again, but the index does not cover them.
-        keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
+        if placed:
+            keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
         other = table.packed and (table.metadata.replaces or table.metadata.cut)
         if other and holds_any(keyspace.directory, [table], whose):
             delete_time_range(keyspace, [table], Read(TimeRange(0, MAX_NS), whose))

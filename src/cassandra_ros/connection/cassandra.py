@@ -10,6 +10,7 @@ import ssl
 import threading
 import time
 from contextlib import suppress
+from itertools import takewhile
 from typing import Any, Callable, Iterable, Sequence, Tuple
 
 from cassandra import ConsistencyLevel, UnresolvableContactPoints
@@ -56,7 +57,13 @@ from cassandra_ros.connection.protocol import (
     connection_class,
 )
 from cassandra_ros.connection.sessions import Link, Links
-from cassandra_ros.errors import ConnectionFailed, KeyspaceNotFound, StoreUnavailable, TopicNotFound
+from cassandra_ros.errors import (
+    CassandraRosError,
+    ConnectionFailed,
+    KeyspaceNotFound,
+    StoreUnavailable,
+    TopicNotFound,
+)
 
 CONNECT_TIMEOUT_SEC = 10.0
 NEW_TABLE_SEC = 1.0
@@ -65,6 +72,8 @@ LAST_WORD_SEC = 0.5
 """How long close() waits for the driver if the program has to end and the store is silent, s."""
 AT_ONCE = 16
 """Maximum number of statements of execute_many that wait for their answers at the same time."""
+CHANGES_AT_ONCE = 4
+"""Maximum number of DDL statements that wait for their answers from a cluster of one node."""
 
 _NEEDS = {
     "ONE": "a node that has a copy of the row",
@@ -81,6 +90,8 @@ _READ_ANYWAY = (
 )
 """Remedy of a read for which too few nodes answer."""
 
+SchemaChange = Tuple[str, str]
+"""A DDL statement, and what it does, for the error text."""
 CqlRow = Tuple[Any, ...]
 """Decoded values of a row."""
 
@@ -195,6 +206,8 @@ class Cassandra:
             # A keyspace may have hundreds of tables; the driver would read them all after each
             # change.
             schema_metadata_enabled=False,
+            # change_schema waits for the agreement, once for several changes.
+            max_schema_agreement_wait=0,
             # Without this option batches stall for 40 ms each on delayed acknowledgements.
             sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             connect_timeout=CONNECT_TIMEOUT_SEC,
@@ -331,6 +344,14 @@ class Cassandra:
             what = f"{what}.{table}"
         return self.execute(cql, (keyspace, table) if table else (keyspace,), what=what)
 
+    def system_schema_of(
+        self, of: str, names: str, keyspace: str, tables: Iterable[str]
+    ) -> list[list[CqlRow]]:
+        """Read system_schema about each of some tables of a keyspace, like system_schema."""
+        cql = f"SELECT {names} FROM system_schema.{of} WHERE keyspace_name = ? AND table_name = ?"
+        keys = [(keyspace, table) for table in tables]
+        return self.execute_many(cql, keys, what=f"reading the {of} of {keyspace}")
+
     def execute_on_each(
         self, cql: str, params: Sequence[object] = (), *, what: str
     ) -> dict[str, list[CqlRow]]:
@@ -404,11 +425,46 @@ class Cassandra:
         Raises:
             StoreUnavailable: The nodes do not agree within 30 s.
         """
+        self.change_schema([(cql, what)])
+
+    def change_schema(self, changes: Sequence[SchemaChange]) -> None:
+        """Run DDL statements that change different tables; wait until all nodes agree.
+
+        One node gets them together, and carries them out one after the other; several nodes get
+        each statement after they have agreed on the one before it.
+
+        Raises:
+            StoreUnavailable: The nodes do not agree within 30 s.
+            CassandraRosError: The first error. Statements after it are not sent; those on their
+                way have been answered.
+        """
         self.require_open()
+        session, alone = self._open_session(), self.live_nodes() == 1
+        failures: list[CassandraRosError] = []
+
+        def begin(change: SchemaChange) -> tuple[str, ResponseFuture]:
+            cql, what = change
+            with translated(what, self.outage.nodes):
+                return what, session.execute_async(SimpleStatement(cql), timeout=60.0)
+
+        wanted = takewhile(lambda _: not failures, changes)
+        for what, future in sent_ahead(map(begin, wanted), CHANGES_AT_ONCE if alone else 1):
+            try:
+                with translated(what, self.outage.nodes):
+                    future.result()
+                if not alone:
+                    self._agree(what)
+            except CassandraRosError as exc:
+                failures.append(exc)
+        if failures:
+            raise failures[0]
+        if alone and changes:
+            self._agree(changes[-1][1])
+
+    def _agree(self, what: str) -> None:
+        """Wait until all nodes have the same schema; raises StoreUnavailable after 30 s."""
+        agreed, deadline = False, time.monotonic() + 30.0
         with translated(what, self.outage.nodes):
-            result = self._open_session().execute(SimpleStatement(cql), timeout=60.0)
-            deadline = time.monotonic() + 30.0
-            agreed = result.response_future.is_schema_agreed
             while not agreed and time.monotonic() < deadline:
                 agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)
         if not agreed:

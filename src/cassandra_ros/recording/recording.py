@@ -29,7 +29,7 @@ from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, Feed, MessageSource
 from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
-from cassandra_ros.recording.table_maker import TableMaker, connect
+from cassandra_ros.recording.table_maker import TableMaker, connect, make_together
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings, settings_as_json
 from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
@@ -155,7 +155,7 @@ class Recording:
         self._waiting: list[MessageSource] = []
         if self._store.done():
             self._open()
-        self._tables = TableMaker(self._connect, self._buffer.wake)
+        self._tables = TableMaker(self._make_together, self._connect, self._buffer.wake)
         self._backlog = (
             None
             if spool is None
@@ -582,6 +582,10 @@ class Recording:
     def _connect(self, source: MessageSource) -> Handle:
         """Make the table of a source, on the thread of the table maker."""
         return connect(self._writers[0], source.connection, source.lengths(), self._settings)
+
+    def _make_together(self, sources: Sequence[MessageSource]) -> None:
+        """Make the tables of several sources, on the thread of the table maker."""
+        make_together(self._writers[0], sources, self._settings)
 
     def _make_writer(self, number: int) -> MessageWriter:
         run = Run(

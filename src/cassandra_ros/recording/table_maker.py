@@ -12,7 +12,7 @@ import time
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Callable, Optional
+from typing import Callable, Optional, Sequence
 
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -27,7 +27,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.recording.message_buffer import MessageSource
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings
 from cassandra_ros.tables.directory import Lengths
-from cassandra_ros.topics.message_writer import Handle, MessageWriter
+from cassandra_ros.topics.message_writer import Asked, Handle, MessageWriter
 
 _log = logging.getLogger(__name__)
 
@@ -43,17 +43,22 @@ LAST_TRIES_SEC = 20.0
 
 
 class TableMaker:
-    """A thread that makes the tables of message sources, one after the other.
+    """A thread that makes the tables of message sources, those that wait for it together.
 
     Args:
-        connect: Makes the table of a source; raises what the store raises.
+        prepare: Makes the tables of several sources together, as far as their settings permit;
+            raises what the store raises.
+        connect: Makes the table of a source, if it is missing; raises what the store raises.
         wake: Called when a source has got its handle or an error.
     """
 
     def __init__(
-        self, connect: Callable[[MessageSource], Handle], wake: Callable[[], None]
+        self,
+        prepare: Callable[[Sequence[MessageSource]], None],
+        connect: Callable[[MessageSource], Handle],
+        wake: Callable[[], None],
     ) -> None:
-        self._connect, self._wake = connect, wake
+        self._prepare, self._connect, self._wake = prepare, connect, wake
         self._asked: queue.Queue[Optional[MessageSource]] = queue.Queue()  # None: no more
         self.decided: deque[MessageSource] = deque()
         """Sources that have got a handle or an error."""
@@ -78,13 +83,33 @@ class TableMaker:
             self._thread.join()
 
     def _run(self) -> None:
-        for source in iter(self._asked.get, None):
+        ended = False
+        while not ended:
+            sources = [self._asked.get()]
+            while sources[-1] is not None and not self._asked.empty():  # only this thread gets
+                sources.append(self._asked.get())
+            ended = sources[-1] is None
+            self._make([source for source in sources if source is not None])
+
+    def _make(self, sources: Sequence[MessageSource]) -> None:
+        if len(sources) > 1:
+            self._make_together(sources)
+        for source in sources:
             if self._decide(source):
                 self.decided.append(source)
                 self._wake()
             else:
                 time.sleep(PAUSE_SEC)
                 self._asked.put(source)
+
+    def _make_together(self, sources: Sequence[MessageSource]) -> None:
+        """Make tables under one lock. Each source without a table tells its own error later."""
+        try:
+            self._prepare(sources)
+        except CassandraRosError as exc:
+            _log.debug("the tables of %d topics are made one by one: %s", len(sources), exc)
+        except Exception:  # noqa: BLE001 - our mistake: each table is made by itself
+            _log.exception("the tables of %d topics could not be made together", len(sources))
 
     def _decide(self, source: MessageSource) -> bool:
         """Try to make the table of a source; return whether it has got a handle or an error."""
@@ -131,6 +156,22 @@ def connect(
     for text in differences(topic_settings, handle.table.metadata):
         _log.warning("topic %s %s", connection.topic, text)
     return handle
+
+
+def make_together(
+    writer: MessageWriter, sources: Sequence[MessageSource], settings: Settings
+) -> None:
+    """Make the tables of several sources, but for those with a key field or an index.
+
+    Raises what MessageWriter.make_tables does.
+    """
+    wanted = []
+    for source in sources:
+        own = settings.of(source.connection.topic)
+        if not (own.key_part or own.index):
+            like = None if own == settings.default else _like(own)
+            wanted.append(Asked(source.connection, *source.lengths(), own.format, like))
+    writer.make_tables(wanted)
 
 
 def _connect(

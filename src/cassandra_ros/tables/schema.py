@@ -13,9 +13,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from typing import Callable, Iterable, Mapping, Sequence, Tuple
+from typing import Callable, Collection, Iterable, Mapping, NamedTuple, Sequence, Tuple
 
-from cassandra_ros.connection.cassandra import Cassandra, CqlRow
+from cassandra_ros.connection.cassandra import Cassandra, CqlRow, SchemaChange
 from cassandra_ros.connection.cql_names import (
     chunk_table_name,
     qualified,
@@ -85,6 +85,10 @@ _log = logging.getLogger(__name__)
 
 CACHE_SEC = 2.0
 """Maximum age of the cached list of tables, s. Other clients add and drop tables."""
+_FEW_TABLES = 64
+"""Maximum number of changed comments that are read one by one; more are read with all others."""
+_COMMENTS = "table_name, comment, writetime(comment)"
+_COLUMNS = "column_name, type"
 BUILD_SEC = 2.0
 """How long messages of a new table wait until Cassandra begins to build its indexes, s."""
 
@@ -115,6 +119,46 @@ columns with an index, both name → CQL type."""
 Planner = Callable[[Sequence[TopicMetadata]], TablePlan]
 
 
+class TableWish(NamedTuple):
+    """A table for new messages, that is found or made."""
+
+    key: tuple[str, tuple[str, str], str]
+    """Topic, kind and format."""
+    plan: Planner
+    """Called under the lock if the table must be made, with the metadata of the topic's other
+    tables."""
+    large: bool = False
+    """Whether a table that is made gets its chunk table too."""
+
+
+class _NewTable(NamedTuple):
+    """A table that is about to be made, with its name."""
+
+    name: str
+    metadata: TopicMetadata
+    columns: Mapping[str, str]
+    large: bool
+
+    @property
+    def shadows(self) -> Collection[str]:
+        """Names of the columns with an index."""
+        return self.metadata.indexes.values()
+
+    def statement(self, keyspace: str) -> SchemaChange:
+        """Return the statement that makes the table, without its indexes."""
+        listed = ", ".join(f"{quote_name(c)} {cql}" for c, cql in self.columns.items())
+        wanted, merged = self.metadata, not self.shadows
+        # Without indexes the table can be listed and its files merged at once.
+        comment = wanted.to_comment() if merged else _UNFINISHED
+        return (
+            f"CREATE TABLE {qualified(keyspace, self.name)} ({listed}, "
+            f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
+            f"WITH comment = {quote_text(comment)} AND {_storage(wanted.ttl, merged=merged)} "
+            f"AND {_PACKED if wanted.packed else _ROWS}",
+            f"making the table of topic {wanted.topic}",
+        )
+
+
 class Schema:
     """Topic tables of one keyspace. Thread-safe; the list of tables is cached until it changes."""
 
@@ -123,6 +167,8 @@ class Schema:
         self.keyspace = side_tables.keyspace
         self._side_tables = side_tables
         self._listing: Listing | None = None
+        self._known: dict[str, tuple[object, TopicMetadata | None]] = {}
+        """Tables by name: when their comment was written, and what it says; None = no topic's."""
         self._read_at = 0.0
         self._mark: Mark | None = None
         self.seen: set[tuple[str, str]] = set()
@@ -177,30 +223,37 @@ class Schema:
         return format_name if heir is None else listing.every[heir].format
 
     def _comments(self, table: str = "") -> list[CqlRow]:
-        """Read (name, comment) of all tables, or of one table, if it exists."""
-        return self._cassandra.system_schema("tables", "table_name, comment", self.keyspace, table)
+        """Read name, comment and its time for all tables, or for one table, if it exists."""
+        return self._cassandra.system_schema("tables", _COMMENTS, self.keyspace, table)
 
-    def _read(self, table: str = "") -> dict[str, TopicMetadata]:
-        found = {}
-        for name, comment in self._comments(table):
-            metadata = from_comment(comment or "", f"{self.keyspace}.{name}")
-            if metadata is not None:
-                found[name] = metadata
-                if not metadata.filling:
-                    self.seen.add((metadata.topic, metadata.format))
+    def _read(self) -> dict[str, TopicMetadata]:
+        """Read the comments of all topic tables, those that have not changed from memory."""
+        known: dict[str, tuple[object, TopicMetadata | None]] = {}
+        changed = []
+        if self._known:
+            names = "table_name, writetime(comment)"
+            for name, time_us in self._cassandra.system_schema("tables", names, self.keyspace):
+                entry = self._known.get(name)
+                if entry is not None and entry[0] == time_us:
+                    known[name] = entry
+                else:
+                    changed.append(name)
+        several = len(changed) > _FEW_TABLES or not self._known
+        for name, comment, time_us in self._comments() if several else self._comments_of(changed):
+            known[name] = (time_us, from_comment(comment or "", f"{self.keyspace}.{name}"))
+        self._known = known
+        return self._noted({name: metadata for name, (_, metadata) in known.items()})
+
+    def _noted(self, tables: Mapping[str, TopicMetadata | None]) -> dict[str, TopicMetadata]:
+        """Return those that are topic tables, and note them as seen."""
+        found = {name: metadata for name, metadata in tables.items() if metadata is not None}
+        self.seen.update((m.topic, m.format) for m in found.values() if not m.filling)
         return found
 
-    def find(self, topic: str, kind: tuple[str, str], format_name: str) -> str | None:
-        """Return the table for new messages of a topic, kind and format.
-
-        None = not in the cache.
-        """
-        listing = self.listing()
-        for name, m in listing.visible.items():
-            if (m.topic, m.kind, m.format) == (topic, kind, format_name):
-                if name not in listing.leaving:
-                    return name
-        return None
+    def _comments_of(self, tables: Sequence[str]) -> list[CqlRow]:
+        """Read name, comment and its time for some tables, of those that exist."""
+        rows = self._cassandra.system_schema_of("tables", _COMMENTS, self.keyspace, tables)
+        return [row for found in rows for row in found]
 
     def tables_of(self, topic: str) -> dict[str, TopicMetadata]:
         """Read the tables of a topic again; the caller has the lock.
@@ -217,56 +270,50 @@ class Schema:
             listing.check_staying(name)
         return mine
 
-    def ensure_table(self, key: tuple[str, tuple[str, str], str], plan: Planner) -> str:
-        """Find the table of a topic or make it; return its name.
+    def ensure_tables(self, wishes: Sequence[TableWish]) -> list[str]:
+        """Find the tables for new messages, or make those that are missing; return their names.
 
-        Args:
-            key: Topic, kind and format.
-            plan: Called under the lock if the table must be made, with the metadata of the topic's
-                other tables.
+        All are made under one lock, with one reading of the comments before and one after.
         """
-        name = self.find(*key)
-        if name is not None:
-            return name
-        with self.lock() as lock:
-            self.tables(fresh=True)
-            name = self.find(*key)
-            if name is not None:
-                return name
-            others = [m for _, m in sorted(self.tables().items()) if m.topic == key[0]]
-            name = self.create(plan(others), lock)
-        return name
+        names = _find_all(self.listing(), wishes)
+        if None in names:
+            with self.lock() as lock:
+                names = self._make_missing(wishes, lock)
+        return [name for name in names if name is not None]
+
+    def _make_missing(self, wishes: Sequence[TableWish], lock: SchemaLock) -> list[str | None]:
+        """Make the tables that are missing, under the lock; return the names for all wishes."""
+        listing = self.listing(fresh=True)
+        tables: list[_NewTable] = []
+        for wish in wishes:
+            mine = [table.metadata for table in tables if table.metadata.topic == wish.key[0]]
+            done = wish.key in ((m.topic, m.kind, m.format) for m in mine)
+            if not done and _find(listing, wish) is None:
+                others = [listing.visible[name] for name in listing.by_topic.get(wish.key[0], ())]
+                tables.append(_new_table(*wish.plan([*others, *mine]), large=wish.large))
+        self._make(tables, lock)
+        self._check(tables)
+        return _find_all(self.listing(), wishes)
 
     def create(self, planned: TablePlan, lock: SchemaLock) -> str:
         """Make a table as planned, under the lock, and check it; return its name."""
-        metadata, columns, shadows = planned
-        columns = {**_own_columns(metadata), **columns, **shadows}
-        name, wanted = self._create(metadata, columns, lock)
-        self._check(name, wanted, columns)
-        return name
+        table = _new_table(*planned)
+        self._make([table], lock)
+        self._check([table])
+        return table.name
 
-    def _create(
-        self, metadata: TopicMetadata, columns: Mapping[str, str], lock: SchemaLock
-    ) -> tuple[str, TopicMetadata]:
-        """Make a table with its indexes; return its name, and its metadata with the generation."""
-        wanted, shadows = metadata.with_(generation=time.time_ns()), metadata.indexes.values()
-        name = table_name(wanted.topic, wanted.md5sum, wanted.format, wanted.generation)
-        listing = ", ".join(f"{quote_name(c)} {cql}" for c, cql in columns.items())
-        # Without indexes the table can be listed and its files merged at once.
-        comment = _UNFINISHED if shadows else wanted.to_comment()
-        lock.change(
-            f"CREATE TABLE {self.qualified(name)} ({listing}, "
-            f'PRIMARY KEY (("_node", "{wanted.partition}"), "_t", "_seq")) '
-            f"WITH comment = {quote_text(comment)} AND {_storage(wanted.ttl, merged=not shadows)} "
-            f"AND {_PACKED if wanted.packed else _ROWS}",
-            what=f"making the table of topic {wanted.topic}",
+    def _make(self, tables: Sequence[_NewTable], lock: SchemaLock) -> None:
+        """Make tables with their indexes, and then their chunk tables."""
+        lock.change_all([table.statement(self.keyspace) for table in tables])
+        for table in tables:
+            for shadow in table.shadows:
+                lock.renew()
+                self.create_sai_index(table.name, shadow)
+            if table.shadows:
+                self._finish(table.name, table.metadata, lock)
+        lock.change_all(
+            [self._chunk_statement(each.name, each.metadata) for each in tables if each.large]
         )
-        for shadow in shadows:
-            lock.renew()
-            self.create_sai_index(name, shadow)
-        if shadows:
-            self._finish(name, wanted, lock)
-        return name, wanted
 
     def _finish(self, name: str, wanted: TopicMetadata, lock: SchemaLock) -> None:
         """List a table by its comment and let its files be merged, after its indexes were built."""
@@ -296,21 +343,30 @@ class Schema:
             what=f"making an index of table {table}",
         )
 
-    def _check(self, name: str, wanted: TopicMetadata, columns: Mapping[str, str]) -> None:
-        made = self._read(name)
+    def _check(self, tables: Sequence[_NewTable]) -> None:
+        """Read new tables back; raises SchemaConflict if one is not what was made."""
+        names = [table.name for table in tables]
+        read = {
+            name: (time_us, from_comment(comment or "", f"{self.keyspace}.{name}"))
+            for name, comment, time_us in self._comments_of(names)
+        }
+        made = {name: metadata for name, (_, metadata) in read.items()}
         with self._mutex:
-            self._listing = Listing({**(self._listing.every if self._listing else {}), **made})
-        if self.columns(name) != dict(columns) or made.get(name) != wanted:
-            raise SchemaConflict(
-                f"table {self.keyspace}.{name} of topic {wanted.topic} is not what was asked "
-                "for (columns or comment differ): another client changed it at the same time; "
-                "remove the topic and try again"
-            )
+            self._known = {**self._known, **read}
+            every = self._listing.every if self._listing else {}
+            self._listing = Listing({**every, **self._noted(made)})
+        columns = self._cassandra.system_schema_of("columns", _COLUMNS, self.keyspace, names)
+        for table, found in zip(tables, columns):
+            if dict(found) != table.columns or made.get(table.name) != table.metadata:
+                raise SchemaConflict(
+                    f"table {self.keyspace}.{table.name} of topic {table.metadata.topic} is not "
+                    "what was asked for (columns or comment differ): another client changed it at "
+                    "the same time; remove the topic and try again"
+                )
 
     def columns(self, table: str) -> dict[str, str]:
         """Return the columns of a table, name → CQL type."""
-        names = "column_name, type"
-        return dict(self._cassandra.system_schema("columns", names, self.keyspace, table))
+        return dict(self._cassandra.system_schema("columns", _COLUMNS, self.keyspace, table))
 
     def ensure_chunk_table(self, table: RowTable) -> None:
         """Make the chunk table for a topic's large messages if it is missing."""
@@ -325,18 +381,21 @@ class Schema:
                 f"table {table} was removed by another client; messages of its topic need "
                 "a new one: connect again"
             )
+        if not self._comments(chunk_table_name(table)):
+            lock.change_all([self._chunk_statement(table, metadata)])
+
+    def _chunk_statement(self, table: str, metadata: TopicMetadata) -> SchemaChange:
         name, partition = chunk_table_name(table), metadata.partition
-        if not self._comments(name):
-            lock.change(
-                f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
-                f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
-                f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
-                f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
-                f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
-                "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
-                "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
-                what=f"making the table for large messages {name}",
-            )
+        return (
+            f'CREATE TABLE {self.qualified(name)} ("_node" text, "{partition}" '
+            f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
+            f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
+            f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
+            f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
+            "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
+            "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
+            f"making the table for large messages {name}",
+        )
 
     def change_topic(
         self,
@@ -387,7 +446,7 @@ class Schema:
                     columns, kept = self.columns(name), metadata.indexes.values()
                     for left in [c for c in columns if c.startswith(SHADOW) and c not in kept]:
                         del columns[left]
-                    self._create(metadata, columns, lock)
+                    self._make([_new_table(metadata, columns)], lock)
             self.drop(tables, lock)
         self.tables(fresh=True)
         return [*tables, *{old for m in tables.values() for old in m.replaces}.difference(tables)]
@@ -406,6 +465,38 @@ class Schema:
                         what=f"dropping table {name}",
                     )
             self._cassandra.forget(table)
+
+
+def _find(listing: Listing, wish: TableWish) -> str | None:
+    """Return the table for new messages of a topic, kind and format; None = not in the listing."""
+    for name in listing.by_topic.get(wish.key[0], ()):
+        metadata = listing.visible[name]
+        if (metadata.topic, metadata.kind, metadata.format) == wish.key:
+            if name not in listing.leaving:
+                return name
+    return None
+
+
+def _find_all(listing: Listing, wishes: Sequence[TableWish]) -> list[str | None]:
+    return [_find(listing, wish) for wish in wishes]
+
+
+def _new_table(
+    metadata: TopicMetadata,
+    columns: Mapping[str, str],
+    shadows: Mapping[str, str] | None = None,
+    large: bool = False,
+) -> _NewTable:
+    """Return a table with its name.
+
+    Args:
+        columns: Columns of the format; with shadows None all columns.
+    """
+    if shadows is not None:
+        columns = {**_own_columns(metadata), **columns, **shadows}
+    wanted = metadata.with_(generation=time.time_ns())
+    name = table_name(wanted.topic, wanted.md5sum, wanted.format, wanted.generation)
+    return _NewTable(name, wanted, dict(columns), large)
 
 
 def _storage(ttl: int, margin: int = 0, *, merged: bool = True) -> str:

@@ -18,7 +18,7 @@ import uuid
 from copy import copy
 from typing import Mapping, Sequence
 
-from cassandra_ros.connection.cassandra import Cassandra, CqlRow
+from cassandra_ros.connection.cassandra import Cassandra, CqlRow, SchemaChange
 from cassandra_ros.connection.cql_names import qualified, quote_name, quote_text
 from cassandra_ros.connection.paging import RETRY_SEC, Seconds
 from cassandra_ros.errors import (
@@ -38,6 +38,9 @@ WAIT_SEC = 150.0
 TELL_SEC = 5.0
 """Time after which a program that waits for the schema lock says so, s."""
 _TRIES = 8
+CHANGES_A_RENEWAL = 8
+"""Number of DDL statements between two renewals of the lock. Even on a machine so busy that each
+takes some seconds they end long before the lock runs out."""
 _SCHEMA = "schema"
 _LOCK = "cr_lock"
 _LOCK_COLUMNS = "name text PRIMARY KEY, owner uuid"
@@ -161,6 +164,16 @@ class SchemaLock:
         """
         self.renew()
         self._cassandra.schema_change(cql, what=what)
+
+    def change_all(self, changes: Sequence[SchemaChange]) -> None:
+        """Run DDL statements that change different tables, as ``change`` runs one.
+
+        Raises:
+            SchemaConflict: The lock ran out. Some statements may have been carried out.
+        """
+        for first in range(0, len(changes), CHANGES_A_RENEWAL):
+            self.renew()
+            self._cassandra.change_schema(changes[first : first + CHANGES_A_RENEWAL])
 
     def renew(self) -> None:
         """Check that we still hold the lock and restart its time; raises like ``change``."""
@@ -353,13 +366,18 @@ class SideTables:
                 self._make_lock_table()
             if not there.issuperset(wanted):
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
-                    for name in sorted(set(wanted) - self._list()):
-                        lock.change(
-                            f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
-                            f"({wanted[name]}) WITH comment = {quote_text(_COMMENT)}",
-                            what=f"making table {name}",
-                        )
-                self._there = self._list()
+                    there = self._list()
+                    lock.change_all(
+                        [
+                            (
+                                f"CREATE TABLE IF NOT EXISTS {self.qualified(name)} "
+                                f"({wanted[name]}) WITH comment = {quote_text(_COMMENT)}",
+                                f"making table {name}",
+                            )
+                            for name in sorted(set(wanted) - there)
+                        ]
+                    )
+                self._there = there | set(wanted)
             else:
                 self._there = there
             self._made = True

@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Callable, Mapping, Optional, Sequence
+from typing import Callable, Mapping, NamedTuple, Optional, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,7 @@ from cassandra_ros.tables.block_limits import FULL, Limits
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import NewRow
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.new_tables import NewTable
 from cassandra_ros.topics.topic_table import TopicTable
 
 _log = logging.getLogger(__name__)
@@ -62,6 +63,17 @@ TABLE_PAUSE_SEC = 0.5
 """Interval at which a silent store is asked for the table that replaces a dropped one, s."""
 MAX_HANDLES = 1024
 """Maximum number of connections with cached handles. Anonymous publishers come without end."""
+
+
+class Asked(NamedTuple):
+    """A connection whose messages will be written, as MessageWriter.connect describes its parts."""
+
+    connection: Connection
+    bucket_ns: Optional[int] = None
+    span_ns: Optional[int] = None
+    large: bool = False
+    format: Optional[str] = None
+    like: Optional[TopicMetadata] = None
 
 
 @dataclass(frozen=True)
@@ -203,9 +215,37 @@ class MessageWriter:
                 return known
             # Another client has renamed or removed the topic.
             like = like or (known.table.metadata if stored is None else None)
+        asked = Asked(connection, bucket_ns, span_ns, large, key[1], like)
+        new, warning = self._new_table(asked)
+        table = self._shared_table(connection, new.metadata.format)
+        if table is None:
+            table = self._keyspace.new_tables.make(new.metadata, new.definition, large=new.large)
+        warning = warning or self._other_ttl(table.metadata)
+        conn = self._keyspace.connections.put(table.name, connection)
+        return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
+
+    def make_tables(self, several: Sequence[Asked]) -> None:
+        """Find or make the tables of several connections together, before each is connected.
+
+        It takes a fraction of the time in which ``connect`` makes one after the other.
+
+        Raises:
+            SchemaConflict, StoreUnavailable: The tables cannot be made. Some may have been made.
+        """
+        self._keyspace.new_tables.make_all(
+            [
+                self._new_table(each._replace(format=each.format or self._format))[0]
+                for each in several
+                if each.connection.md5sum != ANY_MD5
+            ]
+        )
+
+    def _new_table(self, asked: Asked) -> tuple[NewTable, Optional[str]]:
+        """Return the table for a connection as it is made if it is missing, and a warning."""
+        connection, like = asked.connection, asked.like
         check_new_topic(connection.topic)
-        asked = key[1] or (like.format if like is not None else None)
-        wanted = self._keyspace.new_tables.format_for(connection.topic, connection.md5sum, asked)
+        name = asked.format or (like.format if like is not None else None)
+        wanted = self._keyspace.new_tables.format_for(connection.topic, connection.md5sum, name)
         definition, warning = usable_definition(connection, wanted)
         metadata = replace(
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
@@ -213,16 +253,11 @@ class MessageWriter:
             msg_type=connection.type,
             md5sum=connection.md5sum,
             format=wanted if definition is not None else FALLBACK_FORMAT,
-            bucket_ns=bucket_ns or 0,
-            span_ns=span_ns or 0,
+            bucket_ns=asked.bucket_ns or 0,
+            span_ns=asked.span_ns or 0,
             definition=definition.text if definition else connection.definition_text,
         )
-        table = self._shared_table(connection, metadata.format)
-        if table is None:
-            table = self._keyspace.new_tables.make(metadata, definition, large=large)
-        warning = warning or self._other_ttl(table.metadata)
-        conn = self._keyspace.connections.put(table.name, connection)
-        return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
+        return NewTable(metadata, definition, asked.large), warning
 
     def _shared_table(self, connection: Connection, format_name: str) -> Optional[TopicTable]:
         """Return the table for several types that already has messages of this connection."""

@@ -8,7 +8,7 @@ import logging
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any, Mapping, Optional, Sequence
+from typing import Any, Mapping, NamedTuple, Optional, Sequence
 
 from cassandra_ros.arguments import (
     check_fields,
@@ -35,7 +35,7 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.tables.directory import MIN_SPAN_NS, UNKNOWN_SPAN_NS, limit_for_ttl
-from cassandra_ros.tables.schema import Planner, Schema, TablePlan
+from cassandra_ros.tables.schema import Planner, Schema, TablePlan, TableWish
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables, stored_format
 
 
@@ -99,6 +99,20 @@ class Wish:
 _log = logging.getLogger(__name__)
 
 
+class NewTable(NamedTuple):
+    """A table for new messages, as NewTables.make describes its parts."""
+
+    metadata: TopicMetadata
+    definition: Optional[Definition]
+    large: bool = False
+
+
+def _wish(table: NewTable) -> TableWish:
+    metadata, definition, large = table
+    key = (metadata.topic, metadata.kind, metadata.format)
+    return TableWish(key, planner(metadata, definition), large)
+
+
 class NewTables:
     """Chooses the tables for new messages of a keyspace, and makes those that are missing."""
 
@@ -134,8 +148,7 @@ class NewTables:
         Raises:
             InvalidKey: The type does not have the field key_part, and the topic is new.
         """
-        key = (metadata.topic, metadata.kind, metadata.format)
-        name = self._schema.ensure_table(key, planner(metadata, definition))
+        (name,) = self._schema.ensure_tables([_wish(NewTable(metadata, definition, large))])
         found = self._tables.by_name(name)
         if found is None:
             raise WriteFailed(
@@ -146,6 +159,10 @@ class NewTables:
             with suppress(TopicNotFound):  # removed meanwhile: the first message gets this error
                 self._schema.ensure_chunk_table(found)
         return found
+
+    def make_all(self, tables: Sequence[NewTable]) -> None:
+        """Find or make several tables as ``make`` does each, those that are missing together."""
+        self._schema.ensure_tables(list(map(_wish, tables)))
 
     def for_wish(self, wish: Wish, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the requested format."""
