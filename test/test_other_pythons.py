@@ -15,7 +15,7 @@ import sys
 import pytest
 from campaign import LENGTH
 from conftest import ROOT, SERVER_VARIABLE
-from other_python import command_of_tests, find_python, found_pythons, prepare, run
+from other_python import command_of_tests, found_pythons, prepare, run
 
 SOURCES = ("src", "scripts", "test", "examples", "benchmark", "faults")
 
@@ -45,20 +45,20 @@ for module in pkgutil.walk_packages(cassandra_ros.__path__, "cassandra_ros."):
         assert "tf2_py" in str(exc), (module.name, exc)
 """
 
-FOUND = found_pythons()
-# Oldest and newest, or the only one.
-CHOSEN = [FOUND[minor] for minor in sorted({min(FOUND), max(FOUND)})] if FOUND else [None]
 
-
-@pytest.fixture(scope="module", params=CHOSEN)
+@pytest.fixture(scope="module", params=["oldest", "newest"])
 def other_python(request):
     """Return the program of a Python with our requirements, and the environment of its tests."""
-    if request.param is None:
+    found = found_pythons()
+    if not found:
         pytest.skip(
             f"no Python 3.8 to 3.13 but 3.{sys.version_info[1]} is on the PATH or under pyenv; "
             "make one with: pyenv install 3.8"
         )
-    return prepare(*find_python(request.param))
+    if request.param == "newest" and len(found) == 1:
+        pytest.skip(f"Python 3.{min(found)} is the only other one, and is the oldest")
+    minor = min(found) if request.param == "oldest" else max(found)
+    return prepare(minor, found[minor])
 
 
 @pytest.mark.long
