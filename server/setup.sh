@@ -104,12 +104,13 @@ print_missing() {
 }
 
 # Whether a Java 17 is there without .venv, where local_cassandra looks for it, and Maven.
+# No grep -q in a pipe: it ends early, and pipefail takes that for a failure of the first program.
 has_java_and_maven() {
   local java
   command -v mvn >/dev/null || return 1
   is_installed openjdk-17-jre-headless && return
   for java in "${JAVA_HOME:-/nowhere}/bin/java" "$(command -v java)" /usr/lib/jvm/*17*/bin/java; do
-    [ -x "$java" ] && "$java" -version 2>&1 | grep -q 'version "17' && return
+    [ -x "$java" ] && "$java" -version 2>&1 | grep 'version "17' >/dev/null && return
   done
   return 1
 }
@@ -118,7 +119,7 @@ has_java_and_maven() {
 # come with the others of the system. Else requirements-java.txt has both.
 java_package_list() {
   if ! has_java_and_maven &&
-    apt-cache policy openjdk-17-jre-headless | grep -q 'Candidate: [0-9]'; then
+    apt-cache policy openjdk-17-jre-headless | grep 'Candidate: [0-9]' >/dev/null; then
     print_missing openjdk-17-jre-headless maven
   fi
 }
