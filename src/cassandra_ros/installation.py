@@ -17,9 +17,12 @@ from cassandra_ros.errors import MissingDependency
 NEEDED = {
     "cassandra",
     "lark",
+    "lz4",
+    "mcap",
     "numpy",
     "psutil",
     "tqdm",
+    "zstandard",
     "genmsg",
     "genpy",
     "roslib",
