@@ -80,7 +80,7 @@ def test_every_format_of_the_folder_is_in_the_table():
         for _, found in inspect.getmembers(importlib.import_module(module.name), inspect.isclass):
             if issubclass(found, CassandraTopic_) and not inspect.isabstract(found):
                 classes.add(found)
-    assert set(FORMATS.values()) == classes
+    assert {format_class(name) for name in FORMATS} == classes
     assert len(classes) >= 2
     assert DEFAULT_FORMAT in FORMATS
 
