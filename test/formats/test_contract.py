@@ -14,6 +14,7 @@ from collections import Counter
 import pytest
 import rosbag
 from campaign import FEW_FORMATS, sparing
+from compiled import packed_by_rosbag
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, installedTypes
@@ -182,6 +183,8 @@ def test_messages_of_the_bags_are_exact(name, bags):
     large = Counter()
     for path in sorted(bags.glob("*.bag")):
         if path.name == "truncated_header_only.bag":
+            continue
+        if "lz4" in path.name and "lz4" not in packed_by_rosbag():
             continue
         with rosbag.Bag(str(path)) as bag:
             storages = {}

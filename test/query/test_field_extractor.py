@@ -9,6 +9,7 @@ import math
 import pytest
 import rosbag
 from campaign import sparing
+from compiled import compiled
 from query.rows import attribute, row_of, table_of
 
 from cassandra_ros.messages.definition import parse_definition
@@ -53,6 +54,8 @@ def same(left, right):
 
 @pytest.mark.parametrize("name", sparing(BAGS, kept=BAGS[3:]))
 def test_all_fields(bags, name):
+    if "lz4" in name:
+        compiled("roslz4")
     count = 0
     for definition, wire, msg in messages(bags / f"{name}.bag"):
         fields = all_fields(definition)
