@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import AbstractSet, Iterable, Iterator, Mapping, Optional
+from typing import AbstractSet, Iterable, Iterator, Mapping
 
 from cassandra_ros.arguments import check_new_node, check_new_topic
 from cassandra_ros.bag import identity
@@ -57,7 +57,7 @@ class ReadAhead:
         self._read: deque[tuple[MessageBatch, int]] = deque()
         self._held = 0
         self._ended = self._stopped = False
-        self._error: Optional[BaseException] = None
+        self._error: BaseException | None = None
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, daemon=True, name="cassandra_ros-bag")
 
@@ -67,9 +67,9 @@ class ReadAhead:
 
     def __exit__(
         self,
-        kind: Optional[type[BaseException]],
-        exc: Optional[BaseException],
-        where: Optional[TracebackType],
+        kind: type[BaseException] | None,
+        exc: BaseException | None,
+        where: TracebackType | None,
     ) -> None:
         with self._changed:
             self._stopped = True
@@ -92,7 +92,7 @@ class ReadAhead:
             raise self._error
 
     def _run(self) -> None:
-        error: Optional[BaseException] = None
+        error: BaseException | None = None
         try:
             for batch in self._batches:
                 if not self._put(batch):

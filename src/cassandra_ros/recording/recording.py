@@ -17,7 +17,7 @@ import weakref
 from collections import Counter
 from concurrent.futures import wait
 from functools import partial
-from typing import Callable, Mapping, MutableMapping, Optional, Sequence, Tuple, Union
+from typing import Callable, Mapping, MutableMapping, Sequence, Tuple
 
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, StoreUnavailable, WriteFailed
 from cassandra_ros.keys import COUNTER_BITS, SECOND_NS, new_writer_id
@@ -104,25 +104,25 @@ class Recording:
     """Reason why received messages are not stored for now and are lost; '' = they are stored."""
     problem = ""
     """Reason why the run cannot be stored at all; '' = it is stored, or may be later."""
-    _context: Optional[RunContext] = None
+    _context: RunContext | None = None
 
     def __init__(
         self,
         store: Store,
         *,
         clock: Callable[[], int] = time.time_ns,
-        format: Optional[str] = None,
-        settings: Optional[Settings] = None,
-        filters: Optional[Filters] = None,
+        format: str | None = None,
+        settings: Settings | None = None,
+        filters: Filters | None = None,
         node: str = "",
         buffer_bytes: int = DEFAULT_BUFFER_BYTES,
         limit: int = 0,
         block_sec: float = BLOCK_SEC,
         name: str = "",
-        labels: Optional[Mapping[str, str]] = None,
+        labels: Mapping[str, str] | None = None,
         restored: int = 0,
         places: bool = True,
-        spool: Optional[SpoolPlan] = None,
+        spool: SpoolPlan | None = None,
     ) -> None:
         self._store = store_future(store)
         self._clock = clock
@@ -168,7 +168,7 @@ class Recording:
                 self._is_away,
             )
         )
-        self._queue: Union[Backlog, Buffer] = self._backlog or self._buffer
+        self._queue: Backlog | Buffer = self._backlog or self._buffer
         """Where the writing thread takes messages."""
         self._left = False
         """Whether messages stay in the spool at the end."""
@@ -368,7 +368,7 @@ class Recording:
         except ClockNotSet:
             return time.time_ns()
 
-    def _lose(self, topic: str, kind: LossKind, detail: str, t: Optional[int] = None) -> None:
+    def _lose(self, topic: str, kind: LossKind, detail: str, t: int | None = None) -> None:
         self._counts.lost(topic, 1, kind, self.now() if t is None else t, detail)
 
     def _feed(self, topic: str, header: Mapping[str, str]) -> Feed:
@@ -641,7 +641,7 @@ class Recording:
         except CassandraRosError as exc:
             _log.warning("losses or parameters of the run cannot be kept: %s", exc)
 
-    def stop(self, timeout_sec: Optional[float] = None) -> bool:
+    def stop(self, timeout_sec: float | None = None) -> bool:
         """Accept no more messages and store the waiting ones.
 
         Args:

@@ -12,7 +12,7 @@ import time
 from collections import deque
 from dataclasses import replace
 from functools import partial
-from typing import Callable, Optional, Sequence
+from typing import Callable, Sequence
 
 from cassandra_ros.errors import (
     CassandraRosError,
@@ -59,7 +59,7 @@ class TableMaker:
         wake: Callable[[], None],
     ) -> None:
         self._prepare, self._connect, self._wake = prepare, connect, wake
-        self._asked: queue.Queue[Optional[MessageSource]] = queue.Queue()  # None: no more
+        self._asked: queue.Queue[MessageSource | None] = queue.Queue()  # None: no more
         self.decided: deque[MessageSource] = deque()
         """Sources that have got a handle or an error."""
         self._deadline = math.inf
@@ -189,8 +189,8 @@ def _open(
     writer: MessageWriter,
     connection: Connection,
     lengths: Lengths,
-    format: Optional[str] = None,
-    like: Optional[TopicMetadata] = None,
+    format: str | None = None,
+    like: TopicMetadata | None = None,
 ) -> Handle:
     bucket_ns, span_ns, large = lengths
     return writer.connect(

@@ -10,7 +10,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Callable, Mapping, NamedTuple, Optional, Sequence
+from typing import Callable, Mapping, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,11 +69,11 @@ class Asked(NamedTuple):
     """A connection whose messages will be written, as MessageWriter.connect describes its parts."""
 
     connection: Connection
-    bucket_ns: Optional[int] = None
-    span_ns: Optional[int] = None
+    bucket_ns: int | None = None
+    span_ns: int | None = None
     large: bool = False
-    format: Optional[str] = None
-    like: Optional[TopicMetadata] = None
+    format: str | None = None
+    like: TopicMetadata | None = None
 
 
 @dataclass(frozen=True)
@@ -84,11 +84,11 @@ class Handle:
     table: TopicTable
     conn: int
     node: str
-    asked: Optional[str]
+    asked: str | None
     """Name of the requested format; None = no format was requested."""
-    warning: Optional[str] = None
+    warning: str | None = None
     """Reason for which the topic is stored in another way than requested."""
-    blocks: Optional[BlockBuilder] = field(default=None, compare=False, repr=False)
+    blocks: BlockBuilder | None = field(default=None, compare=False, repr=False)
     """Gathers the messages into blocks; None = each message has its own row."""
 
     @property
@@ -128,14 +128,14 @@ class MessageWriter:
         writer_id: int,
         *,
         linger_sec: float = 0.2,
-        block_sec: Optional[float] = None,
+        block_sec: float | None = None,
         limits: Limits = FULL,
         give_up_after_sec: float = 60.0,
-        format: Optional[str] = None,
+        format: str | None = None,
         node: str = "",
-        ttl: Optional[int] = 0,
-        run: Optional[Run] = None,
-        on_loss: Optional[LossCallback] = None,
+        ttl: int | None = 0,
+        run: Run | None = None,
+        on_loss: LossCallback | None = None,
         given: bool = False,
     ) -> None:
         if format is not None:
@@ -149,7 +149,7 @@ class MessageWriter:
         self._ttl = ttl
         self._on_loss = on_loss
         self._given = given
-        self._handles: dict[tuple[Connection, Optional[str], str], Handle] = {}
+        self._handles: dict[tuple[Connection, str | None, str], Handle] = {}
         self._topics: dict[str, str] = {}
         self._refused: dict[str, WriteStats] = {}
         self._told: set[str] = set()
@@ -157,7 +157,7 @@ class MessageWriter:
         self._mutex = threading.Lock()
         self._renewing = threading.Lock()
         self._closed = False
-        self._take_back: Optional[TakeBack] = None
+        self._take_back: TakeBack | None = None
         self._high = writer_id << COUNTER_BITS
         if run is not None:
             keyspace.registry.put_run(run, started=True)
@@ -180,13 +180,13 @@ class MessageWriter:
     def connect(
         self,
         connection: Connection,
-        bucket_ns: Optional[int] = None,
+        bucket_ns: int | None = None,
         *,
-        span_ns: Optional[int] = None,
+        span_ns: int | None = None,
         large: bool = False,
-        format: Optional[str] = None,
-        node: Optional[str] = None,
-        like: Optional[TopicMetadata] = None,
+        format: str | None = None,
+        node: str | None = None,
+        like: TopicMetadata | None = None,
     ) -> Handle:
         """Prepare for the messages of a connection: its table, definition and header.
 
@@ -240,7 +240,7 @@ class MessageWriter:
             ]
         )
 
-    def _new_table(self, asked: Asked) -> tuple[NewTable, Optional[str]]:
+    def _new_table(self, asked: Asked) -> tuple[NewTable, str | None]:
         """Return the table for a connection as it is made if it is missing, and a warning."""
         connection, like = asked.connection, asked.like
         check_new_topic(connection.topic)
@@ -259,7 +259,7 @@ class MessageWriter:
         )
         return NewTable(metadata, definition, asked.large), warning
 
-    def _shared_table(self, connection: Connection, format_name: str) -> Optional[TopicTable]:
+    def _shared_table(self, connection: Connection, format_name: str) -> TopicTable | None:
         """Return the table for several types that already has messages of this connection."""
         if connection.md5sum != ANY_MD5:
             return None
@@ -277,7 +277,7 @@ class MessageWriter:
         """Return the format in which a connection's topic is stored, or would be by default."""
         return self._keyspace.new_tables.format_for(connection.topic, connection.md5sum)
 
-    def _other_ttl(self, stored: TopicMetadata) -> Optional[str]:
+    def _other_ttl(self, stored: TopicMetadata) -> str | None:
         if self._ttl in (None, stored.ttl):
             return None
         return (
@@ -285,7 +285,7 @@ class MessageWriter:
             f"is stored now, not {self._ttl} s (0 = never)"
         )
 
-    def _keep(self, key: tuple[Connection, Optional[str], str], handle: Handle) -> Handle:
+    def _keep(self, key: tuple[Connection, str | None, str], handle: Handle) -> Handle:
         if handle.warning:
             _log.warning("%s", handle.warning)
         # Also after a conversion that was given up: the table takes rows again.
@@ -333,7 +333,7 @@ class MessageWriter:
             handle = later
         return handle
 
-    def _known(self, handle: Handle) -> Optional[Handle]:
+    def _known(self, handle: Handle) -> Handle | None:
         """Return the latest handle of a handle's connection; None if its table was removed, too."""
         with self._mutex:
             latest = self._handles.get((handle.connection, handle.asked, handle.node))
@@ -374,7 +374,7 @@ class MessageWriter:
 
     def write(
         self, handle: Handle, t_ns: int, counter: int, wire: bytes, name: str = ""
-    ) -> Optional[NewRow]:
+    ) -> NewRow | None:
         """Take one serialised message; blocks while too many bytes are on their way.
 
         Args:
@@ -470,7 +470,7 @@ class MessageWriter:
                     raise
                 time.sleep(TABLE_PAUSE_SEC)
 
-    def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> Optional[NewRow]:
+    def _put(self, handle: Handle, t_ns: int, seq: int, wire: bytes, name: str) -> NewRow | None:
         if handle.blocks is not None:
             if not handle.blocks.take(t_ns, seq, wire):
                 raise TopicNotFound(f"topic {handle.topic} was removed by another client")
@@ -520,7 +520,7 @@ class MessageWriter:
         """Return when every message is acknowledged or counted as lost; raises like close."""
         self._rows.flush()
 
-    def close(self, lost: Optional[Mapping[str, int]] = None) -> None:
+    def close(self, lost: Mapping[str, int] | None = None) -> None:
         """Flush, close the buckets in the directory, note the end of the run. Twice is harmless.
 
         Args:
@@ -554,15 +554,15 @@ class MessageWriter:
 def make_writer(
     keyspace: Keyspace,
     *,
-    writer_id: Optional[int] = None,
-    format: Optional[str] = None,
+    writer_id: int | None = None,
+    format: str | None = None,
     node: str = "",
     ttl: int = 0,
     linger_sec: float = 0.2,
-    block_sec: Optional[float] = 0.5,
+    block_sec: float | None = 0.5,
     give_up_after_sec: float = 60.0,
-    run: Optional[Run] = None,
-    on_loss: Optional[LossCallback] = None,
+    run: Run | None = None,
+    on_loss: LossCallback | None = None,
 ) -> MessageWriter:
     """Check the arguments of RosCassandra.messageWriter and make the writer; None = random id."""
     if run is not None and not isinstance(run, Run):
@@ -588,7 +588,7 @@ def make_writer(
 
 def usable_definition(
     connection: Connection, format_name: str
-) -> tuple[Optional[Definition], Optional[str]]:
+) -> tuple[Definition | None, str | None]:
     """Return a definition that the format can use, or None and the reason."""
     try:
         definition = _definition(connection)

@@ -8,7 +8,7 @@ import logging
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
-from typing import Any, Mapping, NamedTuple, Optional, Sequence
+from typing import Any, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.arguments import (
     check_fields,
@@ -41,11 +41,11 @@ from cassandra_ros.topics.topic_table import TopicTable, TopicTables, stored_for
 
 def wished_topic(
     topic: str,
-    format: Optional[str],
+    format: str | None,
     node: str,
     ttl: int,
     comment: str,
-    user: Optional[Mapping[str, Any]],
+    user: Mapping[str, Any] | None,
     index: Sequence[str],
 ) -> TopicMetadata:
     """Check the arguments of addTopic, and return them as metadata without a type."""
@@ -63,7 +63,7 @@ def wished_topic(
     )
 
 
-def with_key(wanted: TopicMetadata, key_format: Optional[str], key_part: str) -> TopicMetadata:
+def with_key(wanted: TopicMetadata, key_format: str | None, key_part: str) -> TopicMetadata:
     """Return metadata with the requested key; '' = as the topic is stored."""
     return wanted.with_(key_format=check_key_format(key_format, key_part), key_part=key_part)
 
@@ -79,7 +79,7 @@ class Wish:
     pending: bool
     """Whether it was added in this process and may have no table yet."""
 
-    def check(self, stored: TopicMetadata, definition: Optional[Definition]) -> None:
+    def check(self, stored: TopicMetadata, definition: Definition | None) -> None:
         """Raise TopicExists if the topic is stored with other values than requested."""
         wrong, wanted = [], self.metadata
         if definition is not None and definition.md5sum != stored.md5sum:
@@ -103,7 +103,7 @@ class NewTable(NamedTuple):
     """A table for new messages, as NewTables.make describes its parts."""
 
     metadata: TopicMetadata
-    definition: Optional[Definition]
+    definition: Definition | None
     large: bool = False
 
 
@@ -120,7 +120,7 @@ class NewTables:
         self._schema = schema
         self._tables = tables
 
-    def format_for(self, topic: str, md5sum: str = "", asked: Optional[str] = None) -> str:
+    def format_for(self, topic: str, md5sum: str = "", asked: str | None = None) -> str:
         """Return the format for new messages of a topic.
 
         It is the requested one (raises UnknownFormat). Without a request it is that of the table
@@ -134,7 +134,7 @@ class NewTables:
         return stored_format(tables, md5sum) if tables else DEFAULT_FORMAT
 
     def make(
-        self, metadata: TopicMetadata, definition: Optional[Definition], *, large: bool = False
+        self, metadata: TopicMetadata, definition: Definition | None, *, large: bool = False
     ) -> TopicTable:
         """Find the table for a topic, kind and format, or make it.
 
@@ -197,7 +197,7 @@ class NewTables:
         return self.for_wish(wish, definition)
 
 
-def planner(metadata: TopicMetadata, definition: Optional[Definition]) -> Planner:
+def planner(metadata: TopicMetadata, definition: Definition | None) -> Planner:
     """Return the planner of a table for NewTables.make, which gets the topic's other metadata."""
     fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
 
@@ -249,7 +249,7 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
 
 
 def _indexed(
-    metadata: TopicMetadata, definition: Optional[Definition], new: bool
+    metadata: TopicMetadata, definition: Definition | None, new: bool
 ) -> tuple[TopicMetadata, dict[str, str]]:
     """Return the metadata with the indexes of the table, and the columns of these indexes."""
     wished, shadows, by_hash = list(metadata.indexes), {}, metadata.key_format == "hash"
@@ -282,7 +282,7 @@ def _indexed(
     return metadata, shadows
 
 
-def check_packed(metadata: TopicMetadata, definition: Optional[Definition] = None) -> None:
+def check_packed(metadata: TopicMetadata, definition: Definition | None = None) -> None:
     """Raise InvalidOption if messages cannot be in blocks, because their key is not a time."""
     key_format, part = metadata.key_format, metadata.key_part
     if key_format not in NAMED_FORMATS and key_format != "msg_part":
@@ -308,7 +308,7 @@ def _span(wanted: int, bucket_ns: int) -> int:
     return min(max(wanted or UNKNOWN_SPAN_NS, MIN_SPAN_NS), bucket_ns)
 
 
-def _default_bucket(definition: Optional[Definition]) -> int:
+def _default_bucket(definition: Definition | None) -> int:
     """Return the bucket length if the rate is unknown, ns: 1 min for types with arrays."""
     arrays = definition is None or any(
         field.is_array for spec in definition.specs.values() for field in spec.fields

@@ -15,7 +15,7 @@ import logging
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Dict, List, Optional, Sequence, Tuple
+from typing import Dict, Sequence, Tuple
 
 from cassandra_ros.errors import (
     AccessDenied,
@@ -62,7 +62,7 @@ class Converted:
     """Number of converted messages; 0 if all were already in this format."""
     tables: int = 0
     """Number of replaced tables."""
-    warnings: List[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 class _Changed(Exception):
@@ -124,14 +124,14 @@ def convert_topic(
     return report
 
 
-def _plans(space: Keyspace, report: Converted) -> List[_Plan]:
+def _plans(space: Keyspace, report: Converted) -> list[_Plan]:
     """Return the work to do, by definition; empty if all is in the requested format."""
     format_class(report.format)
     space.schema.tables(fresh=True)
     tables = space.tables.of_topic(report.topic)
     if not tables:
         raise TopicNotFound(f"topic {report.topic} has no type yet: there is nothing to convert")
-    groups: Dict[Tuple[str, str], List[TopicTable]] = {}
+    groups: dict[tuple[str, str], list[TopicTable]] = {}
     for table in tables:
         groups.setdefault(table.metadata.kind, []).append(table)
     plans = []
@@ -182,7 +182,7 @@ def _state(space: Keyspace, tables: Sequence[TopicTable]) -> State:
 
 def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) -> None:
     """Wait until no writer has the tables open; raises SchemaConflict if one is writing."""
-    first: Optional[State] = None
+    first: State | None = None
     while True:
         now: State = {}
         for table in tables:
