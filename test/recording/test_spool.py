@@ -187,7 +187,9 @@ def test_a_full_spool_tells_what_it_drops(proxy, store, rosCas, tmp_path, newest
     stored = [int(wire[4:]) for wire in rows_of(rosCas)]
     assert stored[-1] == 10_000
     assert len(stored) == report.stored
-    assert (9999 in stored) == (not newest)
+    # The last ones may have waited in memory until the store was back.
+    lost = set(range(10_001)).difference(stored)
+    assert (sum(lost) / len(lost) > 5_000) == newest
 
 
 def test_a_disk_that_is_removed_is_told_and_costs_no_more(proxy, store, rosCas, folder, caplog):

@@ -362,7 +362,8 @@ def no_collector():
 
 def requests_held():
     """Return the requests that are answered and still in memory."""
-    held = (each for each in gc.get_objects() if isinstance(each, ResponseFuture))
+    # isinstance would ask a weak proxy whose object is gone.
+    held = (each for each in gc.get_objects() if type(each) is ResponseFuture)
     return [each for each in held if each._event.is_set()]
 
 

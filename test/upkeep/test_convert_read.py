@@ -199,7 +199,7 @@ def test_what_a_killed_one_left_is_deleted_whole(rosCas, cassandra, keyspace, mo
     monkeypatch.setattr(convert, "QUIET_SEC", 0.0)
     fill(rosCas, "ros", 100)
     before = seen(rosCas.getTopic("/t").rows())
-    for step in ("DROP1", "DROP2", "DROP3", "DROP4"):
+    for step in ("DROP1", "DROP2"):
         convert_until(cassandra, keyspace, "fill", "packed")
         convert_until(cassandra, keyspace, step, "packed")
         cql.execute(f"DELETE FROM {keyspace}.cr_lock WHERE name = 'schema' IF EXISTS")

@@ -206,8 +206,6 @@ class Cassandra:
             # A keyspace may have hundreds of tables; the driver would read them all after each
             # change.
             schema_metadata_enabled=False,
-            # change_schema waits for the agreement, once for several changes.
-            max_schema_agreement_wait=0,
             # Without this option batches stall for 40 ms each on delayed acknowledgements.
             sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             connect_timeout=CONNECT_TIMEOUT_SEC,
@@ -462,7 +460,12 @@ class Cassandra:
             self._agree(changes[-1][1])
 
     def _agree(self, what: str) -> None:
-        """Wait until all nodes have the same schema; raises StoreUnavailable after 30 s."""
+        """Wait until all nodes have the same schema; raises StoreUnavailable after 30 s.
+
+        The driver has waited before, at the node that made the change: this one may ask a node that
+        has not heard of it, and with the others that have not finds agreement. But the driver does
+        not tell whether its wait had an end.
+        """
         agreed, deadline = False, time.monotonic() + 30.0
         with translated(what, self.outage.nodes):
             while not agreed and time.monotonic() < deadline:
