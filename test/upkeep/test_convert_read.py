@@ -14,8 +14,9 @@ import time
 
 import pytest
 from campaign import LENGTH
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from upkeep.test_convert import T0, facts, fill, formats, joint_state, seen
+from upkeep.test_convert import SEC, T0, facts, fill, formats, joint_state, seen
 
 from cassandra_ros.errors import CassandraRosError, SchemaConflict
 from cassandra_ros.messages.classes import serialize
@@ -198,8 +199,11 @@ def test_what_a_killed_one_left_is_deleted_whole(rosCas, cassandra, keyspace, mo
     """Each conversion dies at the next step of deleting what the one before left."""
     monkeypatch.setattr(convert, "QUIET_SEC", 0.0)
     fill(rosCas, "ros", 100)
+    # The first message needs a table of chunks: each table has one, and two DROPs.
+    large = JointState(name=["x" * 4_000_000])
+    rosCas.getTopic("/t").addData(large, key=T0 - SEC)
     before = seen(rosCas.getTopic("/t").rows())
-    for step in ("DROP1", "DROP2"):
+    for step in ("DROP1", "DROP2", "DROP3", "DROP4"):
         convert_until(cassandra, keyspace, "fill", "packed")
         convert_until(cassandra, keyspace, step, "packed")
         cql.execute(f"DELETE FROM {keyspace}.cr_lock WHERE name = 'schema' IF EXISTS")
