@@ -36,7 +36,7 @@ _CLIENTS_POLL_SEC = 0.1
 def install(options: argparse.Namespace) -> int:
     """Download Apache Cassandra's jars, once for all local clusters.
 
-    Maven does it, or where there is none the Python package maven-artifact. They are stored in
+    Maven does it, or without Maven the Python package maven-artifact. They are stored in
     $ROS_HOME/cassandra_ros/jars, or in the folder that $CASSANDRA_ROS_JARS
     names. `start` downloads them if they are missing.
     """

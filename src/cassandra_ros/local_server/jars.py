@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Find Java and Cassandra's jars, and download the jars, completely or not at all.
 
-Maven downloads them, or where there is none the Python package maven-artifact. Both ways the jars
+Maven downloads them, or without Maven the Python package maven-artifact. Both ways the jars
 are compared with the hashes in server/jars.txt.
 """
 
@@ -229,7 +229,7 @@ def _check_hashes(folder: Path, by: str) -> None:
 
 
 def _digest(path: Path) -> str:
-    """Return the SHA-256 of a file; '' = there is none."""
+    """Return the SHA-256 of a file; '' if the file does not exist."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except FileNotFoundError:

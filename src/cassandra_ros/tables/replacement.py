@@ -78,8 +78,8 @@ def drop(schema: Schema, names: Sequence[str], forget: Callable[[str], None] | N
     Args:
         forget: Called with the name of each table that was never filled, before it is dropped: if
             the program dies between the two, the next conversion finds the table and does both.
-            Afterwards nobody would know its name. The names of the others are in the comment of the
-            table that replaced them.
+            After the drop its name stands nowhere. The names of the others are in the comment of
+            the table that replaced them.
     """
     with schema.lock() as lock:
         listing = schema.listing(fresh=True)

@@ -458,7 +458,7 @@ class Schema:
         """
         for table in tables:
             for name in (chunk_table_name(table), table):
-                # The right to drop a table is that of who made it: nobody made a missing one.
+                # Only the maker of a table may drop it, and a missing one has no maker.
                 if self._comments(name):
                     lock.change(
                         f"DROP TABLE IF EXISTS {self.qualified(name)}",

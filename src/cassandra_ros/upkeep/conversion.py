@@ -267,7 +267,7 @@ class Conversion:
         except AccessDenied as exc:
             raise AccessDenied(
                 f"topic {self._topic} is converted, but its earlier tables stay on the disk until "
-                f"somebody who may drop them converts it once more: {exc}",
+                f"a user who may drop them converts it once more: {exc}",
                 right=exc.right,
             ) from exc
         return count
