@@ -20,8 +20,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
 
-from cassandra_ros.bag import chunk, message_file
 from cassandra_ros.bag import format as bagformat
+from cassandra_ros.bag import message_file
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.importer import import_bag
@@ -68,7 +68,7 @@ def read_in_process(path, salvage=False, large=False):
 PACK = {
     "none": lambda data: data,
     "bz2": bz2.compress,
-    "lz4": lambda data: chunk.compress_chunk("lz4", data),
+    "lz4": lambda data: bagformat.compress_chunk("lz4", data),
     "zstd": zstandard.compress,
     "lz4 frame": lz4.frame.compress,
 }
@@ -81,8 +81,8 @@ def packed(compression, size, messages=1, mcap=False):
         body = size // messages - 31
         head = RECORD.pack(Opcode.MESSAGE, body + 22) + (1).to_bytes(2, "little") + bytes(20)
     else:
-        head = chunk.message_head(0, 10, size // messages - len(chunk.message_head(0, 10, 0)))
-        body = size // messages - len(head)
+        body = size // messages - len(bagformat.message_head(0, 10, 0))
+        head = bagformat.message_head(0, 10, body)
     return PACK[compression]((head + bytes(body)) * messages)
 
 
@@ -199,7 +199,7 @@ def test_salvage_ends_at_what_is_too_large(tmp_path, bomb):
 
 def test_millions_of_tiny_messages_take_little_more_than_their_bytes(tmp_path):
     """One of them takes some 300 bytes as Python objects, 46 in the chunk."""
-    each, messages = len(chunk.message_head(0, 10, 0)), 500_000
+    each, messages = len(bagformat.message_head(0, 10, 0)), 500_000
     data, size = packed("lz4", each * messages, messages), each * messages
     path = make_bag(tmp_path / "a", [("lz4", size, data, messages)])
     count, nbytes, peak, error = read_in_process(path)
@@ -210,7 +210,7 @@ def test_millions_of_tiny_messages_take_little_more_than_their_bytes(tmp_path):
 def test_millions_of_tiny_messages_come_in_parts(tmp_path):
     """What stores them makes some hundred bytes of each that it is given at once."""
     messages = 2 * MAX_BATCH + 5
-    size = messages * len(chunk.message_head(0, 10, 0))
+    size = messages * len(bagformat.message_head(0, 10, 0))
     path = make_bag(tmp_path / "a", [("lz4", size, packed("lz4", size, messages), messages)])
     with open_file(path) as reader:
         batches = list(reader.batches(0, {0}))

@@ -8,7 +8,6 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cassandra_ros.bag import chunk
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.errors import BagError
@@ -40,7 +39,7 @@ changes = st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_si
 
 def result(content, offsets=None):
     try:
-        return [column.tolist() for column in chunk.find_messages(content, "here", offsets)]
+        return [column.tolist() for column in bagformat.find_messages(content, "here", offsets)]
     except BagError as exc:
         return str(exc)
 
@@ -48,7 +47,7 @@ def result(content, offsets=None):
 @given(
     every=st.lists(messages, min_size=16, max_size=40),
     connections=st.sets(st.integers(0, 40)),
-    head=st.sampled_from([chunk.message_head, by_rosbag, other]),
+    head=st.sampled_from([bagformat.message_head, by_rosbag, other]),
     odd=st.integers(-100, 40),
     changed=changes,
     moved=st.one_of(st.just(()), st.tuples(st.integers(0, 15), st.integers(-80, 80))),
@@ -71,13 +70,13 @@ def test_what_the_index_says_changes_nothing(every, connections, head, odd, chan
 
 
 def test_it_is_the_quick_way_that_reads_bags(bags, monkeypatch):
-    taken, quick = [], chunk._messages_at
+    taken, quick = [], bagformat._messages_at
 
     def counted(*args):
         taken.append(quick(*args))
         return taken[-1]
 
-    monkeypatch.setattr(chunk, "_messages_at", counted)
+    monkeypatch.setattr(bagformat, "_messages_at", counted)
     for name in ("husky_gps_data", "turtlesim_tf"):
         with BagReader(bags / f"{name}.bag") as reader:
             assert sum(1 for _ in reader.messages()) == reader.message_count

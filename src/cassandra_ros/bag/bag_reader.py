@@ -22,16 +22,6 @@ from typing import BinaryIO, Mapping, NamedTuple
 import numpy as np
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import (
-    MIN_AT_ONCE,
-    ChunkMessages,
-    Longs,
-    decompress_chunk,
-    find_messages,
-    message_of,
-    record_at,
-    unpack_part,
-)
 from cassandra_ros.bag.message_file import (
     Allowance,
     ChunkInfo,
@@ -341,11 +331,13 @@ class _Scan:
         data = self.file.read(data_bytes)
         large, whole = declared > most, whole and declared <= most
         try:
-            content = decompress_chunk(compression, data, declared, where) if whole else b""
+            content = (
+                bagformat.decompress_chunk(compression, data, declared, where) if whole else b""
+            )
         except BagError:
             whole = False
         if not whole:
-            content = unpack_part(compression, data, min(declared or most, most))
+            content = bagformat.unpack_part(compression, data, min(declared or most, most))
         end, times, counts = self._records(content, where)
         if counts:
             self.infos.append(_chunk_info(position, times, counts))
@@ -370,9 +362,9 @@ class _Scan:
         position, times = 0, [2**63, 0]
         try:
             while position < len(content):
-                kind, fields, start, stop = record_at(content, position, where)
+                kind, fields, start, stop = bagformat.record_at(content, position, where)
                 if kind == bagformat.OP_MESSAGE:
-                    number, t_ns = message_of(fields, where)
+                    number, t_ns = bagformat.message_of(fields, where)
                     if number not in self.connections:
                         raise BagError(f"{where}: a message of unknown connection {number}")
                     times = [min(times[0], t_ns), max(times[1], t_ns)]
@@ -497,7 +489,7 @@ class BagReader(BagIndex, MessageFile):
         """Return the number of chunks by compression. This reads the header of every chunk."""
         return dict(Counter(self._chunk_header(i)[0] for i in range(self.chunk_count)))
 
-    def chunk_content(self, chunk: int) -> tuple[bytes, ChunkMessages]:
+    def chunk_content(self, chunk: int) -> tuple[bytes, bagformat.ChunkMessages]:
         """Read a chunk. Return its content and the list of its messages, see MessageFile."""
         where, counts = self._where(chunk), self.chunk_info(chunk).counts
         compression, size, data_bytes = self._chunk_header(chunk)
@@ -512,12 +504,13 @@ class BagReader(BagIndex, MessageFile):
             raise BagError(f"{where} cannot be read: {exc.strerror}") from exc
         cut = self.salvaged.cut
         if cut is not None and cut.number == chunk:
-            content = unpack_part(compression, data, cut.content_bytes)[: cut.content_bytes]
+            size = cut.content_bytes
+            content = bagformat.unpack_part(compression, data, size)[:size]
             offsets = None
         else:
-            content = decompress_chunk(compression, data, size, where)
+            content = bagformat.decompress_chunk(compression, data, size, where)
             offsets = self._offsets(counts)
-        messages = find_messages(content, where, offsets)
+        messages = bagformat.find_messages(content, where, offsets)
         present, inverse, each = np.unique(messages.ids, return_inverse=True, return_counts=True)
         numbers = [self.numbers.get(file_id, -1) for file_id in present.tolist()]
         ids = np.array(numbers, np.int64)[inverse]
@@ -528,16 +521,16 @@ class BagReader(BagIndex, MessageFile):
             )
         return content, messages._replace(ids=ids)
 
-    def _offsets(self, counts: Mapping[int, int]) -> Longs | None:
+    def _offsets(self, counts: Mapping[int, int]) -> bagformat.Longs | None:
         """Read the offsets of messages from the index records at the current file position.
 
         Return None if they do not list all messages of the chunk, or if searching the chunk for
         its messages is faster.
         """
         count = sum(counts.values())
-        if count < MIN_AT_ONCE * max(1, len(counts)):
+        if count < bagformat.MIN_AT_ONCE * max(1, len(counts)):
             return None
-        found: list[Longs] = []
+        found: list[bagformat.Longs] = []
         try:
             for _ in counts:
                 record = bagformat.read_record(self._file, bagformat.OP_INDEX, self.path)

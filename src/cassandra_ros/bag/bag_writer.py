@@ -12,7 +12,6 @@ from struct import Struct
 from typing import IO
 
 from cassandra_ros.bag import format as bagformat
-from cassandra_ros.bag.chunk import COMPRESSIONS, compress_chunk, message_head
 from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import SECOND_NS
@@ -41,8 +40,8 @@ class BagWriter(FileWriter):
         compression: str = "none",
         chunk_bytes: int = CHUNK_BYTES,
     ) -> None:
-        if compression not in COMPRESSIONS:
-            known = ", ".join(COMPRESSIONS)
+        if compression not in bagformat.COMPRESSIONS:
+            known = ", ".join(bagformat.COMPRESSIONS)
             raise BagError(f"{compression!r} is not a compression of bags; known are {known}")
         super().__init__(path)
         self._compression = compression
@@ -64,7 +63,7 @@ class BagWriter(FileWriter):
             self._chunk += self._connection_record(number)
             self._used.add(number)
         self._entries[number].append((t_ns, len(self._chunk)))
-        self._chunk += message_head(number, t_ns, len(data))
+        self._chunk += bagformat.message_head(number, t_ns, len(data))
         self._chunk += data
         if len(self._chunk) > self._chunk_bytes:
             self._flush_chunk()
@@ -101,7 +100,7 @@ class BagWriter(FileWriter):
     def _flush_chunk(self) -> None:
         compression, size = self._compression.encode("ascii"), len(self._chunk)
         header = ((b"op", bagformat.OP_CHUNK), (b"compression", compression), (b"size", size))
-        data = compress_chunk(self._compression, bytes(self._chunk))
+        data = bagformat.compress_chunk(self._compression, bytes(self._chunk))
         try:
             position = self._file.tell()
             self._file.write(bagformat.pack_record(header, data))

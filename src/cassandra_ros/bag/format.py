@@ -1,16 +1,27 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Records of the bag format 2.0: magic line, op codes, header fields and their packing.
+"""The bag format 2.0: records, and chunks with the messages inside.
 
 A record consists of: length of the header, header, length of the data, data. A header is a sequence
-of fields: length, name, '=', value. All numbers are little endian.
+of fields: length, name, '=', value. All numbers are little endian. The data of a chunk are records
+of messages and connections, compressed (none, bz2, lz4 as ROS frames it).
 """
 
 from __future__ import annotations
 
+import bz2
 import os
+import struct
+from array import array
+from contextlib import suppress
+from io import BytesIO
+from itertools import permutations
 from struct import Struct
-from typing import BinaryIO, Dict, Iterable, NamedTuple, Tuple, Union
+from typing import BinaryIO, Dict, Iterable, Iterator, NamedTuple, Sequence, Tuple, Union
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from cassandra_ros.errors import BagError, BagUnindexed
 from cassandra_ros.keys import MAX_NS, SECOND_NS
@@ -154,3 +165,285 @@ def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
             "import --salvage stores what can still be read"
         )
     return int(length)
+
+
+COMPRESSIONS = ("none", "bz2", "lz4")
+_FEED_BYTES = 1 << 16
+"""Number of compressed bytes given to the decompressor at once."""
+_PIECE_BYTES = 1 << 24
+"""Maximum number of bytes that are unpacked at once."""
+_DAMAGE = (OSError, EOFError, ValueError, RuntimeError)
+"""What the decompressors raise for damaged data; RuntimeError is lz4's."""
+
+
+def compress_chunk(name: str, data: bytes) -> bytes:
+    """Compress the records of a chunk with one of COMPRESSIONS."""
+    if name == "bz2":
+        return bz2.compress(data)
+    if name == "lz4":
+        import lz4.frame  # when it is needed: few bags are compressed, and programs start sooner
+
+        # The frame of roslz4, which reads no other: it refuses linked blocks, a frame without
+        # checksum, and one that states its size.
+        packed: bytes = lz4.frame.compress(
+            data,
+            block_size=lz4.frame.BLOCKSIZE_MAX1MB,
+            block_linked=False,
+            content_checksum=True,
+            store_size=False,
+        )
+        return packed
+    return data
+
+
+def decompress_chunk(name: str, data: bytes, size: int, where: str) -> bytes:
+    """Return the unpacked content of a chunk. At most ``size`` bytes are unpacked.
+
+    The caller has checked the size with an Allowance.
+
+    Raises:
+        BagError: The compression is unknown, or the content is damaged or not ``size`` bytes long.
+    """
+    if name == "none":
+        content = data
+    elif name in COMPRESSIONS:
+        content = _unpack(name, data, size, where)
+    else:
+        raise BagError(f"{where} is compressed with {name!r}; known are {', '.join(COMPRESSIONS)}")
+    if len(content) != size:
+        raise BagError(f"{where} is damaged: it holds {len(content)} bytes, not {size}")
+    return content
+
+
+def _unpack(name: str, data: bytes, size: int, where: str) -> bytes:
+    content = BytesIO()  # it grows in place, so the content is never in memory twice
+    try:
+        for piece in _pieces(name, data):
+            content.write(piece)
+            if content.tell() > size:
+                break
+    except _DAMAGE as exc:
+        raise BagError(f"{where} is damaged: its compressed data is not valid ({exc})") from exc
+    if content.tell() > size:
+        raise BagError(f"{where} is damaged: it unpacks to more than {size} bytes")
+    return content.getvalue()
+
+
+def _pieces(name: str, data: bytes) -> Iterator[bytes]:
+    """Unpack a chunk in pieces, so that the caller can stop before it fills the memory."""
+    parts = (data[n : n + _FEED_BYTES] for n in range(0, len(data), _FEED_BYTES))
+    if name == "lz4":
+        import lz4.frame
+
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+    else:
+        unpacker = bz2.BZ2Decompressor()
+    for part in parts:
+        yield unpacker.decompress(part, _PIECE_BYTES)
+        while not (unpacker.needs_input or unpacker.eof):
+            yield unpacker.decompress(b"", _PIECE_BYTES)
+
+
+def unpack_part(name: str, data: bytes, most: int) -> bytes:
+    """Unpack the beginning of a chunk that is cut short or damaged, up to the damage.
+
+    Args:
+        most: Maximum size of the result, bytes.
+    """
+    if name not in ("bz2", "lz4"):
+        return data if name == "none" else b""
+    content = BytesIO()
+    with suppress(*_DAMAGE):
+        for piece in _pieces(name, data):
+            content.write(piece[: most - content.tell()])
+            if content.tell() == most:
+                break
+    return content.getvalue()
+
+
+Longs = NDArray[np.int64]
+"""An array of 64-bit integers."""
+
+
+class ChunkMessages(NamedTuple):
+    """The messages of a chunk in the order of the chunk: one array element per message."""
+
+    ids: Longs
+    """Connection id of each message."""
+    times: Longs
+    """Time of each message, ns."""
+    starts: Longs
+    """Offset in the content at which the serialised message begins, bytes."""
+    stops: Longs
+    """Offset in the content at which the serialised message ends (not included), bytes."""
+
+    @property
+    def sizes(self) -> Longs:
+        """Size of each serialised message, bytes."""
+        return self.stops - self.starts
+
+
+_COLUMNS = 4
+
+# Each of the two known writers of bags (C++ and Python) always writes the header of a message in
+# the same layout, so one unpack and two comparisons read it. Other orders are read by field.
+_CPP = (
+    Struct("<13sI17sIII").unpack_from,
+    b"\x26\0\0\0\x09\0\0\0conn=",
+    b"\x04\0\0\0op=\x02\x0d\0\0\0time=",
+)
+_MESSAGE_HEAD = Struct("<21sI9sIII")
+_PYTHON = (
+    _MESSAGE_HEAD.unpack_from,
+    b"\x26\0\0\0\x04\0\0\0op=\x02\x09\0\0\0conn=",
+    b"\x0d\0\0\0time=",
+)
+_FIXED_BYTES = _MESSAGE_HEAD.size
+
+
+class _Layout(NamedTuple):
+    """The bytes before a serialised message, for one order of the header fields."""
+
+    head: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    """0 for the bytes of head that are numbers, else 255."""
+    numbers: list[slice]
+    """Positions of the numbers in head: connection id, seconds and nanoseconds, message size."""
+
+
+def _layout(order: Sequence[bytes]) -> _Layout:
+    header = pack_fields((name, OP_MESSAGE * (name == b"op")) for name in order)
+    head = U32.pack(len(header)) + header + U32.pack(0)
+    ends = [head.index(name) + len(name) for name in (b"conn=", b"time=")]
+    numbers = [slice(end, end + size) for end, size in zip((*ends, len(head) - 4), (4, 8, 4))]
+    mask = np.full(len(head), 255, np.uint8)
+    for place in numbers:
+        mask[place] = 0
+    return _Layout(np.frombuffer(head, np.uint8), mask, numbers)
+
+
+_LAYOUTS = [_layout(order) for order in permutations((b"op", b"conn", b"time"))]
+"""All orders of the three header fields; Python 2 wrote another order than the two above."""
+MIN_AT_ONCE = 16
+"""Minimum number of messages that are read with numpy at once; fewer are read one by one."""
+MAX_AT_ONCE = 2**20
+"""Maximum number of messages that are read with numpy at once. Each needs some 100 bytes."""
+_NOTHING = np.zeros((_COLUMNS, 0), np.int64)
+
+
+def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> ChunkMessages:
+    """List the messages in the unpacked content of a chunk. Its records must fill it exactly.
+
+    Args:
+        offsets: Ascending offsets of the message records that the index states. They are used,
+            and all records are read at once, if the records at these offsets fill the content.
+
+    Raises:
+        BagError: A record is damaged.
+    """
+    if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
+        messages = _messages_at(content, where, offsets)
+        if messages is not None:
+            return messages
+    found = array("q")  # four numbers for each message; a chunk may hold millions of messages
+    position, end = 0, len(content)
+    last_fixed = end - _FIXED_BYTES
+    (read, head, middle), other = _PYTHON, _CPP
+    while position < end:
+        if position <= last_fixed:
+            fixed = read(content, position)
+            if fixed[0] != head or fixed[2] != middle:
+                (read, head, middle), other = other, (read, head, middle)
+                fixed = read(content, position)
+            if fixed[0] == head and fixed[2] == middle:
+                _, file_id, _, secs, nsecs, size = fixed
+                start = position + _FIXED_BYTES
+                t_ns = secs * SECOND_NS + nsecs
+                stop = start + size
+                if stop > end or t_ns > MAX_NS:
+                    raise BagError(f"{where} is damaged: a message at byte {position} of it")
+                found.extend((file_id, t_ns, start, stop))
+                position = stop
+                continue
+        position = _other_record(content, position, where, found)
+    columns = np.frombuffer(found, np.int64).reshape(-1, _COLUMNS).T if found else _NOTHING
+    return ChunkMessages(*columns)
+
+
+def _messages_at(content: bytes, where: str, offsets: Longs) -> ChunkMessages | None:
+    """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
+    if offsets[0] < 0 or offsets[-1] > len(content) - _FIXED_BYTES:
+        return None
+    heads = sliding_window_view(np.frombuffer(content, np.uint8), _FIXED_BYTES)[offsets]
+    for layout in _LAYOUTS:
+        if not ((heads ^ layout.head) & layout.mask).any():
+            break
+    else:
+        return None
+    numbers = np.hstack([heads[:, place] for place in layout.numbers])
+    ids, secs, nsecs, sizes = numbers.view("<u4").astype(np.int64).T
+    starts, times = offsets + _FIXED_BYTES, secs * SECOND_NS + nsecs
+    if times.max() > MAX_NS or not _fill(content, where, offsets, starts + sizes):
+        return None
+    return ChunkMessages(ids, times, starts, starts + sizes)
+
+
+def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
+    """Say whether the given records, with connection records in the gaps, fill the content."""
+    begins, ends = np.append(begins, len(content)), np.insert(ends, 0, 0)
+    more = array("q")
+    for gap in np.flatnonzero(begins != ends).tolist():
+        position, end = int(ends[gap]), int(begins[gap])
+        while position < end and not more:
+            position = _other_record(content, position, where, more)
+        if position != end or more:
+            return False
+    return True
+
+
+def _other_record(content: bytes, position: int, where: str, found: array[int]) -> int:
+    """Read a connection record, or a message in another layout; return the offset of its end."""
+    op, fields, start, stop = record_at(content, position, where)
+    if op == OP_MESSAGE:
+        found.extend((*message_of(fields, where), start, stop))
+    elif op != OP_CONNECTION:
+        # Connection records are skipped: the index at the end of the bag repeats them.
+        place = f"{where} (byte {position} of its content)"
+        raise BagError(f"{place} is damaged: a record of kind {op}")
+    return stop
+
+
+def record_at(content: bytes, position: int, where: str) -> tuple[int, Fields, int, int]:
+    """Read the record at an offset of a chunk's content.
+
+    Returns:
+        Kind of the record, its header fields, and the offsets of the begin and end of its data.
+
+    Raises:
+        BagError: The record is damaged or runs over the end of the content.
+    """
+    place = f"{where} (byte {position} of its content)"
+    try:
+        data_size_at = position + 4 + int(U32.unpack_from(content, position)[0])
+        start = data_size_at + 4
+        stop = start + int(U32.unpack_from(content, data_size_at)[0])
+    except struct.error:
+        stop = len(content) + 1
+    if stop > len(content):
+        raise BagError(f"{place} is damaged: a record runs over the end")
+    if data_size_at - position > MAX_HEADER_BYTES:
+        raise BagError(f"{place} is damaged: a header of {data_size_at - position} bytes")
+    fields = split_fields(content[position + 4 : data_size_at], place)
+    return number(fields, b"op", place), fields, start, stop
+
+
+def message_of(fields: Fields, where: str) -> tuple[int, int]:
+    """Return the connection id and the time, ns, in the header of a message record."""
+    return number(fields, b"conn", where), time_ns(fields, b"time", where)
+
+
+def message_head(number: int, t_ns: int, size: int) -> bytes:
+    """Return the bytes that precede a serialised message of ``size`` bytes in a chunk."""
+    secs, nsecs = divmod(t_ns, SECOND_NS)
+    _, head, middle = _PYTHON
+    return _MESSAGE_HEAD.pack(head, number, middle, secs, nsecs, size)

@@ -19,7 +19,7 @@ from typing import Iterable, Mapping, NamedTuple, Sequence, Union
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cassandra_ros.bag.chunk import ChunkMessages
+from cassandra_ros.bag.format import ChunkMessages
 from cassandra_ros.bag.message_file import MessageFile, MessageProgress, PublishTimes
 from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.keys import MAX_WRITER

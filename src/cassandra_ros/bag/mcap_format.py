@@ -28,7 +28,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cassandra_ros.bag.chunk import MAX_AT_ONCE, MIN_AT_ONCE, Longs
+from cassandra_ros.bag.format import MAX_AT_ONCE, MIN_AT_ONCE, Longs
 from cassandra_ros.errors import BagError
 from cassandra_ros.keys import MAX_NS
 

@@ -16,7 +16,7 @@ from mcap.records import Channel, Header, Schema, Statistics
 from mcap.well_known import MessageEncoding, Profile
 
 from cassandra_ros.bag import mcap_format as mcapformat
-from cassandra_ros.bag.chunk import ChunkMessages
+from cassandra_ros.bag.format import ChunkMessages
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
 from cassandra_ros.bag.message_file import (

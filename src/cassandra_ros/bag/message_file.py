@@ -18,7 +18,7 @@ from typing import AbstractSet, Callable, Iterable, Iterator, NamedTuple, TypeVa
 
 import numpy as np
 
-from cassandra_ros.bag.chunk import ChunkMessages, Longs
+from cassandra_ros.bag.format import ChunkMessages, Longs
 from cassandra_ros.errors import BagError, BagTooLarge, TopicNotFound
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection

@@ -26,7 +26,7 @@ from typing import (
 )
 
 from cassandra_ros.arguments import check_list, check_new_topic, spellings
-from cassandra_ros.bag.chunk import COMPRESSIONS
+from cassandra_ros.bag.format import COMPRESSIONS
 from cassandra_ros.bag.identity import describe_same_name, runs_meant, runs_of_file, source_of
 from cassandra_ros.bag.message_sample import join_samples, read_samples
 from cassandra_ros.bag.rosbag_errors import bag_error
