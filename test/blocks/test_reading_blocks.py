@@ -13,8 +13,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from cassandra_ros.blocks import block_stream as streams
-from cassandra_ros.blocks.block_stream import stream
-from cassandra_ros.blocks.bucket_read import BucketRead, WaitingRows
+from cassandra_ros.blocks.block_stream import BucketRead, WaitingRows, stream
 from cassandra_ros.keys import Position, writer_of
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store import bucket_walk as walk

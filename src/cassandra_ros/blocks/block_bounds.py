@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Iterator, NamedTuple, Sequence
 
 from cassandra_ros.blocks.block_row import HEADER, BlockRow, read_block
-from cassandra_ros.blocks.bucket_read import BucketRead, OpenedBlock
+from cassandra_ros.blocks.block_stream import BucketRead, OpenedBlock
 from cassandra_ros.connection.cql_names import quote_name
 from cassandra_ros.connection.paging import PagedRead, RawRow
 

@@ -15,8 +15,7 @@ from cassandra.cluster import ResultSet
 from cassandra.query import BoundStatement
 
 from cassandra_ros.blocks.block_lookup import MessageFinder, answer_one, ask_one
-from cassandra_ros.blocks.block_stream import stream
-from cassandra_ros.blocks.bucket_read import BucketRead
+from cassandra_ros.blocks.block_stream import BucketRead, stream
 from cassandra_ros.connection.paging import PagedRead, RawRow, sent_ahead
 from cassandra_ros.connection.protocol import RawPage
 from cassandra_ros.errors import CorruptMessage

@@ -25,8 +25,14 @@ from typing import (
 
 from cassandra.query import PreparedStatement
 
-from cassandra_ros.blocks.block_stream import opened, stream
-from cassandra_ros.blocks.bucket_read import EARLY_BLOCKS, BucketRead, OpenedBlock, Sift
+from cassandra_ros.blocks.block_stream import (
+    EARLY_BLOCKS,
+    BucketRead,
+    OpenedBlock,
+    Sift,
+    opened,
+    stream,
+)
 from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
 from cassandra_ros.connection.paging import GROWTH, PagedRead, RawRow
 from cassandra_ros.connection.protocol import RawPage

@@ -21,7 +21,7 @@ from typing import Callable, Iterable, Iterator, Sequence, TypeVar
 import numpy as np
 
 from cassandra_ros.arrays.stacked_values import MessageBlock
-from cassandra_ros.blocks.bucket_read import BucketRead, OpenedBlock
+from cassandra_ros.blocks.block_stream import BucketRead, OpenedBlock
 from cassandra_ros.blocks.codec import Unpacked
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound, TopicNotFound
