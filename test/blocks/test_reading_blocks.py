@@ -16,11 +16,11 @@ from cassandra_ros.blocks import block_stream as streams
 from cassandra_ros.blocks.block_stream import BucketRead, WaitingRows, stream
 from cassandra_ros.keys import Position, writer_of
 from cassandra_ros.read import Read, TimeRange, Whose
-from cassandra_ros.store import bucket_walk as walk
 from cassandra_ros.store import reader
 from cassandra_ros.store.fetch import RowKey, fetch_rows, first_at
 from cassandra_ros.store.reader import read_rows
 from cassandra_ros.store.row_counts import recount
+from cassandra_ros.tables import directory as listing
 from cassandra_ros.topics.removal import delete_rows, delete_time_range
 from cassandra_ros.topics.row_finder import Finder
 from cassandra_ros.topics.stored_totals import count_rows
@@ -216,8 +216,8 @@ def test_blocks_read_as_a_sorted_list(stored, found, rand):
         patch.setattr(streams, "FIRST_HEADERS", rand.choice((1, 2, 64)))
         patch.setattr(streams, "MAX_AT_ONCE", rand.choice((1, 3, 100)))
         patch.setattr(streams, "FEW_ROWS", rand.choice((1, 8)))
-        patch.setattr(walk, "FEW_BUCKETS", rand.choice((1, 2, 8)))
-        patch.setattr(walk, "FEW_SLOTS", rand.choice((1, 2, 64)))
+        patch.setattr(listing, "FEW_BUCKETS", rand.choice((1, 2, 8)))
+        patch.setattr(listing, "FEW_SLOTS", rand.choice((1, 2, 64)))
         model = Model(stored, found)
         check(model, rand)
         check_streams(model, rand)

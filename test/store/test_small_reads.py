@@ -18,8 +18,8 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store import bucket_walk as walk
 from cassandra_ros.store import reader
+from cassandra_ros.tables import directory as listing
 
 SEC = 10**9
 SLOT = 4096 * SEC
@@ -251,7 +251,7 @@ ENTRIES = st.lists(
 def test_small_reads_give_what_a_plain_list_gives(fresh, data, entries, unit):
     with pytest.MonkeyPatch.context() as patch, fresh() as rosCas:
         for module, name, values in (
-            (walk, "FEW_BUCKETS", (1, 2, 8)), (walk, "FEW_SLOTS", (1, 2, 64)),
+            (listing, "FEW_BUCKETS", (1, 2, 8)), (listing, "FEW_SLOTS", (1, 2, 64)),
             (reader, "PAGE_BYTES", (100, 10**6)), (reader, "AHEAD", (1, 16)),
         ):  # fmt: skip
             patch.setattr(module, name, data.draw(st.sampled_from(values), name))

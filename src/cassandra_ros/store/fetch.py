@@ -20,7 +20,6 @@ from cassandra_ros.connection.paging import PagedRead, RawRow, sent_ahead
 from cassandra_ros.connection.protocol import RawPage
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
-from cassandra_ros.store.bucket_walk import begin_slot
 from cassandra_ros.tables.checksum import crc32
 from cassandra_ros.tables.directory import Directory, slot_of
 from cassandra_ros.tables.row_table import (
@@ -125,7 +124,7 @@ def beside(
         One row for each way; of several rows with the same time the first.
     """
     listings = [
-        (table, begin_slot(directory, table.name, slot_of(table.bucket_of(t)))) for table in tables
+        (table, directory.begin_slot(table.name, slot_of(table.bucket_of(t)))) for table in tables
     ]
     streams: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
     for table, (seen, _) in listings:

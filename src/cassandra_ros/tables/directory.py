@@ -6,6 +6,10 @@ A bucket is a partition with the rows of one time range. A writer adds it to the
 before its first data row, so the directory lists every bucket that has rows, and perhaps some that
 have none. The counts of a *closed* bucket are final, those of an open one are estimates. Heartbeats
 have the server's time, because clocks of robots are wrong.
+
+A topic that was recorded for a year has half a million buckets of a minute, and a read of its last
+message needs one of them. So a read goes through the directory slot by slot, in windows that grow
+(``BucketWalk``). A read of all rows gets a whole slot at once.
 """
 
 from __future__ import annotations
@@ -15,10 +19,12 @@ from copy import copy
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
+from itertools import chain, groupby
 from typing import (
     Callable,
     Iterable,
     Iterator,
+    List,
     NamedTuple,
     Sequence,
     Tuple,
@@ -54,6 +60,14 @@ NOTE_SEC = 3600.0
 s."""
 NOTE_MARGIN_SEC = 7200
 """How much longer than a data row that is written now its row of cr_node must stay, s."""
+FEW_BUCKETS = 8
+"""Number of rows in the first window of buckets, for each node."""
+FEW_SLOTS = 64
+"""Number of rows in the first window of slots and their nodes."""
+MANY_SLOTS = 1024
+"""Maximum number of slots cached for one table."""
+WIDER = 4
+"""Ratio between the sizes of two consecutive windows."""
 
 
 class Lengths(NamedTuple):
@@ -192,6 +206,16 @@ class BucketTotals:
         return {"n": self.rows, **{name: v for name, v in vars(self).items() if name != "rows"}}
 
 
+Group = List[BucketRow]
+"""Rows of the directory of all writers for one bucket and node."""
+BucketGroup = Tuple[int, Group]
+"""A bucket and its group. An empty group means that the directory was read up to here."""
+_Slot = Tuple[int, Tuple[str, ...]]
+"""A slot, and the nodes that have buckets in it."""
+_Answers = Iterator[Callable[[], List[BucketRow]]]
+"""Functions that wait for the buckets of one node each."""
+
+
 class Directory:
     """Reads and writes cr_node and cr_bucket of one keyspace."""
 
@@ -280,6 +304,27 @@ class Directory:
             asked = self._cassandra.begin(cql, (*each, limit), what=what, retry_sec=retry_sec)
             yield partial(_bucket_rows, each[1], asked)
 
+    def keep_slots(self, table: str, asked: range, slots: Sequence[_Slot]) -> None:
+        """Cache the listed nodes of some slots for the next read."""
+        kept = {s: n for s, n in self.seen.get(table, {}).items() if s not in asked}
+        self.seen[table] = {**(kept if len(kept) < MANY_SLOTS else {}), **dict(slots)}
+
+    def begin_slot(
+        self, table: str, slot: int
+    ) -> tuple[tuple[str, ...], Callable[[], tuple[str, ...]]]:
+        """Request the nodes of a slot.
+
+        Return the cached ones, and a function that waits for the answer.
+        """
+        answer = self.begin_nodes(table, (slot, slot))
+
+        def nodes() -> tuple[str, ...]:
+            found = tuple(node for _, node in answer())
+            self.keep_slots(table, range(slot, slot + 1), [(slot, found)] if found else [])
+            return found
+
+        return self.seen.get(table, {}).get(slot, ()), nodes
+
     def columns(
         self, wanted: Iterable[SlotRange], *, single: bool = False
     ) -> Iterator[BucketColumns]:
@@ -365,6 +410,134 @@ class Directory:
         for reverse in (False, True):
             self.first.pop((table, reverse), None)
         self._tables.delete("cr_node", ("tbl",), [(table,)], "clearing the directory")
+
+
+class BucketWalk:
+    """The buckets of one table in [first, last], in order of time, or newest first.
+
+    Args:
+        nodes: nodeIDs to read; None = all.
+        ttl: Lifetime of the table's rows, seconds; expired buckets are left out.
+        few: Whether probably only few of the buckets are needed.
+
+    Attributes:
+        met: Nodes found so far that have buckets.
+    """
+
+    def __init__(
+        self,
+        directory: Directory,
+        table: str,
+        first: int,
+        last: int,
+        nodes: Sequence[str] | None = None,
+        ttl: int = 0,
+        *,
+        reverse: bool = False,
+        few: bool = False,
+    ) -> None:
+        self._directory = directory
+        self._table = table
+        self._ends = first, last
+        self._nodes = nodes
+        self._ttl = ttl
+        self._reverse = reverse
+        self._few = few
+        self.met: set[str] = set()
+
+    def groups(self) -> Iterator[BucketGroup]:
+        """Yield the buckets of all nodes in order of time.
+
+        If few are needed, an empty group is yielded before each further request.
+        """
+        limit = FEW_BUCKETS if self._few else ALL_ROWS
+        slots = self._slots()
+        next(slots, None)  # sends the request; an empty range has no slots
+        # The first slot is mostly the same as last time: its buckets are requested at once.
+        expected = self._expected()
+        early = None if expected is None else self._ask(expected, self._inside(expected), limit)
+        begun = False
+        for slot in slots:
+            if slot is None:
+                continue
+            low, high = self._inside(slot)
+            # Only for the first slot: later ones need a larger window.
+            asked = early if slot == expected and not begun else None
+            while low <= high:
+                if begun and self._few:
+                    yield (high if self._reverse else low), []
+                asked = self._ask(slot, (low, high), limit) if asked is None else asked
+                found, end = self._window(asked, low, high, limit)
+                yield from ((group[0].bucket, group) for group in found)
+                low, high = (low, end - 1) if self._reverse else (end + 1, high)
+                limit, asked, begun = min(ALL_ROWS, WIDER * limit), None, True
+
+    def _inside(self, slot: _Slot) -> tuple[int, int]:
+        """Return the first and the last bucket of a slot in the range of this walk."""
+        begin = slot[0] * SLOT_BUCKETS
+        return max(self._ends[0], begin), min(self._ends[1], begin + SLOT_BUCKETS - 1)
+
+    def _slots(self) -> Iterator[_Slot | None]:
+        """Yield None when the request was sent, then the slots in which the nodes have buckets."""
+        first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
+        limit = FEW_SLOTS if self._few else ALL_ROWS
+        while first <= last:
+            ask = self._directory.begin_nodes
+            answer = ask(self._table, (first, last), limit, reverse=self._reverse)
+            yield None
+            asked, listed = range(first, last + 1), answer()
+            slots = [(s, tuple(n for _, n in g)) for s, g in groupby(listed, lambda row: row[0])]
+            if len(listed) < limit:
+                first, last = 1, 0
+            else:
+                cut = slots.pop()[0]  # further nodes of this slot may follow
+                first, last = (first, cut) if self._reverse else (cut, last)
+                limit = min(ALL_ROWS, WIDER * limit)
+            if self._few:
+                self._directory.keep_slots(self._table, asked, slots)
+            yield from [kept for kept in map(self._kept, slots) if kept is not None]
+
+    def _kept(self, slot: _Slot) -> _Slot | None:
+        """Leave out the nodes that are not to be read; return None if there are no others."""
+        nodes = tuple(n for n in slot[1] if self._nodes is None or n in self._nodes)
+        self.met.update(nodes)
+        return (slot[0], nodes) if nodes else None
+
+    def _expected(self) -> _Slot | None:
+        """Return the slot that is probably the first; None = unknown, or too many nodes to try."""
+        first, last = slot_of(self._ends[0]), slot_of(self._ends[1])
+        known = self._directory.seen.get(self._table, {}) if self._few else {}
+        inside = [(s, nodes) for s, nodes in known.items() if first <= s <= last]
+        if not inside:
+            return None
+        slot = self._kept(max(inside) if self._reverse else min(inside))
+        return slot if slot is not None and len(slot[1]) <= AT_ONCE else None
+
+    def _ask(self, slot: _Slot, ends: tuple[int, int], limit: int) -> _Answers:
+        """Request the buckets of the nodes of a slot, several at once."""
+        params = [(self._table, node, slot[0], *ends) for node in slot[1]]
+        asked = sent_ahead(
+            self._directory.begin_buckets(params, limit, reverse=self._reverse), AT_ONCE
+        )
+        first = next(asked, None)  # sends the requests
+        return iter(()) if first is None else chain((first,), asked)
+
+    def _window(self, asked: _Answers, low: int, high: int, limit: int) -> tuple[list[Group], int]:
+        """Return the next buckets, and the last bucket (included) up to which they are complete."""
+        end = low if self._reverse else high
+        found: list[BucketRow] = []
+        for answer in asked:
+            rows = answer()
+            found += rows
+            if len(rows) == limit:
+                cut = rows[-1].bucket  # further writers of this bucket may follow
+                end = max(end, cut + 1) if self._reverse else min(end, cut - 1)
+        groups: dict[tuple[int, str], Group] = {}
+        for row in found:
+            inside = row.bucket >= end if self._reverse else row.bucket <= end
+            if inside and not (self._ttl and row.expired(self._ttl)):
+                groups.setdefault((row.bucket, row.node), []).append(row)
+        return [groups[key] for key in sorted(groups, reverse=self._reverse)], end
 
 
 def _key(place: BucketKey) -> dict[str, object]:
