@@ -16,8 +16,8 @@ from cassandra_ros.bag import importer
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.blocks.block_builder import Limits
 from cassandra_ros.tables import replacement
-from cassandra_ros.tables.block_limits import Limits
 
 START = 1_700_000_000 * 10**9
 

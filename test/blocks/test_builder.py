@@ -14,12 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from threads import together
 
-from cassandra_ros.blocks.block_builder import Builders, make_block
+from cassandra_ros.blocks.block_builder import (
+    ALL_BYTES,
+    ALONE_BYTES,
+    Builders,
+    Limits,
+    limits_for,
+    make_block,
+)
 from cassandra_ros.blocks.codec import unpack_block
 from cassandra_ros.formats.binary import CassandraTopic_binary
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.tables import block_limits as limits
-from cassandra_ros.tables.block_limits import ALL_BYTES, Limits, limits_for
 from cassandra_ros.tables.row_table import CHUNK_BYTES
 
 SPAN, BUCKET = 50, 170
@@ -159,7 +164,7 @@ def test_messages_of_several_threads_are_all_there(steps, threads):
 
 def test_a_large_message_is_alone():
     cutter = Cutter(Limits())
-    sizes = [10, limits.ALONE_BYTES, limits.ALONE_BYTES + 1, 10, 10, CHUNK_BYTES + 1, 10]
+    sizes = [10, ALONE_BYTES, ALONE_BYTES + 1, 10, 10, CHUNK_BYTES + 1, 10]
     cutter.take([(1000 + n, n, bytes(size)) for n, size in enumerate(sizes)])
     # The large ones do not wait.
     assert [len(block.wires) for _, block in cutter.blocks] == [2, 1, 2, 1]

@@ -24,13 +24,13 @@ from cassandra_ros.bag.message_file import (
     connections_of_topics,
 )
 from cassandra_ros.bag.publish_times import store_publish_times
+from cassandra_ros.blocks.block_builder import limits_for
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.metadata import message_kind
 from cassandra_ros.read import Read, TimeRange, Whose
-from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES

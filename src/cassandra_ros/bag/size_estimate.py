@@ -15,6 +15,7 @@ from typing import Iterable, List, Mapping, Sequence, Tuple
 import lz4.block
 
 from cassandra_ros.bag.message_file import MessageFile, connections_of_topics
+from cassandra_ros.blocks.block_builder import ALONE_BYTES
 from cassandra_ros.blocks.codec import pack_block
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
@@ -22,7 +23,7 @@ from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.tables.block_limits import ALONE_BYTES, MAX_BYTES, MAX_MESSAGES
+from cassandra_ros.tables.directory import MAX_BYTES, MAX_MESSAGES
 from cassandra_ros.tables.row_table import CHUNK_BYTES, INLINE_COLUMN_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.stored_totals import TopicInfo

@@ -20,9 +20,33 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from cassandra_ros.blocks.codec import Longs, pack_block
-from cassandra_ros.tables.block_limits import ALONE_BYTES, Limits
 from cassandra_ros.tables.checksum import crc32
+from cassandra_ros.tables.directory import MAX_BYTES, MAX_MESSAGES
 from cassandra_ros.tables.row_table import CHUNK_BYTES, RowTable
+
+MIN_BYTES = 16 * 1024
+ALL_BYTES = 64 * 1024 * 1024
+"""Maximum number of bytes in all blocks of a bag together while they are being filled."""
+ALONE_BYTES = 64 * 1024
+"""Size from which a message gets a block of its own, bytes."""
+
+
+class Limits(NamedTuple):
+    """Maximum number of messages and of serialised bytes in one block."""
+
+    messages: int = MAX_MESSAGES
+    bytes: int = MAX_BYTES
+
+
+FULL = Limits()
+
+
+def limits_for(connections: int) -> Limits:
+    """Return the limits of blocks for ``connections`` blocks that are filled at the same time."""
+    nbytes = max(MIN_BYTES, min(MAX_BYTES, ALL_BYTES // max(connections, 1)))
+    # Each message takes some memory in addition to its bytes.
+    return Limits(nbytes * MAX_MESSAGES // MAX_BYTES, nbytes)
+
 
 MessageAgain = Callable[[int, int, bytes], object]
 """Writes a message again, given its receive time (ns), its ``_seq`` and its bytes."""

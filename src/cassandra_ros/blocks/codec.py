@@ -50,11 +50,13 @@ import zstandard
 from numpy.typing import NDArray
 
 from cassandra_ros.errors import CorruptMessage
-from cassandra_ros.tables.block_limits import MAX_CONTENT_BYTES
 
 Bytes = NDArray[np.uint8]
 BytesLike = Union[bytes, memoryview]
 
+MAX_CONTENT_BYTES = 16 * 1024 * 1024
+"""Maximum size of what a block says that it holds, packed and serialised, bytes. A larger one was
+changed; blocks that this package writes have at most a thirtieth of it."""
 _PLANES, _COLUMNS, _ROWS = 0, 1, 2
 _UNIT = 8
 _SAMPLE_BYTES = 16 * 1024

@@ -11,7 +11,15 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Callable, Sequence, Union
 
-from cassandra_ros.blocks.block_builder import Block, BlockBuilder, Builders, KeyTime, MessageAgain
+from cassandra_ros.blocks.block_builder import (
+    FULL,
+    Block,
+    BlockBuilder,
+    Builders,
+    KeyTime,
+    Limits,
+    MessageAgain,
+)
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.driver_errors import is_passing, is_table_gone, translate
 from cassandra_ros.connection.flight import Flight, Outcome
@@ -19,7 +27,6 @@ from cassandra_ros.connection.paging import Patience
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
 from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, Chunks, OpenBucket, RowAgain
 from cassandra_ros.store.row_counts import recount
-from cassandra_ros.tables.block_limits import FULL, Limits
 from cassandra_ros.tables.checksum import crc32
 from cassandra_ros.tables.directory import HEARTBEAT_SEC, BucketTotals, Directory
 from cassandra_ros.tables.row_table import CHUNK_BYTES, NewRow, RowTable, bind, encode_int

@@ -33,7 +33,6 @@ from typing import (
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.connection.paging import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.tables.block_limits import MAX_BYTES, MAX_MESSAGES
 from cassandra_ros.tables.bucket_columns import BucketColumns, SlotRange, read_columns
 from cassandra_ros.tables.row_table import RowTable
 from cassandra_ros.tables.side_tables import SideTables
@@ -41,6 +40,10 @@ from cassandra_ros.tables.side_tables import SideTables
 BUCKET_LENGTHS = tuple(s * SECOND_NS for s in (1, 10, 60, 600, 3600, 6 * 3600, 86400))
 MAX_BUCKET_BYTES = 64_000_000
 MAX_BUCKET_ROWS = 100_000
+MAX_MESSAGES = 1024
+"""Maximum number of messages in a block."""
+MAX_BYTES = 256 * 1024
+"""Maximum number of serialised bytes in a block."""
 MIN_SPAN_NS = 10_000_000
 UNKNOWN_SPAN_NS = 10 * SECOND_NS
 """Minimum time range of a block, ns; and the time range of a block if the rate is unknown, ns."""

@@ -24,7 +24,7 @@ from cassandra_ros.arguments import (
     check_seconds,
     check_ttl,
 )
-from cassandra_ros.blocks.block_builder import BlockBuilder
+from cassandra_ros.blocks.block_builder import FULL, BlockBuilder, Limits
 from cassandra_ros.errors import (
     CassandraRosError,
     CorruptMessage,
@@ -41,7 +41,6 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.metadata import ANY_MD5, TopicMetadata
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
-from cassandra_ros.tables.block_limits import FULL, Limits
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import NewRow
 from cassandra_ros.topics.keyspace import Keyspace

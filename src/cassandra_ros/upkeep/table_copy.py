@@ -7,11 +7,11 @@ from __future__ import annotations
 from itertools import islice
 from typing import Callable, Iterator, Optional, Sequence
 
+from cassandra_ros.blocks.block_builder import limits_for
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
 from cassandra_ros.read import EVERYTHING, Read, TimeRange, Whose
 from cassandra_ros.store.fetch import RowKey, fetch_row, fetch_rows, list_names
-from cassandra_ros.tables.block_limits import limits_for
 from cassandra_ros.tables.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
