@@ -280,7 +280,7 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
 
     Return None if an index is damaged. The messages can be found without it.
     """
-    found = [np.zeros(0, np.int64)]
+    found: list[Longs] = [np.zeros(0, np.int64)]
     with suppress(BagError, ValueError, struct.error):
         for record in records_of(raw, ""):
             _, index_bytes = INDEX.unpack_from(raw, record.start)

@@ -220,7 +220,9 @@ def _arrays(
     select: Select, rows: Iterator[ResultRow], over: int, places: Sequence[int]
 ) -> tuple[AnyArray, AnyArray]:
     """Return times and numbers of rows; rows without a time are left out."""
-    times, numbers, count = [np.zeros(0, np.int64)], [np.zeros((len(places), 0))], 0
+    times: list[AnyArray] = [np.zeros(0, np.int64)]
+    numbers: list[AnyArray] = [np.zeros((len(places), 0))]
+    count = 0
     while True:
         chunk = list(islice(rows, _CHUNK_ROWS))
         if not chunk:

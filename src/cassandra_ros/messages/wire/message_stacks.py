@@ -306,7 +306,7 @@ class Stacker:
         least = 1 if size >= LARGE_BYTES else MIN_STACKED
         found: list[Stack] = []
         rest: list[Int64Array] = []
-        left = np.arange(count)
+        left: Int64Array = np.arange(count)
         for _ in range(MAX_LAYOUTS_TRIED):
             if len(left) < max(1, least):
                 break
@@ -391,6 +391,7 @@ def read_numbers(planes: ByteArray, ats: Int64Array, base: str) -> NumberArray:
     See Stack.numbers.
     """
     unit, messages = PRIMITIVE_SIZES[base], planes.shape[1]
+    numbers: NumberArray
     if len(ats) <= MAX_OFFSETS_ONE_BY_ONE and planes.T.flags.c_contiguous:
         # The messages are adjacent in memory: each number is read in place.
         numbers = np.empty((len(ats), messages), f"<u{unit}")

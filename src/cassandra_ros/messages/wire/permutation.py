@@ -120,8 +120,8 @@ class Permutation:
 
     def wires(self, rows: ByteArray) -> tuple[ByteArray, NDArray[np.bool_]]:
         """Return the messages of rows, (rows, bytes), and which rows have this layout."""
-        good: NDArray[np.bool_] = rows.take(self._constant_at, axis=1) == self._constants
-        good = good.all(axis=1)
+        constants = rows.take(self._constant_at, axis=1)
+        good: NDArray[np.bool_] = np.equal(constants, self._constants).all(axis=1)
         wires = rows.take(self._back, axis=1)
         wires[:, self._lost] = self._lengths
         for at, to, code in self._stamps:

@@ -135,7 +135,7 @@ def _leaf(leaf: Leaf, definition: Definition, refs: list[FieldRef]) -> _Test | N
         compare = _one_of(dtype, numbers)
     else:
         compare = _comparison(dtype, operator, numbers[0])
-    return lambda stack: compare(get(stack)).any(axis=0)
+    return lambda stack: np.logical_or.reduce(compare(get(stack)))
 
 
 def _quantified(leaf: Quantified, definition: Definition, refs: list[FieldRef]) -> _Test | None:
