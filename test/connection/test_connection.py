@@ -12,7 +12,7 @@ from std_msgs.msg import String
 from cassandra_ros import Cassandra, RosCassandra
 from cassandra_ros.connection import cassandra as connection
 from cassandra_ros.connection.driver_errors import is_passing, translate
-from cassandra_ros.connection.paging import answered
+from cassandra_ros.connection.requests import answered
 from cassandra_ros.errors import ConnectionFailed, InvalidOption, WriteFailed
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of

@@ -26,7 +26,7 @@ from store.text_messages import (
     write_in_two_parts,
 )
 
-from cassandra_ros.connection import flight
+from cassandra_ros.connection import requests as in_flight
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.store import backfill, fetch, reader
 from cassandra_ros.store import row_counts as counting
@@ -121,6 +121,8 @@ def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatc
     late, asking, outcomes = [0.0], set(), []
 
     class Clock:
+        sleep = staticmethod(time.sleep)
+
         @staticmethod
         def monotonic():
             asking.add(threading.current_thread())
@@ -129,14 +131,14 @@ def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatc
     def marked(word):
         return lambda f: f.opcode == EXECUTE and word in f.body
 
-    monkeypatch.setattr(flight, "time", Clock)
-    monkeypatch.setattr(flight, "MAX_REQUESTS", 1)
+    monkeypatch.setattr(in_flight, "time", Clock)
+    monkeypatch.setattr(in_flight, "MAX_REQUESTS", 1)
     statement = far.cassandra.prepare(
         f"INSERT INTO {far.keyspace}.cr_definition (md5sum, hash, text) VALUES (?, ?, ?)"
     )
     first = proxy.catch(marked(b"the first"), failed=False).hold()
     second = proxy.catch(marked(b"the second"), most=1)
-    requests = flight.Flight(far.cassandra.send_raw)
+    requests = in_flight.Flight(far.cassandra.send_raw)
     requests.submit(bind(statement, (b"a", b"a", b"the first")), 10, outcomes.append)
     first.wait()
     sending = threading.Thread(
@@ -156,10 +158,10 @@ def test_the_time_of_a_request_begins_when_its_turn_comes(far, proxy, monkeypatc
 def test_bytes_on_their_way_are_bounded(far, proxy):
     """A request that would exceed the maximum waits until others are answered."""
     cql = f"INSERT INTO {far.keyspace}.cr_definition (md5sum, hash, text) VALUES (?, ?, ?)"
-    statement, size = far.cassandra.prepare(cql), flight.MAX_BYTES // 2 + 1
+    statement, size = far.cassandra.prepare(cql), in_flight.MAX_BYTES // 2 + 1
     first = proxy.catch(lambda f: f.opcode == EXECUTE and b"the first" in f.body, failed=False)
     first.hold()
-    requests, outcomes = flight.Flight(far.cassandra.send_raw), []
+    requests, outcomes = in_flight.Flight(far.cassandra.send_raw), []
     requests.submit(bind(statement, (b"a", b"a", b"the first")), size, outcomes.append)
     first.wait()
     second = bind(statement, (b"b", b"b", b"the second"))

@@ -20,7 +20,7 @@ from std_msgs.msg import UInt8MultiArray
 from cassandra_ros import RosCassandra
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.connection.flight import MAX_BYTES, Flight
+from cassandra_ros.connection.requests import MAX_BYTES, Flight
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.cluster_settings import OWN_HEAP_MB
@@ -168,7 +168,7 @@ from cassandra_ros import RosCassandra
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.connection.flight import Flight
+from cassandra_ros.connection.requests import Flight
 from cassandra_ros.store.writer import RowWriter
 from std_msgs.msg import UInt8MultiArray
 

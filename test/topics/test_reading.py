@@ -111,7 +111,7 @@ def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
         return future
 
     monkeypatch.setattr(rosCas.cassandra, "ask_raw", stumbling)
-    monkeypatch.setattr("cassandra_ros.connection.paging.FIRST_PAUSE_SEC", 0.001)
+    monkeypatch.setattr("cassandra_ros.connection.requests.FIRST_PAUSE_SEC", 0.001)
     assert found(rosCas.readMessages()) == wanted
     assert sum(i.count for i in rosCas.info()) == len(wanted)
     assert rosCas.getTopic("/t0").getRow(wanted[0][0].t) is not None

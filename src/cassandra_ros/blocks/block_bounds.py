@@ -9,7 +9,7 @@ from typing import Iterator, NamedTuple, Sequence
 from cassandra_ros.blocks.block_row import HEADER, BlockRow, read_block
 from cassandra_ros.blocks.block_stream import BucketRead, OpenedBlock
 from cassandra_ros.connection.cql_names import quote_name
-from cassandra_ros.connection.paging import PagedRead, RawRow
+from cassandra_ros.connection.requests import PagedRead, RawRow
 
 PAGE_BLOCKS = 5000
 AT_ONCE = 16

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from cassandra_ros.blocks.block_row import WHOLE, Block, read_blocks
-from cassandra_ros.connection.paging import PagedRead
+from cassandra_ros.connection.requests import PagedRead
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import COUNTER_BITS, Position, writer_of
 from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ, RowTable, TableRow, bind, encode_long

@@ -12,7 +12,7 @@ from typing import Iterable, NamedTuple, Sequence
 import numpy as np
 
 from cassandra_ros.blocks.codec import Longs, Unpacked, unpack_block
-from cassandra_ros.connection.paging import PagedRead, RawRow
+from cassandra_ros.connection.requests import PagedRead, RawRow
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import writer_of
 from cassandra_ros.tables.checksum import crc32

@@ -30,8 +30,8 @@ from cassandra_ros.blocks.block_row import (
 )
 from cassandra_ros.blocks.codec import Longs, Unpacked
 from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
-from cassandra_ros.connection.paging import PagedRead, RawRow
 from cassandra_ros.connection.protocol import RawPage
+from cassandra_ros.connection.requests import PagedRead, RawRow
 from cassandra_ros.errors import CorruptMessage, SchemaConflict
 from cassandra_ros.tables.row_table import (
     ALL,

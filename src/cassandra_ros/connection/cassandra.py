@@ -42,19 +42,19 @@ from cassandra_ros.connection.driver_errors import (
 from cassandra_ros.connection.login import read_login
 from cassandra_ros.connection.login_errors import explain_refusal
 from cassandra_ros.connection.outage import Outage
-from cassandra_ros.connection.paging import (
+from cassandra_ros.connection.protocol import (
+    PROTOCOL_VERSION,
+    RawProtocolHandler,
+    SchemaChanges,
+    connection_class,
+)
+from cassandra_ros.connection.requests import (
     REQUEST_TIMEOUT_SEC,
     RETRY_SEC,
     Seconds,
     answered,
     retried,
     sent_ahead,
-)
-from cassandra_ros.connection.protocol import (
-    PROTOCOL_VERSION,
-    RawProtocolHandler,
-    SchemaChanges,
-    connection_class,
 )
 from cassandra_ros.connection.sessions import Link, Links
 from cassandra_ros.errors import (

@@ -50,7 +50,7 @@ from cassandra.protocol import (
 from numpy.typing import NDArray
 
 from cassandra_ros.connection.login import Tls
-from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.connection.requests import RawRow
 
 Mark = Tuple[object, object]
 """The newest connection, and the newest change of one keyspace; equal if there was no change."""

@@ -23,7 +23,7 @@ from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.blocks.block_bounds import BlockZones, ask_bounds, open_blocks, read_bounds
 from cassandra_ros.blocks.block_row import BlockRow
 from cassandra_ros.blocks.block_stream import BucketRead
-from cassandra_ros.connection.paging import PagedRead
+from cassandra_ros.connection.requests import PagedRead
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.messages.wire.zones import HIGH, LOW
 from cassandra_ros.overview.plot_columns import Column, as_floats

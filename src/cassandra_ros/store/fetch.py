@@ -16,8 +16,8 @@ from cassandra.query import BoundStatement
 
 from cassandra_ros.blocks.block_lookup import MessageFinder, answer_one, ask_one
 from cassandra_ros.blocks.block_stream import BucketRead, stream
-from cassandra_ros.connection.paging import PagedRead, RawRow, sent_ahead
 from cassandra_ros.connection.protocol import RawPage
+from cassandra_ros.connection.requests import PagedRead, RawRow, sent_ahead
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.tables.checksum import crc32

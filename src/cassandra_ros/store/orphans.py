@@ -15,7 +15,7 @@ from typing import Iterable, NamedTuple, Sequence, Union
 from cassandra_ros.blocks.block_row import ask_blocks
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.cql_names import chunk_table_name
-from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.connection.requests import RawRow
 from cassandra_ros.tables.row_table import COUNTED, Order, RowTable, bind, decode_long
 
 ORPHAN_SEC = 3600

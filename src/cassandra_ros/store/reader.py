@@ -40,8 +40,8 @@ from cassandra_ros.blocks.block_stream import (
     stream,
 )
 from cassandra_ros.connection.driver_errors import DRIVER_ERRORS, is_refused
-from cassandra_ros.connection.paging import GROWTH, PagedRead, RawRow
 from cassandra_ros.connection.protocol import RawPage
+from cassandra_ros.connection.requests import GROWTH, PagedRead, RawRow
 from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.read import Chooser, Query, Read
 from cassandra_ros.store.page_rows import rows_of_page

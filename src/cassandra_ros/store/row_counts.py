@@ -11,7 +11,7 @@ from typing import Iterator
 from cassandra_ros.blocks.block_counts import count_part as count_blocks
 from cassandra_ros.blocks.block_counts import measure
 from cassandra_ros.blocks.block_stream import BucketRead, stream
-from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.connection.requests import RawRow
 from cassandra_ros.errors import AccessDenied, ConnectionFailed, StoreUnavailable
 from cassandra_ros.keys import split_seq, writer_of
 from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, Directory

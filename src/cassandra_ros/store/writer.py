@@ -22,8 +22,7 @@ from cassandra_ros.blocks.block_builder import (
 )
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.driver_errors import is_passing, is_table_gone, translate
-from cassandra_ros.connection.flight import Flight, Outcome
-from cassandra_ros.connection.paging import Patience
+from cassandra_ros.connection.requests import Flight, Outcome, Patience
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable, TopicNotFound, WriteFailed
 from cassandra_ros.store.open_bucket import BATCH_BYTES, Again, Batch, Chunks, OpenBucket, RowAgain
 from cassandra_ros.store.row_counts import recount

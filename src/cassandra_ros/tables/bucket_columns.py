@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra
-from cassandra_ros.connection.paging import RawRow, answered, retried, sent_ahead
+from cassandra_ros.connection.requests import RawRow, answered, retried, sent_ahead
 
 Longs = NDArray[np.int64]
 Bools = NDArray[np.bool_]

@@ -31,7 +31,7 @@ from typing import (
 )
 
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
-from cassandra_ros.connection.paging import Seconds, sent_ahead
+from cassandra_ros.connection.requests import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.tables.bucket_columns import BucketColumns, SlotRange, read_columns
 from cassandra_ros.tables.row_table import RowTable

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Iterable
 
-from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.connection.requests import RawRow
 from cassandra_ros.keys import Position
 from cassandra_ros.tables.row_table import KEYS, RowTable, bind, decode_long
 from cassandra_ros.tables.schema import Schema

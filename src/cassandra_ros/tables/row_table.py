@@ -13,7 +13,14 @@ from cassandra.query import UNSET_VALUE, BoundStatement, PreparedStatement, Stat
 
 from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.connection.cql_names import chunk_table_name, qualified, quote_name
-from cassandra_ros.connection.paging import IsRefused, OnPage, PagedRead, RawRow, answered, retried
+from cassandra_ros.connection.requests import (
+    IsRefused,
+    OnPage,
+    PagedRead,
+    RawRow,
+    answered,
+    retried,
+)
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.metadata import TopicMetadata

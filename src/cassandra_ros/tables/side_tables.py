@@ -20,7 +20,7 @@ from typing import Mapping, Sequence
 
 from cassandra_ros.connection.cassandra import Cassandra, CqlRow, SchemaChange
 from cassandra_ros.connection.cql_names import qualified, quote_name, quote_text
-from cassandra_ros.connection.paging import RETRY_SEC, Seconds
+from cassandra_ros.connection.requests import RETRY_SEC, Seconds
 from cassandra_ros.errors import (
     CassandraRosError,
     InvalidName,

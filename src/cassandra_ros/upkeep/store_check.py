@@ -20,7 +20,7 @@ from typing import Sequence
 
 from cassandra_ros.blocks.block_row import WHOLE, Block, BlockRow, read_block
 from cassandra_ros.connection.cql_names import quote_name
-from cassandra_ros.connection.paging import RawRow
+from cassandra_ros.connection.requests import RawRow
 from cassandra_ros.errors import CorruptMessage, DefinitionError, MessageNotFound, TopicNotFound
 from cassandra_ros.read import TimeRange
 from cassandra_ros.store.fetch import fetch_row, list_names

@@ -16,7 +16,7 @@ from typing import Callable, Iterator, List, NamedTuple, Sequence, Tuple
 import numpy as np
 
 from cassandra_ros.connection.cassandra import AT_ONCE
-from cassandra_ros.connection.paging import sent_ahead
+from cassandra_ros.connection.requests import sent_ahead
 from cassandra_ros.overview.timeline.range_counts import (
     RangeCounts,
     piece_of,
