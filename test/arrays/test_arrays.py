@@ -28,8 +28,9 @@ from cassandra_ros.messages.classes import (
     serialize,
 )
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.projection import Projection
-from cassandra_ros.query.tree.field_names import Findings, all_fields
+from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.parse import parse_select
 
 SEEDS = st.integers(0, 2**32)

@@ -15,7 +15,8 @@ from messages.test_message_stacks import manyWires
 from cassandra_ros.arrays import table_values
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.query.tree.field_names import Findings, all_fields
+from cassandra_ros.query.rows.name_resolution import Findings
+from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.parse import parse_select
 
 

@@ -13,8 +13,9 @@ from compiled import compiled
 from query.rows import attribute, row_of, table_of
 
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.projection import Extractor, Projection
-from cassandra_ros.query.tree.field_names import Findings, all_fields
+from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.parse import parse_select
 
 BAGS = (

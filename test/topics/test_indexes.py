@@ -199,7 +199,7 @@ def test_an_import_that_is_repeated_fills_only_what_it_filled_before(rosCas):
         schema.set_comment(table.name, listed, lock)
     schema._listing = Listing({table.name: listed.with_(indexes={})})
     schema._read_at = time.monotonic() + 60
-    schema._mark = rosCas.cassandra.schema_changes.mark(schema.keyspace)
+    schema._mark = rosCas.cassandra.schema_changes.of(schema.keyspace).mark
     store(rosCas, "/t", texts(10), **again)
     schema.tables(fresh=True)
     assert filled(rosCas, topic, "data") == (2, 3)

@@ -22,10 +22,10 @@ from cassandra_ros.errors import InvalidQuery, TopicNotFound
 from cassandra_ros.installation import optional_module
 from cassandra_ros.query.plan.bounds import bounds_of, with_stays
 from cassandra_ros.query.protocols import Row, Table
+from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.expressions import INTEGER
-from cassandra_ros.query.tree.field_names import Findings
 from cassandra_ros.query.tree.parse import parse_condition, parse_select
 from cassandra_ros.query.tree.syntax import Aggregate, KeyOperand, Select, Selected, Term
 from cassandra_ros.read import EVERYBODY, Read, Whose

@@ -40,9 +40,9 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidQuery
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 from cassandra_ros.query.protocols import Row, Table
-from cassandra_ros.query.rows.name_resolution import KEY_PLACE, NODE_PLACE
+from cassandra_ros.query.rows.name_resolution import KEY_PLACE, NODE_PLACE, Findings
 from cassandra_ros.query.rows.projection import Projection, RowIdentity
-from cassandra_ros.query.tree.field_names import FieldRef, Findings
+from cassandra_ros.query.tree.field_names import FieldRef
 from cassandra_ros.query.tree.syntax import Select
 
 _log = logging.getLogger(__name__)

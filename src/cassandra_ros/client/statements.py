@@ -106,7 +106,7 @@ class Statements:
         check_nodes(node)
         select = statement if isinstance(statement, Select) else parse_select(statement, params)
         topic, whose = self.topic_of(select), self._catalog.whose(node, run)
-        return self._keyspace.naming(
+        return self._keyspace.tables.naming(
             lambda: QueryResult(
                 select, topic, whose, limit=limit, after=after, plan=plan, watch=watch
             )

@@ -536,6 +536,7 @@ class Cassandra:
         """Close the connection; a second call is harmless."""
         if not self._closed:
             self._closed = True
+            self.schema_changes.may_have_missed()  # no list of tables is up to date any more
             # If the program has to end and the server is silent, do not wait for a proper end.
             hurried = self.outage.left_sec < math.inf
             self._links.close(LAST_WORD_SEC if hurried else None)

@@ -52,34 +52,43 @@ from numpy.typing import NDArray
 from cassandra_ros.connection.login import Tls
 from cassandra_ros.connection.requests import RawRow
 
-Mark = Tuple[object, object]
-"""The newest connection, and the newest change of one keyspace; equal if there was no change."""
+
+class KeyspaceChanges:
+    """Tells whether the schema of one keyspace may have changed.
+
+    Attributes:
+        mark: An object that is another one after each change.
+    """
+
+    __slots__ = ("mark",)
+
+    def __init__(self) -> None:
+        self.mark = object()
 
 
 class SchemaChanges:
-    """The newest schema change of each keyspace, as marks that differ after a change.
-
-    Thread-safe.
-    """
+    """The schema changes of the keyspaces that are in use. Thread-safe."""
 
     def __init__(self) -> None:
-        self._newest: dict[str, object] = {}
-        self._connected = object()
+        self._followed: dict[str, KeyspaceChanges] = {}
 
-    def mark(self, keyspace: str) -> Mark:
-        """Return the mark of a keyspace, which changes with each change of its schema."""
-        return self._connected, self._newest.get(keyspace)
+    def of(self, keyspace: str) -> KeyspaceChanges:
+        """Return the changes of a keyspace: one object, however often it is asked for."""
+        return self._followed.setdefault(keyspace, KeyspaceChanges())
 
-    def connected(self) -> None:
-        """Note a new connection: changes before it were not heard."""
-        self._connected = object()
+    def may_have_missed(self) -> None:
+        """Note that changes may not have been heard: a connection is new, or was closed."""
+        for changes in list(self._followed.values()):
+            changes.mark = object()
 
     def pushed(self, change: Mapping[str, object]) -> None:
         """Note a change that a server has pushed, as the driver parsed it.
 
         On the driver's thread.
         """
-        self._newest[str(change["keyspace"])] = object()
+        changes = self._followed.get(str(change["keyspace"]))
+        if changes is not None:
+            changes.mark = object()
 
 
 Offsets = NDArray[np.int64]
@@ -386,7 +395,7 @@ class BufferedConnection(DefaultConnection):
         except BaseException:
             connection.close()
             raise
-        cls.schema_changes.connected()
+        cls.schema_changes.may_have_missed()
         return connection
 
     def handle_pushed(self, response: Any) -> None:

@@ -30,8 +30,9 @@ from cassandra_ros.overview.plot_columns import Column, as_floats
 from cassandra_ros.query.plan.bounds import Bounds
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch
 from cassandra_ros.query.protocols import Table
+from cassandra_ros.query.rows.name_resolution import Findings
 from cassandra_ros.query.rows.projection import Projection
-from cassandra_ros.query.tree.field_names import FieldRef, Findings, field_of
+from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.syntax import KeyOperand, Path, Select, Selected, StatementError
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ

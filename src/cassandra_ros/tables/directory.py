@@ -131,6 +131,7 @@ def slot_of(bucket: int) -> int:
     return bucket // SLOT_BUCKETS
 
 
+_OWN_TABLES = ("cr_node", "cr_bucket")
 _COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
 BucketKey = Tuple[str, str, int, int]
 """Table, node, bucket and writer: the key of a row of cr_bucket."""
@@ -225,6 +226,8 @@ class Directory:
     def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
         self._cassandra = cassandra
         self._tables = side_tables
+        self._node_table, self._bucket_table = map(side_tables.qualified, _OWN_TABLES)
+        self._made = False
         self._noted: dict[tuple[str, int, str], float] = {}
         self.seen: dict[str, dict[int, tuple[str, ...]]] = {}
         """Table → slot → nodes, as listed last; may be out of date."""
@@ -239,6 +242,11 @@ class Directory:
         directory._noted = {}
         return directory
 
+    def _is_made(self) -> bool:
+        """Return whether the tables of the directory exist; the server is asked until they do."""
+        self._made = self._made or all(map(self._tables.has, _OWN_TABLES))
+        return self._made
+
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """Return the (slot, node) pairs of a table for slots in [first_slot, last_slot]."""
         return self.begin_nodes(table, (first_slot, last_slot))()
@@ -247,10 +255,10 @@ class Directory:
         self, table: str, slots: tuple[int, int], limit: int = ALL_ROWS, *, reverse: bool = False
     ) -> Callable[[], list[CqlRow]]:
         """Request the first (slot, node) pairs of a table in [first, last]; see Cassandra.begin."""
-        if not self._tables.has("cr_node"):
+        if not self._is_made():
             return list
         cql = (
-            f"SELECT slot, node FROM {self._tables.qualified('cr_node')} "
+            f"SELECT slot, node FROM {self._node_table} "
             f"WHERE tbl = ? AND slot >= ? AND slot <= ?{' ORDER BY slot DESC' * reverse} LIMIT ?"
         )
         what, retry_sec = "reading the directory of nodes", self._tables.retry_sec
@@ -295,10 +303,10 @@ class Directory:
 
         Each answer has at most ``limit`` rows, from the first bucket on or (reverse) from the last.
         """
-        if not self._tables.has("cr_bucket"):
+        if not self._is_made():
             return
         cql = (
-            f"SELECT {_COLUMNS}, toTimestamp(now()) FROM {self._tables.qualified('cr_bucket')} "
+            f"SELECT {_COLUMNS}, toTimestamp(now()) FROM {self._bucket_table} "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
             f"{' ORDER BY bucket DESC' * reverse} LIMIT ?"
         )
@@ -332,10 +340,9 @@ class Directory:
         self, wanted: Iterable[SlotRange], *, single: bool = False
     ) -> Iterator[BucketColumns]:
         """Read many buckets as columns, several partitions at once; see read_columns."""
-        if not self._tables.has("cr_bucket"):
+        if not self._is_made():
             return iter(())
-        table = self._tables.qualified("cr_bucket")
-        return read_columns(self._cassandra, table, wanted, single=single)
+        return read_columns(self._cassandra, self._bucket_table, wanted, single=single)
 
     def add_node(self, table: str, slot: int, node: str, ttl: int = 0) -> None:
         """Add a slot of a node, before its first bucket, for ``ttl`` seconds (0 = for ever)."""
@@ -390,7 +397,7 @@ class Directory:
         columns = {"filled": set(row.filled), **totals.columns()}
         key = _key((table, row.node, row.bucket, row.writer))
         answer = self._cassandra.execute_once(
-            f"UPDATE {self._tables.qualified('cr_bucket')} USING TTL ? SET state = 'closed', "
+            f"UPDATE {self._bucket_table} USING TTL ? SET state = 'closed', "
             f"{''.join(f'{name} = ?, ' for name in columns)}deleted = false, "
             "heartbeat = toTimestamp(now()) "
             f"WHERE {' AND '.join(f'{name} = ?' for name in key)} IF heartbeat = ?",

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import struct
-from functools import partial
+from functools import lru_cache, partial
 from typing import Callable, Iterable, NamedTuple, Sequence, Tuple, TypeVar
 
 from cassandra.cluster import ResponseFuture, ResultSet
@@ -217,19 +217,19 @@ class RowTable:
         Not full: without the columns of chunks and ``_raw``, which few rows need.
         """
         own = _OWN if full else _OWN[:4]
-        names = ["_node", self.partition, *own, *self.columns, *self._received, *shadows]
+        names = ("_node", self.partition, *own, *self.columns, *self._received, *shadows)
         marks = ", ".join("?" * len(names))
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
     def insert_block(self) -> PreparedStatement:
         """INSERT of a block: its key, the columns _BLOCK, and its zones."""
-        names = ["_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns]
+        names = ("_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns)
         marks = ", ".join("?" * len(names))
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
     def insert_chunk(self) -> PreparedStatement:
         """INSERT of one chunk of a large message."""
-        names = _listed(["_node", self.partition, "_t", "_seq", "_chunk", "_data"])
+        names = _listed(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
     def select_chunks(self) -> PreparedStatement:
@@ -322,7 +322,7 @@ class RowTable:
         """Return the columns that row_from_values reads, with some of the format's (None = all)."""
         if columns is None:
             return self._every
-        return _listed([*_OWN, *self._received, *columns])
+        return _listed((*_OWN, *self._received, *columns))
 
     def select_range(
         self,
@@ -346,9 +346,8 @@ class RowTable:
             terms: Conditions that the server checks.
             first_rows: Number of rows of the first page if it should be smaller; see PagedRead.
         """
-        checks = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator, _ in terms)
-        order, allow = _NEWEST if reverse else "", " ALLOW FILTERING" if terms else ""
-        statement = self._select(names, f"{_RANGE}{checks}{order}{allow}")
+        checks = tuple((name, operator) for name, operator, _ in terms)
+        statement = self._select(names, _in_range(checks, reverse))
         values = [value for *_, value in terms]
 
         def rest(read: RawRow | None) -> BoundStatement:
@@ -480,8 +479,17 @@ def _encode_ends(
     return tuple(map(encode_long, (*low, *high)))
 
 
-def _listed(names: Iterable[str]) -> str:
+@lru_cache(maxsize=1024)
+def _listed(names: tuple[str, ...]) -> str:
     return ", ".join(quote_name(name) for name in names)
+
+
+@lru_cache(maxsize=1024)
+def _in_range(checks: tuple[tuple[str, str], ...], reverse: bool) -> str:
+    """Return the end of the SELECT of a range; ``checks`` are columns and operators."""
+    conditions = "".join(f" AND {quote_name(name)} {operator} ?" for name, operator in checks)
+    order, allow = _NEWEST if reverse else "", " ALLOW FILTERING" if checks else ""
+    return f"{_RANGE}{conditions}{order}{allow}"
 
 
 def bind(

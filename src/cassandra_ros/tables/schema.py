@@ -23,7 +23,6 @@ from cassandra_ros.connection.cql_names import (
     quote_text,
     table_name,
 )
-from cassandra_ros.connection.protocol import Mark
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
 from cassandra_ros.metadata import SHADOW, TopicMetadata, from_comment
 from cassandra_ros.tables.row_table import RowTable
@@ -170,7 +169,8 @@ class Schema:
         self._known: dict[str, tuple[object, TopicMetadata | None]] = {}
         """Tables by name: when their comment was written, and what it says; None = no topic's."""
         self._read_at = 0.0
-        self._mark: Mark | None = None
+        self._changes = cassandra.schema_changes.of(side_tables.keyspace)
+        self._mark: object = None
         self.seen: set[tuple[str, str]] = set()
         """(topic, format) of every table that was ever listed by this object."""
         self._mutex = threading.Lock()
@@ -190,10 +190,9 @@ class Schema:
 
     def listing(self, *, fresh: bool = False) -> Listing:
         """Return all topic tables, also replaced ones, by comments at most 2 s old, or fresh."""
-        self._cassandra.require_open()
         with self._mutex:
-            now, mark = time.monotonic(), self._cassandra.schema_changes.mark(self.keyspace)
-            old = mark != self._mark or now - self._read_at > CACHE_SEC
+            now, mark = time.monotonic(), self._changes.mark
+            old = mark is not self._mark or now - self._read_at > CACHE_SEC
             if self._listing is None or fresh or old:
                 self._listing = Listing(self._read())
                 self._read_at, self._mark = now, mark

@@ -220,6 +220,8 @@ class SideTables:
             )
         self._cassandra = cassandra
         self.keyspace = keyspace
+        names = (_LOCK, *SIDE_TABLES, *LATER_TABLES)
+        self._qualified = {name: qualified(keyspace, name) for name in names}
         self.retry_sec: Seconds = RETRY_SEC
         """How long one request is retried, s."""
         self._there: frozenset[str] = frozenset()
@@ -293,7 +295,7 @@ class SideTables:
 
     def qualified(self, table: str) -> str:
         """Return the quoted name of a table with its keyspace."""
-        return qualified(self.keyspace, table)
+        return self._qualified[table]
 
     def _run(self, cql: str, params: Sequence[object], what: str) -> list[CqlRow]:
         return self._cassandra.execute(cql, params, what=what, retry_sec=self.retry_sec)

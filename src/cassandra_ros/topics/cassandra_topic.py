@@ -272,7 +272,7 @@ class CassandraTopic:
         passing = None
         if where is not None:
             filtered = partial(Filter, self, where, whose)
-            passing = self._keyspace.naming(filtered)
+            passing = self._keyspace.tables.naming(filtered)
         return Finder(self._keyspace, self.name, key_format, tables, whose, passing)
 
     def _whose(self, nodeID: str | None, run: RunName) -> Whose:
@@ -484,7 +484,7 @@ class CassandraTopic:
         gather = partial(
             gather_fields, self, fields, where, *finder.reads(key, to_key), whose=finder.whose
         )
-        return self._keyspace.naming(gather)
+        return self._keyspace.tables.naming(gather)
 
     def createIndex(self, field: str, progress: Progress | None = None) -> int:
         """Make an index on a field, so that conditions on it read only the matching rows.

@@ -276,7 +276,8 @@ class Catalog:
 
     def whose(self, node: str | None, run: RunName) -> Whose:
         """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
-        return Whose(check_nodes(node), self.keyspace.runs.writers(run))
+        writers = None if run is None else self.keyspace.runs.writers(run)
+        return Whose(check_nodes(node), writers)
 
     def filters(
         self, where: Conditions, topics: Iterable[str] | None, whose: Whose = EVERYBODY

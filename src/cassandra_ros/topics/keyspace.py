@@ -4,10 +4,9 @@
 
 from __future__ import annotations
 
-from typing import Callable, Sequence, TypeVar
+from typing import Callable, Sequence
 
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.read import Whose
 from cassandra_ros.tables.directory import Directory
@@ -22,8 +21,6 @@ from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
 from cassandra_ros.topics.stored_totals import holds_any
 from cassandra_ros.topics.topic_table import TopicTable, TopicTables
-
-_T = TypeVar("_T")
 
 
 class Keyspace:
@@ -60,20 +57,6 @@ class Keyspace:
         self.directory.forget(table)
         self.registry.forget(table)
         self.place_index.forget(table)
-
-    def naming(self, make: Callable[[], _T]) -> _T:
-        """Call ``make``; call it again if a field is unknown and the tables have changed.
-
-        Raises:
-            InvalidQuery: No table has the field now.
-        """
-        known = self.schema.listing()
-        try:
-            return make()
-        except InvalidQuery:
-            if self.schema.listing(fresh=True).visible == known.visible:
-                raise
-            return make()
 
     def nodes(self, tables: Sequence[TopicTable]) -> list[str]:
         """Return the nodeIDs that have stored messages in some tables, sorted."""

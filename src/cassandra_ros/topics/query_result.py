@@ -192,7 +192,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         watch: Watch = unwatched,
     ) -> None:
         tables = source.tables
-        select = analyse_select(select, tables)
+        if select.gathers:
+            select = analyse_select(select, tables)
         self._source, self._watch = source, watch
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
@@ -207,7 +208,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         self._projections = Projections(select, tables)
         shown = self._projections.names[: len(select.visible)]
         self.columns = tuple(name for names in shown for name in names)
-        self.pushdown = Pushdown(None if bounds.whole else select.condition, plan, watch)
+        condition = None if bounds.whole else select.condition
+        self.pushdown = Pushdown(condition, plan, watch, tables)
         unnested = any(projection.unnested for projection in self._projections)
         self.direct = select.gathers or (bounds.whole and not unnested)
         self.read = 0

@@ -9,10 +9,10 @@ import logging
 import threading
 from functools import lru_cache, partial
 from itertools import repeat
-from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, Tuple
+from typing import Any, Callable, Iterable, List, Mapping, Optional, Sequence, Tuple, TypeVar
 
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName
+from cassandra_ros.errors import CorruptMessage, DefinitionError, InvalidName, InvalidQuery
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import MAX_NS
@@ -30,6 +30,7 @@ from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
 
 _log = logging.getLogger(__name__)
+_T = TypeVar("_T")
 
 MAX_CLASSES = 1024
 """Maximum number of connections of a table with a cached message class. Anonymous publishers come
@@ -257,6 +258,20 @@ class TopicTables:
         if name not in listing.every and name not in listing.heirs:
             self._schema.tables(fresh=True)  # another client may have made it just now
         return self.by_name(name) or self._heir(name, False)
+
+    def naming(self, make: Callable[[], _T]) -> _T:
+        """Call ``make``; call it again if a field is unknown and the tables have changed.
+
+        Raises:
+            InvalidQuery: No table has the field now.
+        """
+        known = self._schema.listing()
+        try:
+            return make()
+        except InvalidQuery:
+            if self._schema.listing(fresh=True).visible == known.visible:
+                raise
+            return make()
 
     def of_topic(self, topic: str, *, fresh: bool = False) -> WholeTopic:
         """Return the tables of a topic: one for each md5 and format."""

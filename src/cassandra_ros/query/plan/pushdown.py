@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from operator import ge, gt, le, lt
 from typing import (
@@ -35,6 +36,7 @@ from typing import (
 
 import numpy
 
+from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES
 from cassandra_ros.messages.wire.cql_values import encode_value
 from cassandra_ros.messages.wire.wire_plan import wire_plan
@@ -307,6 +309,7 @@ class Pushdown:
         expression: The bound condition; None is always true.
         plan: One of PLANS.
         watch: Called repeatedly, see Watch.
+        tables: The present tables of the topic, for which the filters of blocks are made now.
 
     Attributes:
         indexed: Number of buckets read by an index.
@@ -325,6 +328,7 @@ class Pushdown:
         expression: Expression | None,
         plan: str = "auto",
         watch: Watch = unwatched,
+        tables: Sequence[Table] = (),
     ) -> None:
         if plan not in PLANS:
             raise ValueError(f"plan {plan!r} is not one of {', '.join(PLANS)}")
@@ -342,6 +346,9 @@ class Pushdown:
         self.indexed = self.filtered = self.whole = self.skipped = 0
         self.blocks = self.unpacked = self.kept = self.held = 0
         self.used: Used = {}
+        for table in tables:
+            if table.packed:
+                self.sift(table)
 
     @property
     def checks(self) -> bool:
@@ -528,20 +535,32 @@ def _ways(
 
 
 def _zone_ways(ref: FieldRef, table: Table, operator: str, values: Sequence[Comparable]) -> Ways:
-    column = None if table.definition is None else zone_map(table.definition).fields.get(ref.column)
-    if column is None:
+    held = None if table.definition is None else _zoned(table.definition).get(ref.column)
+    if held is None:
         return None
-    held = ServerColumn(column.name, column.element_type)
     found = zone_ways(held, operator, values)
     return found if found is None or len(found) <= FEW_VALUES else zone_span(held, values)
 
 
 def _column_of(ref: FieldRef, table: Table) -> ServerColumn | None:
     """Return the column of format ``ros`` with a field's value or all its elements, or None."""
-    if not table.by_field:
+    if not table.by_field or table.definition is None:
         return None
-    columns = {column.name: column for column in wire_plan(table.definition).columns}
-    column = columns.get(ref.column)
-    if column is None or column.kind in ("array", "wire"):
-        return None
-    return ServerColumn(column.name, column.element_type, column.is_list, table.longest_text)
+    return _checkable(table.definition, table.longest_text).get(ref.column)
+
+
+@lru_cache(maxsize=256)
+def _zoned(definition: Definition) -> dict[str, ServerColumn]:
+    """Return the fields with zones, by name."""
+    fields = zone_map(definition).fields
+    return {name: ServerColumn(name, column.element_type) for name, column in fields.items()}
+
+
+@lru_cache(maxsize=256)
+def _checkable(definition: Definition, longest_text: int) -> dict[str, ServerColumn]:
+    """Return the columns of format ``ros`` with a value or all elements of a field, by name."""
+    return {
+        column.name: ServerColumn(column.name, column.element_type, column.is_list, longest_text)
+        for column in wire_plan(definition).columns
+        if column.kind not in ("array", "wire")
+    }

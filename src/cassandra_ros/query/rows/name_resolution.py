@@ -4,6 +4,9 @@
 
 The values of a row are KEY, NODE, RUN and its time (which differs from KEY if that is a name), then
 those of the named fields, then the computed values. ``NameResolver`` finds their indexes and kinds.
+A topic may have several definitions. A field that one of them lacks is missing in its messages;
+only a field that all of them lack is an error. Therefore errors are collected over all tables
+(``Findings``).
 
 ``compile_condition`` makes the final check of every row, whatever the store has filtered.
 A comparison is true, false, or unknown if a value is missing: an index beyond the end of an array,
@@ -33,6 +36,7 @@ import re
 from functools import partial
 from typing import Any, Callable, NamedTuple, Optional, Pattern, Sequence
 
+from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.tree.expressions import (
@@ -48,7 +52,6 @@ from cassandra_ros.query.tree.expressions import (
 from cassandra_ros.query.tree.field_names import (
     Array,
     FieldRef,
-    Findings,
     all_fields,
     counted_field,
     field_of,
@@ -308,6 +311,21 @@ pair needs a mark of its own, because BETWEEN compares a term twice, and each te
 alone."""
 
 
+class Findings:
+    """Errors in some tables, and positions that are valid in another table."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        self.wrong: dict[int, StatementError] = {}
+        self.fine: set[int] = set()
+
+    def check(self) -> None:
+        """Raise InvalidQuery for the first position that is an error in all tables."""
+        for position, problem in sorted(self.wrong.items()):
+            if position not in self.fine:
+                raise InvalidQuery(self._text, problem.position, problem.reason)
+
+
 class Output(NamedTuple):
     """One column of a result, in one table."""
 
@@ -535,8 +553,8 @@ class NameResolver:
         return fitted
 
     def _resolved(
-        self, path: Path, resolve: Callable[[Definition], list[FieldRef]]
-    ) -> list[FieldRef]:
+        self, path: Path, resolve: Callable[[Definition], Sequence[FieldRef]]
+    ) -> Sequence[FieldRef]:
         try:
             if self._definition is None:
                 raise StatementError(path.position, "the messages of this topic have no definition")
@@ -544,7 +562,7 @@ class NameResolver:
             found = resolve(self._definition)
         except StatementError as exc:
             self._findings.wrong.setdefault(path.position, exc)
-            return []
+            return ()
         self._findings.fine.add(path.position)
         return found
 

@@ -42,12 +42,13 @@ from cassandra_ros.query.rows.name_resolution import (
     KEY_PLACE,
     OWN_WIDTH,
     Check,
+    Findings,
     NameResolver,
     Output,
     RowValues,
 )
 from cassandra_ros.query.tree.expressions import Get
-from cassandra_ros.query.tree.field_names import Array, FieldRef, Findings
+from cassandra_ros.query.tree.field_names import Array, FieldRef
 from cassandra_ros.query.tree.syntax import Select
 
 FieldValueList = List[Any]
@@ -109,15 +110,17 @@ class Extractor:
             self.columns = [self._plan.columns[n].name for n in asked]
         self._gets = [each[0] for each in gets]
 
+    @cached_property
     def direct(self) -> list[ColumnField] | None:
-        """Return how each field is read from its column; None if that is impossible."""
+        """How each field is read from its column; None if that is impossible."""
         if self.columns is None or self._depth or not all(self._given):
             return None
         found = zip(self._projected, self._stored, self._gets)
         return [self._direct(asked, stored, get) for asked, stored, get in found]
 
+    @cached_property
     def whole(self) -> Callable[[bytes], FieldValueList] | None:
-        """Return the function that reads all fields of a serialised message; None if unnested.
+        """Function that reads all fields of a serialised message; None if unnested.
 
         The function raises CorruptMessage.
         """
@@ -360,12 +363,12 @@ class Projection:
         if self.extractor is None:
             return None
         if not self.stored:
-            read = self.extractor.whole()
+            read = self.extractor.whole
             if read is None:
                 return None
             show = _compile_show(self.shown, self.computed)
             return _compile_wire_rows(read, self.own, self.check, show)
-        direct = self.extractor.direct()
+        direct = self.extractor.direct
         if direct is None or self.columns is None:
             return None
         places = range(OWN_WIDTH, OWN_WIDTH + len(direct))

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Lookup of the fields that a statement names in a message definition.
 
-A topic may have several definitions. A field that one of them lacks is missing in its messages;
-only a field that all of them lack is an error. Therefore errors are collected over all tables.
+What was found is cached: most statements name the same fields again.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Iterator, Sequence, Tuple
 
-from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Field
 from cassandra_ros.query.tree.syntax import (
@@ -26,6 +24,8 @@ from cassandra_ros.query.tree.syntax import (
 
 _TIME_PARTS = {"time": "uint32", "duration": "int32"}
 """Type of secs and nsecs, by type of the field."""
+MAX_FOUND = 512
+"""Maximum number of paths whose fields are cached."""
 
 
 @dataclass(frozen=True)
@@ -70,27 +70,12 @@ class FieldRef:
         names[-1] = (names[-1][0], self.index)
         return path_text(names) + (f".{self.part}" if self.part else "")
 
-    @property
+    @cached_property
     def arrays(self) -> tuple[Array, ...]:
         """Paths of the arrays of messages without an index on the path, outermost first."""
         steps = self.steps
         whole = (n for n, step in enumerate(steps, 1) if step.many and step.index is None)
         return tuple(steps[:n] for n in whole)
-
-
-class Findings:
-    """Errors in some tables, and positions that are valid in another table."""
-
-    def __init__(self, text: str) -> None:
-        self._text = text
-        self.wrong: dict[int, StatementError] = {}
-        self.fine: set[int] = set()
-
-    def check(self) -> None:
-        """Raise InvalidQuery for the first position that is an error in all tables."""
-        for position, problem in sorted(self.wrong.items()):
-            if position not in self.fine:
-                raise InvalidQuery(self._text, problem.position, problem.reason)
 
 
 @lru_cache(maxsize=256)
@@ -99,7 +84,8 @@ def all_fields(definition: Definition) -> tuple[FieldRef, ...]:
     return tuple(_leaves(definition, definition.type, ()))
 
 
-def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
+@lru_cache(maxsize=MAX_FOUND)
+def fields_of(path: Path, definition: Definition) -> tuple[FieldRef, ...]:
     """Return the fields that a path names: one, or all of a message.
 
     StatementError: no such field.
@@ -110,12 +96,13 @@ def fields_of(path: Path, definition: Definition) -> list[FieldRef]:
         field = _field(definition, msg_type, part, steps)
         _check_index(part, field, path)
         if field.is_primitive:
-            return [_primitive(path, number, steps, field)]
+            return (_primitive(path, number, steps, field),)
         steps = (*steps, FieldStep(field.name, field.is_array, part.index))
         msg_type = field.type
-    return list(_leaves(definition, msg_type, steps))
+    return tuple(_leaves(definition, msg_type, steps))
 
 
+@lru_cache(maxsize=MAX_FOUND)
 def field_of(path: Path, definition: Definition, array: bool | None = False) -> FieldRef:
     """Return the single field that a path names, for a condition; StatementError: no such field.
 
@@ -135,6 +122,7 @@ def field_of(path: Path, definition: Definition, array: bool | None = False) -> 
     raise StatementError(path.position, f"{path.text} {reason}")
 
 
+@lru_cache(maxsize=MAX_FOUND)
 def counted_field(path: Path, definition: Definition) -> FieldRef:
     """Return a field with one value for each element of the array or text that a path names.
 
@@ -144,7 +132,7 @@ def counted_field(path: Path, definition: Definition) -> FieldRef:
     if found and len(found[0].steps) > len(path.parts):
         step = found[0].steps[len(path.parts) - 1]
         if not step.many or step.index is not None:
-            found = []
+            found = ()
     if not found:
         reason = f"{path.text} is a message; len is for arrays and text"
         raise StatementError(path.position, reason)
