@@ -29,6 +29,7 @@ from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, InvalidName, TopicExists
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
+from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import message_kind
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
@@ -207,16 +208,16 @@ def import_bag(
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
         content = identity.read_content(reader, reading)
-        writer_id = _writer_id(keyspace, reader, nodeID, content)
+        # The limits of blocks depend neither on the current time nor on the imported topics.
+        limits = limits_for(len(reader.connections))
+        lengths = table_lengths(reader, content.sizes)
+        writer_id, is_repeated = _writer_id(keyspace, nodeID, content)
         report = ImportReport(reader.path, writer_id, nodeID, salvaged=reader.salvaged)
         _tell_damage(report)
         numbers = _refuse_names(reader, numbers, report)
         _tell_left_out(reader, topics, report)
         run = _run(reader, nodeID, writer_id, format, content)
-        formats = _formats(keyspace, reader, numbers, run)
-        lengths = table_lengths(reader, content.sizes)
-        # The limits of blocks depend neither on the current time nor on the imported topics.
-        limits = limits_for(len(reader.connections))
+        formats = _formats(keyspace, reader, numbers, run, is_repeated)
         node = check_new_node(nodeID)
         with MessageWriter(
             keyspace, writer_id, format=format, node=node, run=run, limits=limits
@@ -229,8 +230,10 @@ def import_bag(
             writer.make_tables([*wanted.values()])
             handles = {n: _connect(writer, asked) for n, asked in wanted.items()}
             _name_topics(handles, report)
-            _remove_other_blocks(keyspace, handles, run)
-            store_publish_times(keyspace.side_tables, reader, run)
+            if is_repeated:
+                _remove_other_blocks(keyspace, handles, run)
+            if reader.has_publish_times:
+                store_publish_times(keyspace.side_tables, reader, run)
             _write_messages(reader, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
@@ -304,20 +307,28 @@ def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: Im
         _log.warning("%s", report.warnings[-1])
 
 
-def _writer_id(keyspace: Keyspace, reader: MessageFile, node: str, content: BagContent) -> int:
-    """Return the writer id of this bag's import: that of its earlier import, if there is one."""
+def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int, bool]:
+    """Return the writer id of this bag's import, and whether it was imported before.
+
+    A run is noted before its first row is written, and forgotten after its last row was deleted:
+    the rows of a bag that was not imported before need not be looked for.
+    """
     runs = {run.writer: run for run in keyspace.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)
     if known is not None:
-        return known.writer
+        return known.writer, True
     writer_id = content.writer_id(node)
     while writer_id in runs:  # 31 bits may agree with those of another bag by chance
         writer_id = writer_id % MAX_WRITER + 1
-    return writer_id
+    return writer_id, False
 
 
 def _formats(
-    keyspace: Keyspace, reader: MessageFile, numbers: AbstractSet[int], run: Run
+    keyspace: Keyspace,
+    reader: MessageFile,
+    numbers: AbstractSet[int],
+    run: Run,
+    is_repeated: bool,
 ) -> dict[int, str]:
     """Return the storage format of each connection, by number.
 
@@ -330,14 +341,8 @@ def _formats(
     formats: dict[int, str] = {}
     for number in sorted(numbers):
         connection = reader.connections[number]
-        stored: set[str] = set()
-        for table in keyspace.tables.of_topic(connection.topic):
-            first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
-            if table.metadata.md5sum == connection.md5sum:
-                rows = keyspace.directory.buckets(table.name, first, last, (run.node,))
-                if any(row.writer == run.writer for row in rows):
-                    stored.add(table.metadata.format)
-        new = keyspace.new_tables.format_for(connection.topic, connection.md5sum, run.format)
+        stored = _stored_formats(keyspace, reader, connection, run) if is_repeated else set()
+        new = run.format or keyspace.new_tables.format_for(connection.topic, connection.md5sum)
         usable, _ = usable_definition(connection, new)
         if run.format and stored - {new if usable is not None else FALLBACK_FORMAT}:
             raise TopicExists(
@@ -349,6 +354,20 @@ def _formats(
             )
         formats[number] = min(stored, default=new)
     return formats
+
+
+def _stored_formats(
+    keyspace: Keyspace, reader: MessageFile, connection: Connection, run: Run
+) -> set[str]:
+    """Return the formats of the tables that hold rows of a run from a connection."""
+    found: set[str] = set()
+    for table in keyspace.tables.of_topic(connection.topic):
+        first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
+        if table.metadata.md5sum == connection.md5sum:
+            rows = keyspace.directory.buckets(table.name, first, last, (run.node,))
+            if any(row.writer == run.writer for row in rows):
+                found.add(table.metadata.format)
+    return found
 
 
 def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run: Run) -> None:

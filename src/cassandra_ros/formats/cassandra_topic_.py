@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, Mapping, NamedTuple, Sequence
+from typing import Any, Callable, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.classes import deserialize, message_class, raw_class, serialize
@@ -51,6 +51,8 @@ class CassandraTopic_(ABC):
         self.msg_type = msg_type
         self.md5sum = md5sum
         self.definition = definition
+        self.zones: Callable[[Sequence[bytes]], Zones] = _without_zones
+        """Returns the bounds of the values in serialised messages; any bytes will do."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.msg_type}>"
@@ -109,10 +111,6 @@ class CassandraTopic_(ABC):
         """
         return [None] * len(starts)
 
-    def zones(self, wires: Sequence[bytes]) -> Zones:
-        """Return the bounds of the values in serialised messages; any bytes will do."""
-        return NO_ZONES if self.zone_map is None else self.zone_map.measure(wires)
-
     @abstractmethod
     def decode_wire(self, columns: Sequence[bytes | None], raw: bytes | None) -> bytes:
         """Return exactly the wire bytes that were stored in a row.
@@ -147,3 +145,7 @@ class CassandraTopic_(ABC):
         known = self.definition
         cls = raw_class(self.msg_type, self.md5sum) if known is None else message_class(known)
         return deserialize(cls, wire)
+
+
+def _without_zones(wires: Sequence[bytes]) -> Zones:
+    return NO_ZONES

@@ -34,6 +34,7 @@ class CassandraTopic_packed(CassandraTopic_binary):
     def __init__(self, msg_type: str, md5sum: str, definition: Definition | None) -> None:
         super().__init__(msg_type, md5sum, definition)
         self.zone_map: ZoneMap = zone_map(self._usable())
+        self.zones = self.zone_map.measure
 
     def table_columns(self) -> dict[str, str]:
         """Return the columns of a block."""

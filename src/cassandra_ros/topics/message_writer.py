@@ -9,7 +9,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Callable, Mapping, NamedTuple, Sequence
 
 import numpy as np
@@ -137,8 +137,6 @@ class MessageWriter:
         on_loss: LossCallback | None = None,
         given: bool = False,
     ) -> None:
-        if format is not None:
-            format_class(format)
         keyspace.side_tables.make()
         self.writer_id = writer_id
         self._run = run
@@ -244,7 +242,7 @@ class MessageWriter:
         connection, like = asked.connection, asked.like
         check_new_topic(connection.topic)
         name = asked.format or (like.format if like is not None else None)
-        wanted = self._keyspace.new_tables.format_for(connection.topic, connection.md5sum, name)
+        wanted = name or self.format_of(connection)
         definition, warning = usable_definition(connection, wanted)
         metadata = replace(
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
@@ -566,6 +564,8 @@ def make_writer(
     """Check the arguments of RosCassandra.messageWriter and make the writer; None = random id."""
     if run is not None and not isinstance(run, Run):
         raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
+    if format is not None:
+        format_class(format)
     if run is not None:
         check_run_name(run.name)
         check_labels(run.labels)
@@ -588,26 +588,35 @@ def make_writer(
 def usable_definition(
     connection: Connection, format_name: str
 ) -> tuple[Definition | None, str | None]:
-    """Return a definition that the format can use, or None and the reason."""
+    """Return a definition that the format can use, or None and the reason.
+
+    Raises:
+        UnknownFormat: No format has this name.
+    """
     try:
-        definition = _definition(connection)
-        fmt = format_class(format_name)(connection.type, connection.md5sum, definition)
-        if format_name != FALLBACK_FORMAT:
-            fmt.require_class()
-        return definition, None
+        kind = connection.type, connection.md5sum, connection.definition_text
+        return _usable_definition(*kind, format_name), None
     except (DefinitionError, CorruptMessage) as exc:
         return None, (
             f"topic {connection.topic} is kept as binary, its fields cannot be queried: {exc}"
         )
 
 
-def _definition(connection: Connection) -> Definition:
-    text = connection.definition_text
-    md5sum = connection.md5sum
+@lru_cache(maxsize=256)
+def _usable_definition(msg_type: str, md5sum: str, text: str, format_name: str) -> Definition:
+    """Return a definition after it was checked that the format can use it; raises if it cannot."""
+    definition = _definition(msg_type, md5sum, text)
+    fmt = format_class(format_name)(msg_type, md5sum, definition)
+    if format_name != FALLBACK_FORMAT:
+        fmt.require_class()
+    return definition
+
+
+def _definition(msg_type: str, md5sum: str, text: str) -> Definition:
     if not text.strip():
         # Some publishers leave the definition out: use an installed type with this md5.
         with suppress(DefinitionError):
-            installed = installed_definition(connection.type)
+            installed = installed_definition(msg_type)
             if installed.md5sum == md5sum:
                 return installed
-    return parse_definition(connection.type, text, md5sum)
+    return parse_definition(msg_type, text, md5sum)

@@ -199,9 +199,9 @@ class NewTables:
 
 def planner(metadata: TopicMetadata, definition: Definition | None) -> Planner:
     """Return the planner of a table for NewTables.make, which gets the topic's other metadata."""
-    fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
 
     def plan(others: Sequence[TopicMetadata]) -> TablePlan:
+        fmt = format_class(metadata.format)(metadata.msg_type, metadata.md5sum, definition)
         wanted = _beside(metadata, others)
         if fmt.PACKED:
             check_packed(wanted, definition)

@@ -50,6 +50,11 @@ def encode_value(cql_type: str, value: Primitive) -> bytes:
     return struct.pack(CQL_CODES[cql_type], value)
 
 
+def number_encoder(cql_type: str) -> Callable[[Any], bytes]:
+    """Return the function that encodes numbers >= 0 of varint, or those of a fixed-size type."""
+    return pack_varint if cql_type == "varint" else struct.Struct(CQL_CODES[cql_type]).pack
+
+
 def pack_varint(value: int) -> bytes:
     """Encode a value >= 0 as a CQL varint: two's complement in as few bytes as possible."""
     return value.to_bytes(value.bit_length() // 8 + 1, "big")

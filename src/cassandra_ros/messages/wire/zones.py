@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Dict, List, NamedTuple, Sequence
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.cql_values import encode_value
+from cassandra_ros.messages.wire.cql_values import number_encoder
 from cassandra_ros.messages.wire.field_ends import compile_skip
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.message_stacks import (
@@ -37,6 +37,8 @@ LOW, HIGH = "_min.", "_max."
 """Prefixes of the names of the zone columns, before the name of the field's column."""
 _Candidates = Dict[str, List[Any]]
 """Candidate values for minimum and maximum, by field."""
+_Ends = Tuple[Optional[bytes], Optional[bytes]]
+"""Encoded minimum and maximum; None = unset, or (maximum) no text is great enough."""
 _LAST = "\U0010ffff".encode("utf-8")
 """The greatest character, encoded."""
 
@@ -75,6 +77,8 @@ class ZoneMap:
             for name, column in self.fields.items()
             for prefix in (LOW, HIGH)
         }
+        self._encoders = [(name, _ends_encoder(column)) for name, column in self.fields.items()]
+        """Name of each field, and the function that encodes the ends of its values."""
         self._stacker = stacker(definition)
         self._read = plan.reader(list(self.fields))
         self._by_head = all(name in self._stacker.head for name in self.fields)
@@ -101,8 +105,8 @@ class ZoneMap:
         else:
             odd = self._add_sizes(wires, candidates, nan)
         zones: list[bytes | None] = []
-        for name, column in self.fields.items():
-            low, high = _encoded(column, candidates[name])
+        for name, encode in self._encoders:
+            low, high = encode(candidates[name])
             odd = odd or (high is None and bool(candidates[name]))
             zones += (low, high)
         return Zones(zones, tuple(sorted(nan)), odd)
@@ -182,16 +186,23 @@ def _has_bounds(column: FieldColumn) -> bool:
     return not many and column.kind not in ("array", "wire")
 
 
-def _encoded(column: FieldColumn, values: Sequence[Any]) -> tuple[bytes | None, bytes | None]:
-    """Encode the minimum and maximum of values without NaN; None if there are no values."""
-    if not values:
-        return None, None
-    low, high = min(values), max(values)
+def _ends_encoder(column: FieldColumn) -> Callable[[Sequence[Any]], _Ends]:
+    """Return the function that encodes the minimum and maximum of values without NaN."""
     if column.kind == "text":
-        return _below(low), _above(high)
-    if column.kind == "float":
-        low, high = low or -0.0, high or 0.0
-    return encode_value(column.element_type, low), encode_value(column.element_type, high)
+        return _text_ends
+    encode, is_float = number_encoder(column.element_type), column.kind == "float"
+
+    def ends(values: Sequence[Any]) -> _Ends:
+        if not values:
+            return None, None
+        low, high = min(values), max(values)
+        return encode(low or -0.0 if is_float else low), encode(high or 0.0 if is_float else high)
+
+    return ends
+
+
+def _text_ends(values: Sequence[str]) -> _Ends:
+    return (_below(min(values)), _above(max(values))) if values else (None, None)
 
 
 def _below(text: str) -> bytes:
