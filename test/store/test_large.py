@@ -27,7 +27,7 @@ from cassandra_ros.local_server.cluster_settings import OWN_HEAP_MB
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.store.open_bucket import HELD_BYTES
+from cassandra_ros.store.writer import HELD_BYTES
 from cassandra_ros.tables.row_table import CHUNK_BYTES
 
 ROOT = Path(__file__).resolve().parents[2]

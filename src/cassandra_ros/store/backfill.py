@@ -13,7 +13,7 @@ from typing import Iterator, NamedTuple, Sequence
 from cassandra.query import BatchStatement, BatchType
 
 from cassandra_ros.connection.requests import RawRow
-from cassandra_ros.store.open_bucket import BATCH_BYTES, BATCH_ROWS
+from cassandra_ros.store.writer import BATCH_BYTES, BATCH_ROWS
 from cassandra_ros.tables.row_table import ODD, RowTable, TableRow, bind, decode_long, encode_int
 
 PAGE_ROWS = 1000
