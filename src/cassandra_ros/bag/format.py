@@ -306,7 +306,7 @@ class _Layout(NamedTuple):
 
     head: NDArray[np.uint8]
     mask: NDArray[np.uint8]
-    """0 for the bytes of head that are numbers, else 255."""
+    """Mask of head: 0 where it has a number, else 255."""
     numbers: list[slice]
     """Positions of the numbers in head: connection id, seconds and nanoseconds, message size."""
 

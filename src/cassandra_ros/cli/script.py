@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Run a program of the package; every file in scripts/ uses this module.
 
-It turns into a line of text and an exit status what a program does not report itself: an error, a
-missing Python package, Ctrl-C, and a closed pipe at its output.
+It reports an error, a missing Python package, Ctrl-C and a closed pipe at the output by a line of
+text and an exit status, if the program does not report them itself.
 """
 
 from __future__ import annotations

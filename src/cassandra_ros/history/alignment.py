@@ -37,7 +37,7 @@ class Mark(NamedTuple):
     t: int
     """Time of reception, ns."""
     digest: bytes
-    """Its bytes, or their digest if they are many."""
+    """Bytes of the message, or their digest if there are more than 32."""
 
 
 def digest_of(wire: bytes) -> bytes:

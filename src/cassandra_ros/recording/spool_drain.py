@@ -52,11 +52,11 @@ class LeftRun:
 
     folder: RunFolder
     label: SpoolLabel | None
-    """Its label; None = it is damaged in all files."""
+    """Label of the run; None = it is damaged in all files."""
     end: RunEnd | None
-    """Its end; None = the process was killed."""
+    """End of the run; None = the process was killed."""
     problem: str = ""
-    """Why it cannot be read; '' = it can."""
+    """Reason why the run cannot be read; '' = it can be read."""
 
     @property
     def name(self) -> str:

@@ -212,9 +212,10 @@ class RowTable:
         return self._indexes.shadows(self.metadata.indexes)
 
     def insert(self, shadows: Sequence[str] = (), *, full: bool = True) -> PreparedStatement:
-        """INSERT of a row.
+        """Return the INSERT of a row.
 
-        Not full: without the columns of chunks and ``_raw``, which few rows need.
+        Args:
+            full: Include the columns of chunks and ``_raw``, which few rows need.
         """
         own = _OWN if full else _OWN[:4]
         names = ("_node", self.partition, *own, *self.columns, *self._received, *shadows)
@@ -222,26 +223,26 @@ class RowTable:
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
     def insert_block(self) -> PreparedStatement:
-        """INSERT of a block: its key, the columns _BLOCK, and its zones."""
+        """Return the INSERT of a block: its key, the columns _BLOCK, and its zones."""
         names = ("_node", self.partition, *_OWN[:4], *_BLOCK, *self.zone_columns)
         marks = ", ".join("?" * len(names))
         return self._prepare(f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks})")
 
     def insert_chunk(self) -> PreparedStatement:
-        """INSERT of one chunk of a large message."""
+        """Return the INSERT of one chunk of a large message."""
         names = _listed(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
     def select_chunks(self) -> PreparedStatement:
-        """SELECT of all chunks of one large message, in order."""
+        """Return the SELECT of all chunks of one large message, in order."""
         return self._prepare(f'SELECT "_chunk", "_data" FROM {self._chunks} {self._where} {_ROW}')
 
     def select_partitions(self) -> PreparedStatement:
-        """SELECT of the partition keys that have rows, in no order."""
+        """Return the SELECT of the partition keys that have rows, in no order."""
         return self._prepare(f'SELECT DISTINCT "_node", "{self.partition}" FROM {self.qualified}')
 
     def select_chunked(self) -> PreparedStatement:
-        """SELECT of the keys of messages that have chunks, and the write time of one chunk, us."""
+        """Return the SELECT of the keys of messages with chunks, and a chunk's write time, us."""
         names = f'"_node", "{self.partition}", {KEYS}, WRITETIME("_data")'
         return self._prepare(f"SELECT {names} FROM {self._chunks} PER PARTITION LIMIT 1")
 
@@ -249,16 +250,16 @@ class RowTable:
         return self._prepare(f"SELECT {names} FROM {self.qualified} {self._where} {rest}")
 
     def select_these(self, columns: Sequence[str], *, reverse: bool) -> PreparedStatement:
-        """SELECT of rows of one partition by a list of (t, seq)."""
+        """Return the SELECT of rows of one partition by a list of (t, seq)."""
         rest = f'AND ("_t", "_seq") IN ?{_NEWEST if reverse else ""}'
         return self._select(self.listing(columns), rest)
 
     def select_listed(self, names: str) -> PreparedStatement:
-        """SELECT of columns, as CQL, of rows of one partition by a list of (t, seq)."""
+        """Return the SELECT of columns, as CQL, of rows of one partition by a list of (t, seq)."""
         return self._select(names, 'AND ("_t", "_seq") IN ?')
 
     def select_over(self, names: str) -> PreparedStatement:
-        """SELECT of columns, as CQL, of the blocks that may hold a message.
+        """Return the SELECT of columns, as CQL, of the blocks that may hold a message.
 
         Parameters are the partition key, the ranges of ``_t`` and of ``_seq``, and a key time.
         Blocks whose last message is earlier than that are left out.
@@ -270,7 +271,7 @@ class RowTable:
         )
 
     def select_names(self, *more: str) -> PreparedStatement:
-        """SELECT of the keys of all rows of a table whose rows have names, in no order.
+        """Return the SELECT of all keys of a table whose rows have names, in no order.
 
         Args:
             more: Further columns, as CQL.
@@ -279,7 +280,7 @@ class RowTable:
         return self._prepare(f"SELECT {names} FROM {self.qualified}")
 
     def select_shadow(self, shadow: str, *, bucket: bool) -> PreparedStatement:
-        """SELECT of the keys of rows by an indexed column, in one bucket (in order) or in all."""
+        """Return the SELECT of keys by an indexed column, in one bucket (in order) or in all."""
         where = f"{self._where} AND" if bucket else "WHERE"
         return self._prepare(
             f'SELECT "_node", "_t", "_seq" FROM {self.qualified} '
@@ -288,14 +289,14 @@ class RowTable:
         )
 
     def update(self, column: str) -> PreparedStatement:
-        """UPDATE of one column of a row, with a given timestamp and time to live."""
+        """Return the UPDATE of a column of one row, with a timestamp and a time to live."""
         return self._prepare(
             f"UPDATE {self.qualified} USING TIMESTAMP ? AND TTL ? "
             f"SET {quote_name(column)} = ? {self._where} {_ROW}"
         )
 
     def delete_range(self, *, older: bool = False) -> str:
-        """DELETE of a range of one partition, both ends included.
+        """Return the DELETE of a range of one partition, both ends included.
 
         Args:
             older: Delete only rows written up to a timestamp, which is the first parameter.
@@ -303,16 +304,16 @@ class RowTable:
         return f"DELETE FROM {self.qualified} {_OLDER if older else ''}{self._where} {_RANGE}"
 
     def delete_one(self, *, chunks: bool = False, older: bool = False) -> str:
-        """DELETE of one row, or of the chunks of its message; for older see delete_range."""
+        """Return the DELETE of one row, or of its message's chunks; for older see delete_range."""
         table = self._chunks if chunks else self.qualified
         return f"DELETE FROM {table} {_OLDER if older else ''}{self._where} {_ROW}"
 
     def mark_gone(self) -> str:
-        """UPDATE that adds to the positions of deleted messages in a block."""
+        """Return the UPDATE that adds to the positions of a block's deleted messages."""
         return f'UPDATE {self.qualified} SET "_gone" = "_gone" + ? {self._where} {_ROW}'
 
     def unmark_gone(self) -> str:
-        """DELETE of these positions only."""
+        """Return the DELETE of the positions that mark_gone added, not of the block."""
         return f'DELETE "_gone" FROM {self.qualified} {self._where} {_ROW}'
 
     def _prepare(self, cql: str) -> PreparedStatement:

@@ -172,7 +172,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         select: The statement.
         pushdown: Choice of what the server checks.
         read: Number of rows received from the server.
-        stretches: Number of time ranges that NEAR has selected so far.
+        time_ranges: Number of time ranges that NEAR has selected so far.
         counted: Whether the directory had the answer.
 
     Raises:

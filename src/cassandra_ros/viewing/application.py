@@ -85,7 +85,7 @@ def _files_of(folder: Path, only: str = "", kept: str = _ASKED_AGAIN) -> Handler
 
 
 def _inside(folder: Path, name: str) -> Path | None:
-    """Return the path of a file in a folder, also behind links in it; None = no such file.
+    """Return the path of a file in a folder; links in it are followed. None = no such file.
 
     Hidden files are not found, nor files outside the folder: '..' begins with a dot, too.
     """

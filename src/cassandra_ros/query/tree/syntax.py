@@ -419,7 +419,8 @@ class Select:
     order: tuple[Ordering, ...] = ()
     """Items of ORDER BY, unless it is KEY alone."""
     hidden: tuple[Selected, ...] = ()
-    """Columns that are computed but not shown, after the others; see plan/select_analysis.py."""
+    """Columns that are computed but not shown, after the shown ones; see
+    rows/result_groups.py."""
 
     @property
     def aggregates(self) -> tuple[Aggregate, ...]:
