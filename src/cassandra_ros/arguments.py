@@ -264,7 +264,7 @@ def check_user_keys(keys: Any) -> dict[str, Any]:
     """
     if not isinstance(keys, Mapping):
         raise InvalidName(f"metadata={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
-    found: dict[str, Any] = {}
+    checked: dict[str, Any] = {}
     for name, value in keys.items():
         if not isinstance(name, str) or not name or name in FACTS:
             raise InvalidName(
@@ -273,8 +273,8 @@ def check_user_keys(keys: Any) -> dict[str, Any]:
             )
         try:
             text = json.dumps({name: value}, allow_nan=False, ensure_ascii=False)
-            found.update(json.loads(text.encode("utf-8")))
-            reason = "" if found[name] == value else "it comes back changed"
+            checked.update(json.loads(text.encode("utf-8")))
+            reason = "" if checked[name] == value else "it comes back changed"
         except (TypeError, ValueError, RecursionError) as exc:
             reason = str(exc)
         if reason:
@@ -282,4 +282,4 @@ def check_user_keys(keys: Any) -> dict[str, Any]:
                 f"metadata {name!r:.80}={_shown(value)} cannot be kept as JSON: {reason}; give "
                 "texts, finite numbers, true, false, None, lists, and dicts whose keys are texts"
             )
-    return found
+    return checked

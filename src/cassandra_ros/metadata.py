@@ -168,8 +168,8 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
     if not any(f'"{key}"' in comment for key in (_OURS, _FILLING)):
         return None
     try:
-        found = json.loads(comment)
-        values = found[_OURS if _OURS in found else _FILLING]
+        parsed = json.loads(comment)
+        values = parsed[_OURS if _OURS in parsed else _FILLING]
         version = int(values["version"])
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None  # a table of another program whose comment contains our key by chance
@@ -178,19 +178,19 @@ def from_comment(comment: str, table: str) -> TopicMetadata | None:
             f"table {table} was written with schema version {version}; this release of "
             f"cassandra_ros reads versions up to {SCHEMA_VERSION}: install a newer one"
         )
-    known = {f.name for f in fields(TopicMetadata)}
-    kept = {name: value for name, value in values.items() if name in known}
-    missing = [name for name in _REQUIRED if name not in kept]
+    names = {f.name for f in fields(TopicMetadata)}
+    known_values = {name: value for name, value in values.items() if name in names}
+    missing = [name for name in _REQUIRED if name not in known_values]
     if missing:
         _skip(table, f"{missing[0]} is missing")
         return None
-    for name, value in kept.items():
+    for name, value in known_values.items():
         if not _CHECKS[name](value):
             _skip(table, f"{name} cannot be {value!r:.80}")
             return None
-    kept["columns"] = tuple(kept.get("columns", ()))
-    kept["replaces"] = tuple(kept.get("replaces", ()))
-    return TopicMetadata(**kept)
+    known_values["columns"] = tuple(known_values.get("columns", ()))
+    known_values["replaces"] = tuple(known_values.get("replaces", ()))
+    return TopicMetadata(**known_values)
 
 
 @lru_cache(maxsize=1024)

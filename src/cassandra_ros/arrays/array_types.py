@@ -87,9 +87,9 @@ def column_types(select: Select, tables: Sequence[Table]) -> list[Typed]:
     """Return name and type of each column of the result of a statement on a topic's tables."""
     select = replace(analyse_select(select, tables), hidden=())
     projections = Projections(select, tables)
-    known = dict(unite_columns([group_types(projections.of(table), table) for table in tables]))
-    every = chain.from_iterable(projections.names)
-    return [(name, known.get(name, ArrayType(MIXED))) for name in every]
+    types = dict(unite_columns([group_types(projections.of(table), table) for table in tables]))
+    names = chain.from_iterable(projections.names)
+    return [(name, types.get(name, ArrayType(MIXED))) for name in names]
 
 
 def unite_columns(tables: Sequence[Sequence[Sequence[Typed]]]) -> list[Typed]:

@@ -128,9 +128,9 @@ def _varints(raws: Raws) -> ColumnArray:
 
 def _texts(raws: Raws) -> ColumnArray:
     # Texts such as frame names repeat: equal texts share one object.
-    known = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
+    texts = {raw: raw.decode("utf-8", "replace") for raw in set(raws) if raw is not None}
     values = np.empty(len(raws), object)
-    values[:] = [None if raw is None else known[raw] for raw in raws]
+    values[:] = [None if raw is None else texts[raw] for raw in raws]
     return ColumnArray(values, _absent(raws))
 
 
@@ -194,16 +194,16 @@ def _elements(column: FieldColumn, kind: ArrayType, raws: Raws) -> ColumnArray:
     counts = count_elements(raws)
     if len(joined) != int(counts.sum()) * element.itemsize:
         raise CorruptMessage(f"list column {column.name} is malformed")
-    found = np.frombuffer(joined, element)
-    if (found["size"] != value.itemsize).any():
+    numbers = np.frombuffer(joined, element)
+    if (numbers["size"] != value.itemsize).any():
         raise CorruptMessage(f"list column {column.name} has a malformed element")
-    return ColumnArray(found["value"].astype(kind.dtype), np.repeat(_absent(raws), counts))
+    return ColumnArray(numbers["value"].astype(kind.dtype), np.repeat(_absent(raws), counts))
 
 
 def _lists(kind: ArrayType, elements: Convert, raws: Raws) -> ColumnArray:
     # A missing list counts as one element.
-    every, ends = elements(raws).values, np.cumsum(count_elements(raws))
-    cells = np.split(every, ends[:-1])
+    values, ends = elements(raws).values, np.cumsum(count_elements(raws))
+    cells = np.split(values, ends[:-1])
     return _arrays_of([None if raw is None else c for raw, c in zip(raws, cells)], kind)
 
 

@@ -122,11 +122,11 @@ class Envelope:
         """
         places = self.grid.places(firsts)
         counts = np.ones(len(places), np.int64) if rows is None else rows
-        kept = (places >= 0) & (places < self.grid.pixels)
-        chosen = None if kept.all() else np.flatnonzero(kept)
+        inside = (places >= 0) & (places < self.grid.pixels)
+        chosen = None if inside.all() else np.flatnonzero(inside)
         if (places[1:] < places[:-1]).any():
             order = np.argsort(places, kind="stable")
-            chosen = order if chosen is None else order[kept[order]]
+            chosen = order if chosen is None else order[inside[order]]
         if chosen is not None:
             places, firsts, lasts, counts = (a[chosen] for a in (places, firsts, lasts, counts))
             low, high = low[:, chosen], high[:, chosen]
@@ -143,19 +143,19 @@ class Envelope:
     def add_wide(self, firsts: AnyArray, lasts: AnyArray, low: AnyArray, high: AnyArray) -> None:
         """Add groups of rows that may span several pixels: each pixel gets the group's bounds."""
         ends = (self.grid.low, self.grid.high)
-        kept = np.flatnonzero((lasts >= ends[0]) & (firsts <= ends[1]))
-        firsts, lasts = np.maximum(firsts[kept], ends[0]), np.minimum(lasts[kept], ends[1])
+        inside = np.flatnonzero((lasts >= ends[0]) & (firsts <= ends[1]))
+        firsts, lasts = np.maximum(firsts[inside], ends[0]), np.minimum(lasts[inside], ends[1])
         begins = self.grid.places(firsts)
         counts = self.grid.places(lasts) - begins + 1
-        groups = np.repeat(np.arange(len(kept)), counts)
+        groups = np.repeat(np.arange(len(inside)), counts)
         offsets = np.arange(len(groups)) - np.repeat(np.cumsum(counts) - counts, counts)
         starts = (begins[groups] + offsets + self.grid.first) << self.grid.shift
         firsts, lasts = firsts[groups], lasts[groups]
         self.add_spans(
             np.maximum(firsts, starts),
             np.minimum(lasts, starts + self.grid.width - 1),
-            low[:, kept][:, groups],
-            high[:, kept][:, groups],
+            low[:, inside][:, groups],
+            high[:, inside][:, groups],
             np.zeros(len(groups), np.int64),
         )
 

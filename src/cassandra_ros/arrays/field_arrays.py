@@ -89,9 +89,9 @@ def gather_fields(
     tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
     findings.check()
     if blocks is not None and tables and all(t.takes_blocks for t in tables.values()):
-        found = _from_blocks(select, tables, blocks)
-        if found is not None:
-            return found
+        values = _from_blocks(select, tables, blocks)
+        if values is not None:
+            return values
         tables = {table.name: TableValues(select, table, findings) for table in topic.tables}
 
     def columns(table: Table) -> Sequence[str]:

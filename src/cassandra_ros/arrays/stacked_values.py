@@ -51,13 +51,13 @@ class MessageBlock(NamedTuple):
 
 def join_blocks(blocks: Sequence[MessageBlock]) -> SizeGroups:
     """Join the groups of blocks: if sizes vary, each block has only few messages of a size."""
-    found: dict[int, list[tuple[Int64Array, ByteArray]]] = {}
+    groups: dict[int, list[tuple[Int64Array, ByteArray]]] = {}
     first = 0
     for block in blocks:
         for members, planes in block.groups:
-            found.setdefault(len(planes), []).append((members + first, planes))
+            groups.setdefault(len(planes), []).append((members + first, planes))
         first += len(block.times)
-    for parts in found.values():
+    for parts in groups.values():
         if len(parts) == 1:
             yield parts[0]
         else:
@@ -118,13 +118,13 @@ class StackedField(NamedTuple):
 
 def _texts(stack: Stack, path: str) -> AnyArray:
     ((at, size),) = stack.layout.texts[path]
-    every = stack.planes[at : at + size].T.tobytes()
+    characters = stack.planes[at : at + size].T.tobytes()
     count = stack.planes.shape[1]
-    cut = [every[n * size : (n + 1) * size] for n in range(count)]
+    cut = [characters[n * size : (n + 1) * size] for n in range(count)]
     # Texts such as frame names repeat: equal texts share one object.
-    known = {raw: raw.decode("utf-8", "replace") for raw in set(cut)}
+    texts = {raw: raw.decode("utf-8", "replace") for raw in set(cut)}
     values: Any = np.empty(count, object)
-    values[:] = [known[raw] for raw in cut]
+    values[:] = [texts[raw] for raw in cut]
     return values  # type: ignore[no-any-return]
 
 
@@ -144,12 +144,12 @@ def read_stacked(
         The values of each field, missing for every message that was not read; and the messages of
         the groups that were not read.
     """
-    found = [empty_values(field.kind, count) for field in fields]
+    arrays = [empty_values(field.kind, count) for field in fields]
     rest: list[tuple[int, bytes]] = []
     for members, planes in groups:
         stacks, others = stacker(definition).stacks(planes, members)
         rest += [(n, planes[:, np.searchsorted(members, n)].tobytes()) for n in others.tolist()]
         for stack in stacks:
-            for field, values in zip(fields, found):
+            for field, values in zip(fields, arrays):
                 field.put(stack, values)
-    return found, rest
+    return arrays, rest

@@ -86,10 +86,10 @@ class TableValues:
         self._names: list[str] = []
         self._places: dict[int, list[int] | None] = {}
         plan = None if table.definition is None else wire_plan(table.definition)
-        known = {} if plan is None else {column.name: column for column in plan.all_columns}
+        columns = {} if plan is None else {column.name: column for column in plan.all_columns}
         # Source of each output; None: the output has no column of its own.
         self._origins = [
-            None if output.ref is None else self._origin(output.ref, kind, known)
+            None if output.ref is None else self._origin(output.ref, kind, columns)
             for output, kind in zip(self._outputs, self._kinds)
         ]
         self._by_column = len(self._arrays) <= 1 and all(
@@ -100,7 +100,7 @@ class TableValues:
         condition = Projection.compile(replace(select, columns=()), table, Findings(select.text))
         # Checks the condition for each unnested element; None: all elements satisfy it.
         self._tester = condition if condition.unnested else None
-        self._stacked = self._stacked_fields(known)
+        self._stacked = self._stacked_fields(columns)
         """All fields, if they can be read from many messages at once; else empty."""
         self.renew()
 
@@ -206,11 +206,11 @@ class TableValues:
                 self._hits.append(list(self._tester.hits(row)))
             self._bytes += sum([len(raw) for raw in raws if raw is not None])
         else:
-            found = list(projection.values(row))
+            rows = list(projection.values(row))
             if self._tester is not None:
-                found = [values for values in found if projection.check(values) is True]
-            self._decoded += map(projection.complete, found)
-            self._numbers += [number] * len(found)
+                rows = [values for values in rows if projection.check(values) is True]
+            self._decoded += map(projection.complete, rows)
+            self._numbers += [number] * len(rows)
             self._bytes += row.size
         if len(self._numbers) >= BATCH_ROWS or self._bytes >= BATCH_BYTES:
             self.flush()
@@ -249,9 +249,9 @@ class TableValues:
         groups = (
             join_blocks(self._blocks) if self._blocks else group_by_size([r for (r,) in self._raws])
         )
-        found, rest = read_stacked(definition, self._stacked, count, groups)
+        arrays, rest = read_stacked(definition, self._stacked, count, groups)
         columns = list(zip(*[self._cut_one(n, wire, cut) for n, wire in rest]))
-        fields, places = iter(found), np.array([n for n, _ in rest], np.int64)
+        fields, places = iter(arrays), np.array([n for n, _ in rest], np.int64)
         chunks = []
         for output, kind, origin in zip(self._outputs, self._kinds, self._origins):
             if origin is None:

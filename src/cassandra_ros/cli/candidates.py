@@ -79,11 +79,11 @@ def _topics_of_files(options: argparse.Namespace) -> list[str] | None:
     from cassandra_ros.bag.file_formats import open_file
 
     files = options.bags if options.verb == "import" else [options.bag]
-    found = set()
+    topics = set()
     for path in files or ():
         with open_file(path) as reader:
-            found |= {connection.topic for connection in reader.connections.values()}
-    return sorted(found)
+            topics |= {connection.topic for connection in reader.connections.values()}
+    return sorted(topics)
 
 
 def _fields(ros_cas: RosCassandra, options: argparse.Namespace) -> Iterable[str]:

@@ -213,8 +213,8 @@ class RosCassandra:
         """
         if msg_type is not None:
             check_text("msg_type", msg_type, error=InvalidName, wanted="one like 'std_msgs/String'")
-        wanted = wished_topic(topic, format, nodeID, ttl, comment, metadata, index)
-        return self.catalog.add(with_key(wanted, key_format, key_part), msg_type)
+        described = wished_topic(topic, format, nodeID, ttl, comment, metadata, index)
+        return self.catalog.add(with_key(described, key_format, key_part), msg_type)
 
     def getTopic(self, topic: str) -> CassandraTopic:
         """Return a topic by its name, with or without the leading slash.

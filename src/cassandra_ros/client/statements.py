@@ -196,18 +196,18 @@ class Statements:
     def _drop_index(self, statement: DropIndex) -> None:
         index = statement.index
         if isinstance(index, IndexName):
-            found, spot = self._index_named(statement, index), index.position
+            indexed, spot = self._index_named(statement, index), index.position
         else:
-            found, spot = self._index_on(statement, index), index.field.position
-        if found is not None:
+            indexed, spot = self._index_on(statement, index), index.field.position
+        if indexed is not None:
             with _at(statement.text, spot):  # already removed, or needed by the key
-                found[0].removeIndex(found[1])
+                indexed[0].removeIndex(indexed[1])
 
     def _index_named(
         self, statement: DropIndex, name: IndexName
     ) -> tuple[CassandraTopic, str] | None:
-        known = names_of_indexes(self._keyspace.schema.tables(fresh=True))
-        columns = known.get(name.text, [])
+        names = names_of_indexes(self._keyspace.schema.tables(fresh=True))
+        columns = names.get(name.text, [])
         if len(columns) == 1:
             return self._catalog.get(columns[0][0]), columns[0][1]
         if not columns and statement.if_exists:
@@ -216,7 +216,7 @@ class Statements:
         reason = (
             f"several indexes are called {name.text}, on {places}"
             if columns
-            else f"no index is called {name.text}{nearest(name.text, list(known))}"
+            else f"no index is called {name.text}{nearest(name.text, list(names))}"
         )
         reason += "; DROP INDEX ON topic (field) removes an index whatever its name"
         raise InvalidQuery(statement.text, name.position, reason)
@@ -226,16 +226,16 @@ class Statements:
         if statement.if_exists and not self._catalog.exists(index.topic):
             return None
         topic = self._find(statement.text, index.topic, index.topic_position)
-        field, known = index.field.dotted, list(topic.getMeta["indexes"])
-        if field in known:
+        field, indexes = index.field.dotted, list(topic.getMeta["indexes"])
+        if field in indexes:
             return topic, field
         if statement.if_exists:
             return None
         raise InvalidQuery(
             statement.text,
             index.field.position,
-            f"topic {topic.name} has no index on {field}{nearest(field, known)}; "
-            "its indexes are on " + (", ".join(sorted(known)) or "nothing"),
+            f"topic {topic.name} has no index on {field}{nearest(field, indexes)}; "
+            "its indexes are on " + (", ".join(sorted(indexes)) or "nothing"),
         )
 
 
@@ -258,12 +258,12 @@ def _refuse_seconds(keyspace: Keyspace, topic: CassandraTopic, statement: Delete
 
 def names_of_indexes(tables: Mapping[str, TopicMetadata]) -> dict[str, list[tuple[str, str]]]:
     """Return name → (topic, field) of the indexes in some tables; mostly one for each name."""
-    found: dict[str, set[tuple[str, str]]] = {}
+    fields: dict[str, set[tuple[str, str]]] = {}
     for metadata in tables.values():
         for name, field in metadata.index_names.items():
             if field in metadata.indexes:
-                found.setdefault(name, set()).add((metadata.topic, field))
-    return {name: sorted(indexed) for name, indexed in found.items()}
+                fields.setdefault(name, set()).add((metadata.topic, field))
+    return {name: sorted(indexed) for name, indexed in fields.items()}
 
 
 def _give_name(schema: Schema, topic: str, field: str, name: str) -> None:

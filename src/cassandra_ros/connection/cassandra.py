@@ -376,10 +376,10 @@ class Cassandra:
             if not coming or time.monotonic() > self._connecting_until:
                 break
             time.sleep(POOL_PAUSE_SEC)
-        found = [host for host in connected if host.is_up]
-        if not found:
+        reachable = [host for host in connected if host.is_up]
+        if not reachable:
             raise NoHostAvailable("no node is in reach", {})
-        return found
+        return reachable
 
     def execute_once(self, cql: str, params: Sequence[object] = (), *, what: str) -> list[CqlRow]:
         """Run a statement that is not idempotent (a lightweight transaction) without retries."""
@@ -445,8 +445,8 @@ class Cassandra:
             with translated(what, self.outage.nodes):
                 return what, session.execute_async(SimpleStatement(cql), timeout=60.0)
 
-        wanted = takewhile(lambda _: not failures, changes)
-        for what, future in sent_ahead(map(begin, wanted), CHANGES_AT_ONCE if alone else 1):
+        changes_left = takewhile(lambda _: not failures, changes)
+        for what, future in sent_ahead(map(begin, changes_left), CHANGES_AT_ONCE if alone else 1):
             try:
                 with translated(what, self.outage.nodes):
                     future.result()
@@ -511,14 +511,14 @@ class Cassandra:
         link = self._links.current
         states = link.session.get_pool_state().items()
         there = {host for host, state in states if state["open_count"]}
-        every = sorted(link.cluster.metadata.all_hosts(), key=lambda host: str(host.endpoint))
-        up = [host.address for host in every if host in there]
-        down = [host.address for host in every if host not in there]
+        hosts = sorted(link.cluster.metadata.all_hosts(), key=lambda host: str(host.endpoint))
+        up = [host.address for host in hosts if host in there]
+        down = [host.address for host in hosts if host not in there]
         if not (up and down):
             return ""
         level = ConsistencyLevel.value_to_name[self.consistency]
         return (
-            f"of {len(every)} nodes {', '.join(up)} answers and {', '.join(down)} does not; "
+            f"of {len(hosts)} nodes {', '.join(up)} answers and {', '.join(down)} does not; "
             f"{level} needs {_NEEDS.get(level, 'more copies of a row')}: start the others again"
             f"{'' if level in _LEAST else _READ_ANYWAY}"
         )

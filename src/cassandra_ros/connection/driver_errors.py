@@ -171,10 +171,10 @@ _ROLES = re.compile(r"User (.+?) does not have sufficient privileges")
 
 def _denied(exc: Unauthorized, what: str) -> AccessDenied:
     text = str(exc)
-    found = _RIGHT.search(text)
+    match = _RIGHT.search(text)
     on_roles = _ROLES.search(text)
-    if found:
-        user, right, place = found.groups()
+    if match:
+        user, right, place = match.groups()
     elif on_roles:
         user, right, place = on_roles[1], "CREATE", "all roles"
     else:

@@ -159,11 +159,11 @@ def is_private(name: str) -> bool:
     For root the file may belong to any user.
     """
     try:
-        found = os.stat(name)
+        status = os.stat(name)
     except OSError:
         return True  # _read reports a file that cannot be read
-    ours = os.getuid() in (0, found.st_uid)
-    return ours and not found.st_mode & (stat.S_IRGRP | stat.S_IROTH)
+    ours = os.getuid() in (0, status.st_uid)
+    return ours and not status.st_mode & (stat.S_IRGRP | stat.S_IROTH)
 
 
 def _warn(text: str) -> None:
@@ -208,8 +208,8 @@ def _user(
     """Return user name and password; a later entry of the list below replaces an earlier one."""
     provider = _section(config, _SECTION)
     module, name = provider.get("module"), provider.get("classname")
-    known = (module, name) in [("cassandra.auth", each) for each in PROVIDERS]
-    if not known and (module or name):
+    is_provider = (module, name) in [("cassandra.auth", each) for each in PROVIDERS]
+    if not is_provider and (module or name):
         raise InvalidOption(
             f"[{_SECTION}] of {config_file}: {module or '(no module)'} {name or '(no classname)'} "
             f"is not supported: use module = cassandra.auth, classname = {' or '.join(PROVIDERS)}"
@@ -238,10 +238,10 @@ def _section(config: configparser.ConfigParser, name: str) -> dict[str, str | No
 
 def _tls(config: configparser.ConfigParser, config_file: str) -> Tls | None:
     try:
-        wanted = config.getboolean("connection", "ssl", fallback=False)
+        uses_tls = config.getboolean("connection", "ssl", fallback=False)
     except ValueError as exc:
         raise InvalidOption(f"[connection] ssl of {config_file} is neither true nor false") from exc
-    if not wanted:
+    if not uses_tls:
         return None
     validate = os.environ.get("SSL_VALIDATE") or config.get("ssl", "validate", fallback="true")
     hosts = {name: str(text) for name, text in _section(config, "certfiles").items()}

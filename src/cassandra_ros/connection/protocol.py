@@ -217,10 +217,10 @@ class RawPage(Sequence[RawRow]):
         length = self.end(at) - at
         if not self._count or at + self._count * length != size:
             return None
-        found = np.arange(at, size + 1, length)
-        begins = found[:-1, None] + np.arange(len(mark))
+        offsets = np.arange(at, size + 1, length)
+        begins = offsets[:-1, None] + np.arange(len(mark))
         data = np.frombuffer(self.body, np.uint8)
-        return found if (data[begins] == np.frombuffer(mark, np.uint8)).all() else None
+        return offsets if (data[begins] == np.frombuffer(mark, np.uint8)).all() else None
 
     def end(self, at: int) -> int:
         """Return the end of the row that begins at ``at``; raises struct.error."""
@@ -233,13 +233,13 @@ class RawPage(Sequence[RawRow]):
         return self._cut_row(self.body, at)
 
     def _cut_row(self, body: bytes, at: int) -> RawRow:
-        found: list[bytes | None] = []
+        columns: list[bytes | None] = []
         for _ in range(self._width):
             (size,) = _size(body, at)
             at += 4
-            found.append(None if size < 0 else body[at : at + size])
+            columns.append(None if size < 0 else body[at : at + size])
             at += max(0, size)
-        return tuple(found)
+        return tuple(columns)
 
 
 PROTOCOL_VERSION = 4
@@ -334,15 +334,15 @@ class _ReceiveBuffer:
     def take(self, size: int) -> bytes:
         """Take ``size`` bytes from the front; the caller knows that there are enough."""
         self._size -= size
-        found = []
+        pieces = []
         while size:
             piece = self._pieces.popleft()
             if len(piece) > size:
                 self._pieces.appendleft(piece[size:])
                 piece = piece[:size]
-            found.append(piece)
+            pieces.append(piece)
             size -= len(piece)
-        return b"".join(found)
+        return b"".join(pieces)
 
 
 class _RequestTimer:

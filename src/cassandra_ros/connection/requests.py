@@ -95,10 +95,10 @@ def retried(
     begun, later, told = time.monotonic(), FIRST_PAUSE_SEC, False
     while True:
         try:
-            found = call()
+            answer = call()
             if outage is not None:
                 outage.answered()
-            return found
+            return answer
         except DRIVER_ERRORS as exc:
             if refused is not None and refused(exc):
                 raise

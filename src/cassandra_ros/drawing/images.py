@@ -146,10 +146,10 @@ def _layout_of(row: StoredRow, encoding: str) -> _Layout:
             return _Layout(sample, "l" if sample == "u1" else _DEPTH)
         if channels in _OPENCV_COLOURS and sample in ("u1", "u2"):
             return _Layout(sample, _OPENCV_COLOURS[channels])
-    known = ", ".join([*_NAMED, "8UC1, 8UC3, 8UC4, 16UC1, 16SC1, 32SC1, 32FC1, 64FC1"])
+    encodings = ", ".join([*_NAMED, "8UC1, 8UC3, 8UC4, 16UC1, 16SC1, 32SC1, 32FC1, 64FC1"])
     raise UnknownEncoding(
         f"the image of topic {row.topic} at {row.t} is encoded as {encoding!r:.80}, which cannot "
-        f"be drawn; known are {known}"
+        f"be drawn; known are {encodings}"
     )
 
 
@@ -160,8 +160,8 @@ def _samples(row: StoredRow, msg: Any, layout: _Layout) -> np.ndarray[Any, Any]:
     least = width * layout.channels * size
     step = int(msg.step) or least
     # The padding after the pixels may be missing in the last row.
-    wanted = step * (height - 1) + least
-    if not (height and width) or step < least or len(msg.data) < wanted:
+    needed = step * (height - 1) + least
+    if not (height and width) or step < least or len(msg.data) < needed:
         raise CorruptMessage(
             f"the image of topic {row.topic} at {row.t} is damaged: {width} x {height} pixels of "
             f"{msg.encoding}, step {msg.step}, in {len(msg.data)} bytes"
@@ -181,14 +181,14 @@ def _to_bytes(samples: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Scale numbers to 0 (minimum) to 255 (maximum), rounded; infinities and NaN become 0."""
     exact = values.astype(np.float64)
-    known = np.isfinite(exact)
-    if not known.any():
+    finite = np.isfinite(exact)
+    if not finite.any():
         return np.zeros(exact.shape, np.uint8)
-    least, greatest = exact[known].min(), exact[known].max()
+    least, greatest = exact[finite].min(), exact[finite].max()
     with np.errstate(over="ignore", invalid="ignore"):
         # Halved, because the difference of the extremes may overflow.
         part = (exact / 2 - least / 2) / (greatest / 2 - least / 2 or 1.0)
-    part[~known] = 0
+    part[~finite] = 0
     scaled: np.ndarray[Any, Any] = np.rint(part * 255).astype(np.uint8)
     return scaled
 

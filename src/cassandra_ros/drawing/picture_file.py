@@ -29,8 +29,10 @@ def check_picture_path(path: str | os.PathLike[str], force: bool = False) -> Non
         InvalidOption: The ending is not in ENDINGS, or the file exists.
     """
     if Path(path).suffix.lower() not in ENDINGS:
-        known = ", ".join(ENDINGS)
-        raise InvalidOption(f"{os.fspath(path)} is no name of a picture: known endings are {known}")
+        endings = ", ".join(ENDINGS)
+        raise InvalidOption(
+            f"{os.fspath(path)} is no name of a picture: known endings are {endings}"
+        )
     if os.path.exists(path) and not force:
         text = f"{os.fspath(path)} exists; choose another name, or replace it with --force"
         raise InvalidOption(text)
@@ -43,19 +45,19 @@ def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
         InvalidOption: The file cannot be written, or the format does not allow so large a picture.
             An existing file then stays.
     """
-    found, active = io.BytesIO(), Path(f"{os.fspath(path)}.active")
+    image, active = io.BytesIO(), Path(f"{os.fspath(path)}.active")
     form = ENDINGS[Path(path).suffix.lower()]
     try:
-        picture.save(found, form)
+        picture.save(image, form)
     except (OSError, ValueError) as exc:
         raise InvalidOption(
             f"{os.fspath(path)} cannot be made: {picture.width} x {picture.height} pixels are too "
             f"many for {form}; take .png, or fewer or smaller pictures ({exc})"
         ) from exc
     try:
-        active.write_bytes(found.getvalue())
+        active.write_bytes(image.getvalue())
         os.replace(active, path)
     except OSError as exc:
         active.unlink(missing_ok=True)
         raise InvalidOption(f"{os.fspath(path)} cannot be written: {exc.strerror}") from exc
-    return len(found.getvalue())
+    return len(image.getvalue())

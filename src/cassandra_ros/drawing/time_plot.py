@@ -52,7 +52,7 @@ class Line(NamedTuple):
 def lines_of(series: Sequence[Series]) -> Sequence[Line]:
     """Return the lines of some statements; of several topics, labelled with the topic."""
     topics = {each.topic for each in series}
-    found = []
+    lines = []
     for each in series:
         times = each.points.times
         after_gap = each.breaks + 1
@@ -61,8 +61,8 @@ def lines_of(series: Sequence[Series]) -> Sequence[Line]:
             ends = (each.points.low[n], each.points.high[n])
             low, high = (np.insert(end, after_gap, np.nan) for end in ends)
             label = column.name if len(topics) == 1 else f"{each.topic} {column.name}"
-            found.append(Line(label, column.unit, broken, low, high))
-    return found
+            lines.append(Line(label, column.unit, broken, low, high))
+    return lines
 
 
 class Curve(NamedTuple):
@@ -91,7 +91,7 @@ def curves_of(series: Sequence[Series], names: tuple[str, str]) -> Sequence[Curv
     Raises:
         InvalidOption: A statement has no numeric column with such a name.
     """
-    found = []
+    curves = []
     for each in series:
         known = [column.name for column in each.columns]
         for name in names:
@@ -105,8 +105,8 @@ def curves_of(series: Sequence[Series], names: tuple[str, str]) -> Sequence[Curv
             for ends in (each.points.low, each.points.high)
         )
         columns = each.columns[places[0]], each.columns[places[1]]
-        found.append(Curve(each.topic, columns, low, high))
-    return found
+        curves.append(Curve(each.topic, columns, low, high))
+    return curves
 
 
 def draw_xy(

@@ -142,8 +142,12 @@ class CassandraTopic_(ABC):
             made.
         """
         wire = self.decode_wire(encoded.columns, encoded.raw)
-        known = self.definition
-        cls = raw_class(self.msg_type, self.md5sum) if known is None else message_class(known)
+        definition = self.definition
+        cls = (
+            raw_class(self.msg_type, self.md5sum)
+            if definition is None
+            else message_class(definition)
+        )
         return deserialize(cls, wire)
 
 

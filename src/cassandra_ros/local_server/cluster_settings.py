@@ -106,9 +106,9 @@ def load_settings(directory: Path) -> Settings | None:
         # List foreign files first, so that files of a start that runs meanwhile do not count.
         foreign = _foreign(directory)
         values = json.loads(path.read_text(encoding="utf-8"))
-        known = {field.name: field.type for field in fields(Settings)}
-        settings = Settings(**{name: values[name] for name in known if name in values})
-        for name, kind in known.items():
+        types = {field.name: field.type for field in fields(Settings)}
+        settings = Settings(**{name: values[name] for name in types if name in values})
+        for name, kind in types.items():
             if type(getattr(settings, name)).__name__ != kind:
                 raise TypeError(f"{name} is no {kind}")
     except FileNotFoundError:

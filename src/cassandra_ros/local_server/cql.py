@@ -105,9 +105,9 @@ def schema_versions(
             peers = _select(session, "peer, schema_version, tokens FROM system.peers_v2")
     except (OSError, struct.error):
         return {}
-    known = {row["peer"]: row["schema_version"] for row in peers if row["tokens"]}
-    known["here"] = here[0]["schema_version"] if here else ""
-    return {address: version for address, version in known.items() if version}
+    versions_of_peers = {row["peer"]: row["schema_version"] for row in peers if row["tokens"]}
+    versions_of_peers["here"] = here[0]["schema_version"] if here else ""
+    return {address: version for address, version in versions_of_peers.items() if version}
 
 
 def _connect(
@@ -145,9 +145,9 @@ def _exchange(connection: socket.socket, opcode: int, body: bytes) -> tuple[int,
         version, _, _, answer, length = _HEADER.unpack(stream.read(_HEADER.size))
         if version != 0x80 | _VERSION or not 0 <= length <= _MAX_FRAME:
             raise OSError("this is no CQL")
-        found = stream.read(length)
-    if len(found) < length:
+        data = stream.read(length)
+    if len(data) < length:
         raise OSError("the connection was closed")
     if answer == _ERROR:
-        raise CqlRefused(found[6:].decode("utf-8", "replace"))
-    return answer, found
+        raise CqlRefused(data[6:].decode("utf-8", "replace"))
+    return answer, data

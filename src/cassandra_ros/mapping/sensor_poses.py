@@ -102,10 +102,10 @@ class SensorPoses:
             stamped[:] = False
         others = np.flatnonzero(~stamped)
         if len(others):
-            found = poses.at(keys[others])
-            placed.poses.put(others, found.poses)
-            placed.known[others] = found.known
-            self.received += int(found.known.sum())
+            interpolated = poses.at(keys[others])
+            placed.poses.put(others, interpolated.poses)
+            placed.known[others] = interpolated.known
+            self.received += int(interpolated.known.sum())
         return placed
 
     def of(self, sensor: str) -> Poses:
@@ -203,13 +203,13 @@ class SensorPoses:
         if robot and sensor.strip("/"):
             tf, tf_static = self._choice.tf, self._choice.tf_static
             try:
-                found = lookup_transform(
+                transform = lookup_transform(
                     self._catalog.get, self._node, self._writers, robot, sensor, 0, tf, tf_static
                 )
             except (TransformException, TopicNotFound):
                 pass
             else:
-                moved, turned = found.transform.translation, found.transform.rotation
+                moved, turned = transform.transform.translation, transform.transform.rotation
                 numbers = [moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w]
                 return Rigid.of_numbers(np.array([numbers])), f"sensor on {robot} as tf has it"
         return Rigid.none(1), "no sensor offset"

@@ -88,10 +88,10 @@ def message_class(definition: Definition) -> Any:
     """
     with _lock:
         if definition not in _classes:
-            found = installed_class(definition.type)
-            if found is None or definition_of(found) != definition:
-                found = _generate(definition)
-            _classes[definition] = found
+            cls = installed_class(definition.type)
+            if cls is None or definition_of(cls) != definition:
+                cls = _generate(definition)
+            _classes[definition] = cls
         return _classes[definition]
 
 
@@ -229,18 +229,18 @@ def message_of_yaml(cls: Any, text: str) -> Any:
     Raises:
         TypeMismatch: The text is not YAML, or does not fit the message type.
     """
-    found = cls()
+    message = cls()
     try:
         if "*" in text and any(isinstance(e, yaml.AliasEvent) for e in yaml.parse(text)):
             raise TypeMismatch("the YAML has an alias (*name), which is not read: write it out")
         values = yaml.safe_load(text)
         arguments = values if isinstance(values, list) else [] if values is None else [values]
-        genpy.message.fill_message_args(found, arguments)
-        serialize(found)  # fill_message_args does not check numbers
+        genpy.message.fill_message_args(message, arguments)
+        serialize(message)  # fill_message_args does not check numbers
     except (yaml.YAMLError, genpy.MessageException, ValueError, RecursionError) as exc:
         why = " ".join(str(exc).split())[:300]
         raise TypeMismatch(f"the YAML is no {cls._type}: {why}") from exc
-    return found
+    return message
 
 
 def to_yaml(msg: Any) -> str:

@@ -27,10 +27,10 @@ def installed_class(msg_type: str) -> Any | None:
     if not _has_message(package, name):
         return None
     try:
-        found = getattr(importlib.import_module(f"{package}.msg._{name}"), name)
-        if found._type == msg_type:
-            return found
-        _log.warning("installed class %s calls itself %s: not used", msg_type, found._type)
+        cls = getattr(importlib.import_module(f"{package}.msg._{name}"), name)
+        if cls._type == msg_type:
+            return cls
+        _log.warning("installed class %s calls itself %s: not used", msg_type, cls._type)
     except (ImportError, AttributeError, SyntaxError) as exc:
         _log.warning("installed message type %s cannot be imported: %s", msg_type, exc)
     return None

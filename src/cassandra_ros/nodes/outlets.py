@@ -83,16 +83,16 @@ class Outlets:
             return
         kind = MessageKind.of(channel.type, channel.md5sum, channel.definition)
         # Two stored topics may be remapped to one.
-        known = next((p for p in self._publications.values() if p.topic == name), None)
-        if known is not None:
-            if known.kind._md5sum == kind._md5sum:
-                self._publications[topic] = known
+        publication = next((p for p in self._publications.values() if p.topic == name), None)
+        if publication is not None:
+            if publication.kind._md5sum == kind._md5sum:
+                self._publications[topic] = publication
                 return
             self._say(
                 (topic, kind),
                 "topic %s was stored with several types; only %s is played, %s is left out",
                 name,
-                known.kind._type,
+                publication.kind._type,
                 channel.type,
             )
             return

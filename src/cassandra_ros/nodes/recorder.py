@@ -346,12 +346,14 @@ class Recorder:
 
     def _recorded(self, topics: Topics) -> list[str]:
         """Return the names of topics that are recorded, or raise InvalidName."""
-        names, known = [], self._subscriptions.topics
+        names, subscribed = [], self._subscriptions.topics
         for topic in topics:
             name = str(rospy.resolve_name(check_ros_name(topic)))
-            if name not in known:
-                near = difflib.get_close_matches(name, known, n=3)
-                hint = f"did you mean {', '.join(near)}?" if near else f"{len(known)} topics are"
+            if name not in subscribed:
+                near = difflib.get_close_matches(name, subscribed, n=3)
+                hint = (
+                    f"did you mean {', '.join(near)}?" if near else f"{len(subscribed)} topics are"
+                )
                 raise InvalidName(f"topic {name} is not recorded; {hint}")
             names.append(name)
         return names
@@ -436,9 +438,9 @@ class Recorder:
             _log.debug("new topics are not seen: %s", exc)  # the registration warns
             self._done.wait(1.0)
             return
-        known = self._left.union(self._subscriptions.topics)
+        ignored = self._left.union(self._subscriptions.topics)
         for topic in selected:
-            if topic not in known:
+            if topic not in ignored:
                 if announce:
                     self._say(f"recording {topic}, too")
                 self._subscribe(topic)

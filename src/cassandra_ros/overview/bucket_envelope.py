@@ -151,17 +151,17 @@ class PieceReader:
 
     def refined(self, piece: EnvelopePart, part: PartEnvelope) -> PartEnvelope:
         """Return the envelope of a piece after some more of its edges were unpacked."""
-        found = PartEnvelope(part.sure.grid, self._count)
-        found.sure.merge(part.sure)
-        now, found.edges = part.edges[:EDGES_AT_ONCE], part.edges[EDGES_AT_ONCE:]
+        envelope = PartEnvelope(part.sure.grid, self._count)
+        envelope.sure.merge(part.sure)
+        now, envelope.edges = part.edges[:EDGES_AT_ONCE], part.edges[EDGES_AT_ONCE:]
         values = self._values(piece.table)
         for block in messages_of(open_blocks(self._blocks(piece), now), [piece.table]):
             self._watch()
             values.add_block(block)
-        _drain(values, found.sure)
-        if found.edges:
-            found.around.merge(part.around)
-        return found
+        _drain(values, envelope.sure)
+        if envelope.edges:
+            envelope.around.merge(part.around)
+        return envelope
 
     def _blocks(self, piece: EnvelopePart) -> BucketRead:
         ends = (piece.low, MIN_SEQ), (piece.high, MAX_SEQ)
@@ -170,8 +170,8 @@ class PieceReader:
 
     def _zones(self, table: TopicTable) -> _ZoneColumns | None:
         """Return how the zones of all columns are read; None if messages have to be read."""
-        known = table.zone_map
-        if known is None or not self._wanted.bounds.whole:
+        zone_columns = table.zone_map
+        if zone_columns is None or not self._wanted.bounds.whole:
             return None
         names: list[str] = []
         converts: list[tuple[Convert, ArrayType] | None] = []
@@ -181,7 +181,7 @@ class PieceReader:
                 converts.append(None)
                 continue
             ref = _plain_field(column, table)
-            zone = None if ref is None else known.fields.get(ref.column)
+            zone = None if ref is None else zone_columns.fields.get(ref.column)
             kind = group[0][1]
             convert = None if not (ref and zone) else compile_convert(ref, zone, kind, False)
             if zone is None or convert is None or zone.is_list:

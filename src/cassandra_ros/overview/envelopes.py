@@ -54,17 +54,17 @@ class EnvelopeCache:
     def get(self, key: object) -> PartEnvelope | None:
         """Return a part, which must not be changed; None if it is not in the cache."""
         with self._lock:
-            found = self._parts.get(key)
-            if found is None:
+            part = self._parts.get(key)
+            if part is None:
                 return None
             self._parts.move_to_end(key)
-            return found[0]
+            return part[0]
 
     def put(self, key: object, part: PartEnvelope) -> None:
         """Add a part."""
         with self._lock:
-            known = self._parts.pop(key, None)
-            self._bytes -= known[1] if known else 0
+            earlier = self._parts.pop(key, None)
+            self._bytes -= earlier[1] if earlier else 0
             self._parts[key] = part, part.nbytes
             self._bytes += part.nbytes
             while self._bytes > self._most:
@@ -131,16 +131,16 @@ class EnvelopeReader:
         listed = [listed[n] for n in spread(len(listed))]
         parts = {n: part for n, each in enumerate(listed) if (part := self._known(each, grid))}
         left = [n for n in range(len(listed)) if n not in parts]
-        kept = [n for n in left if self._keeps(listed[n])]
+        cached = [n for n in left if self._keeps(listed[n])]
         fresh = False
-        for n, part in self._new(listed, kept, grid):
+        for n, part in self._new(listed, cached, grid):
             parts[n], fresh = part, True
             if _is_over(ends):
                 break
         for n in list(parts):
             while parts[n].edges and not (fresh and _is_over(ends)):
                 parts[n], fresh = self._refined(listed[n], grid, parts[n]), True
-        done = len(parts) == len(listed) - len(left) + len(kept)
+        done = len(parts) == len(listed) - len(left) + len(cached)
         if done and not (fresh and _is_over(ends) and any(p.edges for p in parts.values())):
             # These pieces are not cached: a read that began with them would never get further.
             parts.update(self._at_once(listed, [n for n in left if n not in parts], grid))
@@ -247,8 +247,8 @@ class EnvelopeReader:
                 envelope.merge(part.around)
                 edges += len(part.edges)
             read += listed[n].rows + 1
-        every = sum(each.rows + 1 for each in listed)
-        share = 1.0 if len(parts) == len(listed) else min(read / every, 0.999)
+        count = sum(each.rows + 1 for each in listed)
+        share = 1.0 if len(parts) == len(listed) else min(read / count, 0.999)
         return Envelopes(envelope, share, edges)
 
 

@@ -105,12 +105,12 @@ class LatchedFinder:
     @cached_property
     def _latched(self) -> dict[str, frozenset[int]]:
         """Table → numbers of its latched connections."""
-        found: dict[str, set[int]] = {}
+        connections: dict[str, set[int]] = {}
         names = {table.name for table in self._tables}
         for table, conn, connection in self._keyspace.connections.of_tables(names):
             if is_latched(connection):
-                found.setdefault(table, set()).add(conn)
-        return {table: frozenset(conns) for table, conns in found.items()}
+                connections.setdefault(table, set()).add(conn)
+        return {table: frozenset(conns) for table, conns in connections.items()}
 
     @property
     def latches(self) -> bool:
@@ -130,12 +130,12 @@ class LatchedFinder:
     def of_sources(self, sources: frozenset[Source], t: int, since: int = 0) -> list[StoredRow]:
         """Return the last latched message in [since, t) of each publisher of some runs."""
         tables = [table for table in self._tables if table.name in self._latched]
-        found = [row for table in tables for row in self._last(table, t, since, sources)]
-        return sorted(found, key=lambda row: row.arrival)
+        rows = [row for table in tables for row in self._last(table, t, since, sources)]
+        return sorted(rows, key=lambda row: row.arrival)
 
     def sources(self, t: int, to: int) -> frozenset[Source]:
         """Return the runs that have messages of any topic in [t, to]."""
-        found: set[Source] = set()
+        runs: set[Source] = set()
         # Over all topics: the requested topic may have been sent once, long before the range.
         for name, metadata in sorted(self._keyspace.schema.tables().items()):
             if metadata.named or metadata.own_time:
@@ -148,8 +148,8 @@ class LatchedFinder:
             rows = [row for row in listed if writers is None or row.writer in writers]
             for row in self._counted(name, metadata, rows):
                 if not row.closed or (row.rows and row.t_min <= to and row.t_max >= t):
-                    found.add((row.node, row.writer))
-        return frozenset(found)
+                    runs.add((row.node, row.writer))
+        return frozenset(runs)
 
     def _counted(
         self, name: str, metadata: TopicMetadata, rows: Sequence[BucketRow]
@@ -208,8 +208,8 @@ class LatchedFinder:
                 continue
             if source[1] and source not in sources:
                 continue
-            known = last.get(publisher)
-            if (known is None or known.arrival < row.arrival) and self._wanted(row):
+            earlier = last.get(publisher)
+            if (earlier is None or earlier.arrival < row.arrival) and self._wanted(row):
                 last[publisher] = row
         return iter(last.values())
 

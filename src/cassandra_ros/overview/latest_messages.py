@@ -57,10 +57,10 @@ class Latest:
             t: The moment, ns; a message at t itself counts.
             since: Minimum time of messages that are not latched, ns.
         """
-        found: dict[tuple[object, ...], StoredRow] = {}
+        latest: dict[tuple[object, ...], StoredRow] = {}
         for rows in (self._last(t, since), self._latched_before(t, since)):
-            found.update(((row.topic, *row.place), row) for row in rows)
-        return sorted(found.values(), key=lambda row: row.position)
+            latest.update(((row.topic, *row.place), row) for row in rows)
+        return sorted(latest.values(), key=lambda row: row.position)
 
     def _last(self, t: int, since: int) -> Iterator[StoredRow]:
         for tables in self._by_topic.values():
@@ -75,9 +75,9 @@ class Latest:
         rows = self._keyspace.rows
         if any(table.msg_type in TRANSFORMS for table in tables):
             steady = TimeRange(max(since, t - TRANSFORMS_NS), t)
-            found = list(rows.read(tables, Read(steady, self._whose)))
-            if found:
-                return found
+            transforms = list(rows.read(tables, Read(steady, self._whose)))
+            if transforms:
+                return transforms
         near = rows.beside(tables, t, self._whose, [True])
         if near is None:
             back = Read(TimeRange(since, t), self._whose, reverse=True, wanted=1)

@@ -62,8 +62,8 @@ def drawn_columns(select: Select, tables: Sequence[Table]) -> PlotColumns:
     """
     columns: list[Column] = []
     left_out: list[OmittedColumn] = []
-    for name, found in _columns(select, tables).items():
-        output, kind, table, selected = found
+    for name, sources in _columns(select, tables).items():
+        output, kind, table, selected = sources
         reason = _reason(kind)
         if reason:
             left_out.append(OmittedColumn(name, reason))
@@ -81,7 +81,7 @@ _Found = Tuple[Output, ArrayType, Table, Optional[Selected]]
 
 def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
     """Return each column by its name, as it is in the first table that has it."""
-    found: dict[str, _Found] = {}
+    columns: dict[str, _Found] = {}
     projections = Projections(replace(select, hidden=()), tables)
     # In the order of the selection, because a table may have fields that others lack.
     for n, selected in enumerate(select.visible):
@@ -91,8 +91,8 @@ def _columns(select: Select, tables: Sequence[Table]) -> dict[str, _Found]:
             projection = projections.of(table)
             kinds = group_types(projection, table)[n]
             for output, (name, kind) in zip(projection.groups[n], kinds):
-                found.setdefault(name, (output, kind, table, selected))
-    return found
+                columns.setdefault(name, (output, kind, table, selected))
+    return columns
 
 
 def _what(output: Output, selected: Selected | None) -> Term | Aggregate:

@@ -140,15 +140,15 @@ def read_series(
     grid = Grid.between(*ends, window.pixels)
     key = _key(plain, bounds, drawn, near=settled is not plain)
     bounds = replace(bounds, spans=spans_of(settled.condition))
-    wanted = EnvelopeRequest(settled, bounds, drawn.columns, key)
+    request = EnvelopeRequest(settled, bounds, drawn.columns, key)
 
     def read(now: Sequence[TopicTable]) -> Envelopes:
-        reader = EnvelopeReader(keyspace, now, wanted, asker.cache, asker.watch)
+        reader = EnvelopeReader(keyspace, now, request, asker.cache, asker.watch)
         return reader.read(grid, window.seconds)
 
-    found = followed(tables, read)
-    points = found.envelope.points()
-    return Series(topic.name, *drawn, grid, points, found.share, found.edges)
+    envelopes = followed(tables, read)
+    points = envelopes.envelope.points()
+    return Series(topic.name, *drawn, grid, points, envelopes.share, envelopes.edges)
 
 
 def _key(select: Select, bounds: Bounds, drawn: PlotColumns, near: bool) -> str:
@@ -231,7 +231,7 @@ def _arrays(
         if count > MOST_ROWS:
             reason = f"more than {MOST_ROWS} rows are too many to draw; group by a longer time"
             raise InvalidQuery(select.text, 0, reason)
-        kept = [row for row in chunk if hasattr(row[over], "to_nsec")]
-        times.append(np.array([row[over].to_nsec() for row in kept], np.int64))
-        found = [[as_float(row[place]) for row in kept] for place in places]
-        numbers.append(np.array(found, np.float64).reshape(len(places), len(kept)))
+        timed = [row for row in chunk if hasattr(row[over], "to_nsec")]
+        times.append(np.array([row[over].to_nsec() for row in timed], np.int64))
+        values = [[as_float(row[place]) for row in timed] for place in places]
+        numbers.append(np.array(values, np.float64).reshape(len(places), len(timed)))

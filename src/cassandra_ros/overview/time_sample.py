@@ -88,8 +88,8 @@ def spaced_rows(
             f"topic {topic.name} has no such message: none of that time, robot, run or condition"
         )
     if len(few) <= count and not every_ns:
-        found = (topic.getRow(key) for _, key in few)
-        yield from (row for row in found if row is not None)  # None if it was deleted meanwhile
+        rows = (topic.getRow(key) for _, key in few)
+        yield from (row for row in rows if row is not None)  # None if it was deleted meanwhile
         return
     times = _times(few[0][0], chosen.last(topic), count, every_ns)
     if chosen.where is None and not isinstance(few[0][1], RowName):
@@ -125,18 +125,18 @@ def nearest_rows(rows: Iterable[StoredRow], times: Sequence[int]) -> Iterator[St
         times: Ascending times, ns.
     """
     before: StoredRow | None = None
-    wanted = iter(times)
-    t = next(wanted, None)
+    times_left = iter(times)
+    t = next(times_left, None)
     for row in rows:
         while t is not None and t <= row.t:
             yield row if before is None or row.t - t < t - before.t else before
-            t = next(wanted, None)
+            t = next(times_left, None)
         if t is None:
             return
         before = row
     while before is not None and t is not None:
         yield before
-        t = next(wanted, None)
+        t = next(times_left, None)
 
 
 def _once(rows: Iterable[StoredRow]) -> Iterator[StoredRow]:

@@ -41,21 +41,21 @@ class Coverage:
             return []
         cells = cells_of(region.box)
         noted = [] if cells is None else self._noted(robot)
-        found = list(uncovered_ranges(extents, noted))
+        ranges = list(uncovered_ranges(extents, noted))
         if cells is not None and any(robot.frame in each.above for each in noted):
-            found += self._visits(robot, cells, low, high)
-        return list(clip_ranges(merge_ranges(sorted(found)), low, high))
+            ranges += self._visits(robot, cells, low, high)
+        return list(clip_ranges(merge_ranges(sorted(ranges)), low, high))
 
     def _noted(self, robot: Robot) -> list[IndexedPoses]:
         """Return the index records of a robot that are still valid."""
         tables = [table.name for table in robot.topic.tables]
-        every = [
+        records = [
             each
             for each in self._index.placed(tables)
             if each.node == robot.node and each.robot in robot.keys
         ]
-        fixed = robot.fixed() if every else {}
-        return [each for each in every if is_valid(each, robot, fixed)]
+        fixed = robot.fixed() if records else {}
+        return [each for each in records if is_valid(each, robot, fixed)]
 
     def _visits(
         self, robot: Robot, cells: Sequence[Cell], low: int, high: int
@@ -88,11 +88,11 @@ def uncovered_ranges(extents: Sequence[Extent], noted: Sequence[IndexedPoses]) -
     These are the times of poses without an index record, those around the ends of records, and
     those at which several runs recorded: then each message is judged by the poses of its own run.
     """
-    known: dict[tuple[str, int], list[NsRange]] = {}
+    indexed: dict[tuple[str, int], list[NsRange]] = {}
     for each in noted:
-        known.setdefault((each.table, each.writer), []).append((each.low, each.high))
+        indexed.setdefault((each.table, each.writer), []).append((each.low, each.high))
     for extent in extents:
-        said = list(merge_ranges(sorted(known.get(extent[:2], ()))))
+        said = list(merge_ranges(sorted(indexed.get(extent[:2], ()))))
         for low, high in subtract_ranges([extent[2:]], said):
             yield low - LONGEST_GAP_NS, high + LONGEST_GAP_NS
     for one, other in overlapping_pairs(extents):

@@ -116,19 +116,19 @@ class TfRecording:
         """Return the moving transforms with a row key in [low, high], ns."""
         if self.moving is None or low > high:
             return Samples.none()
-        found = arrays_between(self.moving, _FIELDS, low, high, self._node, self._writers)
-        numbers = np.stack([filled(found[name], np.nan) for name in _FIELDS[4:]], 1)
-        parents, children = (self._codes_of(found[name]) for name in _NAMES)
-        stamps = filled(found[_STAMP], 0)
-        return Samples.checked(found["KEY"], stamps, parents, children, numbers)
+        arrays = arrays_between(self.moving, _FIELDS, low, high, self._node, self._writers)
+        numbers = np.stack([filled(arrays[name], np.nan) for name in _FIELDS[4:]], 1)
+        parents, children = (self._codes_of(arrays[name]) for name in _NAMES)
+        stamps = filled(arrays[_STAMP], 0)
+        return Samples.checked(arrays["KEY"], stamps, parents, children, numbers)
 
     def _codes_of(self, names: Iterable[str | None]) -> Codes:
-        known: dict[str | None, int] = {}
+        numbers: dict[str | None, int] = {}
         codes = []
         for name in names:
-            if name not in known:
-                known[name] = self.code(name)
-            codes.append(known[name])
+            if name not in numbers:
+                numbers[name] = self.code(name)
+            codes.append(numbers[name])
         return np.array(codes, np.int64)
 
     def next_key(self, time: int) -> int | None:
@@ -146,10 +146,10 @@ class TfRecording:
             for child, parent in pairs.tolist():
                 if child not in self.fixed:
                     parents.setdefault(child, set()).add(parent)
-        found = [self.code(name)]
-        for code in found:
-            found.extend(sorted(parents.get(code, set()).difference(found)))
-        return [self.names[code] for code in found[1:]]
+        codes = [self.code(name)]
+        for code in codes:
+            codes.extend(sorted(parents.get(code, set()).difference(codes)))
+        return [self.names[code] for code in codes[1:]]
 
     def explain(self, frame: str, of: str, time: int) -> str:
         """Return why there is no pose at a time, as a text; '' if tf2 would return a pose."""
@@ -210,7 +210,7 @@ class FrameChain:
     ) -> KnownPoses:
         """Return the poses at some times, ns, computed from the samples around them."""
         climb = _AncestorSearch(self._frames, samples, times, stamped, longest_gap_ns)
-        poses, known = Rigid.none(len(times)), np.zeros(len(times), bool)
+        poses, valid = Rigid.none(len(times)), np.zeros(len(times), bool)
         downs = climb.ways(self._frame)
         for up in climb.ways(self._of):
             for down in downs:
@@ -222,8 +222,8 @@ class FrameChain:
                 inner = up.poses[up.frames.index(meeting)].take(mine)
                 outer = down.poses[down.frames.index(meeting)].take(others)
                 poses.put(rows, outer.inverse() @ inner)
-                known[rows] = True
-        return KnownPoses(poses, known)
+                valid[rows] = True
+        return KnownPoses(poses, valid)
 
 
 class _AncestorSearch:

@@ -105,10 +105,10 @@ def _of_lines(path: Path, size: int) -> Times:
     rows = (_numbers(bottom, size), _numbers(top, size))
     # Most pieces lie in one cell, which is listed once.
     wide, tall = columns[0] != columns[1], rows[0] != rows[1]
-    every = np.ones(len(low), bool)
-    corners = [(0, 0, every), (1, 0, wide), (0, 1, tall), (1, 1, wide & tall)]
-    found = [np.stack([columns[m], rows[n], low, high], 1)[which] for m, n, which in corners]
-    return np.concatenate(found)
+    all_rows = np.ones(len(low), bool)
+    corners = [(0, 0, all_rows), (1, 0, wide), (0, 1, tall), (1, 1, wide & tall)]
+    parts = [np.stack([columns[m], rows[n], low, high], 1)[which] for m, n, which in corners]
+    return np.concatenate(parts)
 
 
 def _numbers(metres: Floats, size: int) -> Times:
@@ -146,13 +146,17 @@ class OpenVisits:
 
     def visits(self, path: Path) -> list[Visit]:
         """Return the visits of the next part of a path; an extended visit from its beginning."""
-        found = []
+        ended = []
         for visit in visits_of(path):
-            known = self._open.get(visit.cell)
-            if known is not None and known.low <= visit.low and joins(known, visit.low, visit.high):
-                visit = Visit(visit.cell, known.low, max(known.high, visit.high))
+            earlier = self._open.get(visit.cell)
+            if (
+                earlier is not None
+                and earlier.low <= visit.low
+                and joins(earlier, visit.low, visit.high)
+            ):
+                visit = Visit(visit.cell, earlier.low, max(earlier.high, visit.high))
             self._open[visit.cell] = visit
-            found.append(visit)
+            ended.append(visit)
         last = int(path.times[-1]) if len(path) else 0
         self._open = {c: v for c, v in self._open.items() if v.high + JOIN_NS >= last}
-        return found
+        return ended

@@ -44,10 +44,12 @@ class Path:
     @classmethod
     def of(cls, tracks: Iterable[Track]) -> Path:
         """Return the path of consecutive tracks."""
-        found = list(tracks)
+        all_tracks = list(tracks)
         none = np.zeros(0)
-        times = [np.zeros(0, np.int64), *(track.times for track in found)]
-        x, y = ([none, *(getattr(track.poses, name) for track in found)] for name in ("x", "y"))
+        times = [np.zeros(0, np.int64), *(track.times for track in all_tracks)]
+        x, y = (
+            [none, *(getattr(track.poses, name) for track in all_tracks)] for name in ("x", "y")
+        )
         joined, first = np.unique(np.concatenate(times), return_index=True)
         return cls(joined, np.concatenate(x)[first], np.concatenate(y)[first])
 
@@ -101,15 +103,15 @@ class Path:
         """Yield the time ranges of stays in a region, up to AROUND_NS too long, in time order."""
         starts, ends, lines = self.lines
         begun, ended = starts.tolist(), ends.tolist()
-        found: list[NsRange] = []
+        ranges: list[NsRange] = []
         for n, first, last in region.shares(lines):
             length = ended[n] - begun[n]
             low, high = begun[n] + int(first * length), begun[n] + int(last * length)
-            found.append((low - AROUND_NS, high + AROUND_NS))
+            ranges.append((low - AROUND_NS, high + AROUND_NS))
         for n in self.alone.tolist():
             if region.holds(float(self.x[n]), float(self.y[n])):
-                found.append((int(self.times[n]), int(self.times[n])))
-        return merge_ranges(sorted(found))
+                ranges.append((int(self.times[n]), int(self.times[n])))
+        return merge_ranges(sorted(ranges))
 
     @property
     def alone(self) -> Times:

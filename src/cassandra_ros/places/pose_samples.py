@@ -57,12 +57,12 @@ class Track:
         after = np.minimum(before + 1, count - 1)
         exact = begun & (self.times[before] == times)
         gap = self.times[after] - self.times[before]
-        known = exact | (begun & (after > before) & (gap <= longest_gap_ns))
-        steady = exact | (self.parents[before] != self.parents[after]) | (gap <= 0) | ~known
+        valid = exact | (begun & (after > before) & (gap <= longest_gap_ns))
+        steady = exact | (self.parents[before] != self.parents[after]) | (gap <= 0) | ~valid
         share = np.where(steady, 0, (times - self.times[before]) / np.maximum(gap, 1))
         poses = between(self.poses.take(before), self.poses.take(after), share)
-        poses.put(~known, Rigid.none(int((~known).sum())))
-        return KnownPoses(poses, known), np.where(known, self.parents[before], NO_FRAME)
+        poses.put(~valid, Rigid.none(int((~valid).sum())))
+        return KnownPoses(poses, valid), np.where(valid, self.parents[before], NO_FRAME)
 
 
 @dataclass(frozen=True)

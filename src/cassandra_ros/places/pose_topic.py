@@ -116,10 +116,10 @@ class PoseTopic:
         if low > high:
             return Samples.none()
         fields = ["KEY", *([_STAMP] if self._stamped else []), *self._fields]
-        found = arrays_between(self._topic, fields, low, high, self._node, self._writers)
-        keys = found["KEY"]
-        stamps = filled(found[_STAMP], 0) if self._stamped else keys
-        columns = [filled(found[name], np.nan).astype(np.float64) for name in self._fields]
+        arrays = arrays_between(self._topic, fields, low, high, self._node, self._writers)
+        keys = arrays["KEY"]
+        stamps = filled(arrays[_STAMP], 0) if self._stamped else keys
+        columns = [filled(arrays[name], np.nan).astype(np.float64) for name in self._fields]
         parents, robot = np.zeros(len(keys), np.int64), np.ones(len(keys), np.int64)
         return Samples.checked(keys, stamps, parents, robot, _numbers(columns))
 

@@ -112,15 +112,15 @@ class Poses:
         """
         keys = np.asarray(keys, np.int64)
         times = keys if stamps is None else np.asarray(stamps, np.int64)
-        poses, known = Rigid.none(len(keys)), np.zeros(len(keys), bool)
+        poses, valid = Rigid.none(len(keys)), np.zeros(len(keys), bool)
         order = np.argsort(keys, kind="stable")
         for rows in self._together(keys, order):
             low, high = int(keys[rows[0]]), int(keys[rows[-1]])
             samples = self._samples(low - self._reach, high + self._reach)
             placed = self._source.placed(samples, times[rows], stamps is not None, self._gap)
             poses.put(rows, placed.poses)
-            known[rows] = placed.known
-        return KnownPoses(poses, known)
+            valid[rows] = placed.known
+        return KnownPoses(poses, valid)
 
     def tracks(self, low: int, high: int, stamped: bool = False) -> Iterator[Track]:
         """Yield all recorded poses that were received in [low, high], ns, in time order.
@@ -138,10 +138,10 @@ class Poses:
             mine = (around.keys >= start) & (around.keys <= end) & self._source.on_way(around)
             if mine.any():
                 times = np.unique(around.times(stamped)[mine])
-                poses, known = self._source.placed(around, times, stamped, self._gap)
-                parents: Codes = np.full(int(known.sum()), NO_FRAME)
-                if known.any():
-                    yield Track(times[known], parents, poses.take(known))
+                poses, valid = self._source.placed(around, times, stamped, self._gap)
+                parents: Codes = np.full(int(valid.sum()), NO_FRAME)
+                if valid.any():
+                    yield Track(times[valid], parents, poses.take(valid))
             later = around.keys[around.keys > end]
             if len(later):
                 start = max(end + 1, int(later.min()))

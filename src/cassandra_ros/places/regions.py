@@ -90,8 +90,8 @@ class DiskRegion:
             first = np.where(still, 0.0, np.maximum((-b - reach) / a, 0.0))
             last = np.where(still, 1.0, np.minimum((-b + reach) / a, 1.0))
         inside = np.where(still, c <= 0, (root >= 0) & (first <= last))
-        found = np.flatnonzero(inside)
-        yield from zip(found.tolist(), first[found].tolist(), last[found].tolist())
+        indices = np.flatnonzero(inside)
+        yield from zip(indices.tolist(), first[indices].tolist(), last[indices].tolist())
 
 
 class Polygon:

@@ -130,23 +130,23 @@ def frames_in(frames: TfRecording, parts: Iterable[Samples]) -> TfFrames:
         moving |= set(samples.children.tolist())
         carrying |= set(samples.parents.tolist())
     fixed = {code for child, (parent, _) in frames.fixed.items() for code in (child, parent)}
-    every = {frames.names[code] for code in moving | carrying | fixed if code != NO_FRAME}
-    robots = _bodies(every) or sorted(frames.names[code] for code in moving - carrying)
+    names = {frames.names[code] for code in moving | carrying | fixed if code != NO_FRAME}
+    robots = _bodies(names) or sorted(frames.names[code] for code in moving - carrying)
     tops = sorted(
         frames.names[code] for code in (moving | carrying | fixed) - moving if code != NO_FRAME
     )
     tops = [name for name in tops if frames.code(name) not in frames.fixed]
-    return TfFrames(frozenset(sorted(every)[:MAX_FRAMES]), tuple(robots[:MAX_ROBOTS]), tuple(tops))
+    return TfFrames(frozenset(sorted(names)[:MAX_FRAMES]), tuple(robots[:MAX_ROBOTS]), tuple(tops))
 
 
 def _bodies(frames: Iterable[str]) -> list[str]:
     """Return for each prefix the frame that has a usual name of a robot's body."""
-    found: dict[str, list[str]] = {}
+    bodies: dict[str, list[str]] = {}
     for frame in frames:
         prefix, _, last = frame.rpartition("/")
         if last in BASES:
-            found.setdefault(prefix, []).append(frame)
-    return sorted(min(n, key=lambda f: BASES.index(f.rpartition("/")[2])) for n in found.values())
+            bodies.setdefault(prefix, []).append(frame)
+    return sorted(min(n, key=lambda f: BASES.index(f.rpartition("/")[2])) for n in bodies.values())
 
 
 def find_frames(find: TopicFinder, node: str, writers: Writers = None) -> TfFrames | None:
@@ -195,16 +195,16 @@ class RobotFinder:
         """Return the robots of some nodes, one for each node that has poses; None = all nodes."""
         named = self._named_topic()
         topics = [named] if named is not None else [*self._tf(), *self._candidates]
-        every = {each for topic in topics for each in self._stored.nodes(topic)}
+        all_nodes = {each for topic in topics for each in self._stored.nodes(topic)}
         writing = None if self._writers is None else self._stored.run_nodes(self._writers)
         asked = sorted(
             node
-            for node in every
+            for node in all_nodes
             if (nodes is None or node in nodes) and (writing is None or node in writing)
         )
-        found = [self._of_runs(each, named) for each in asked]
-        robots = [robot for robot in found if robot is not None]
-        if not robots and every:
+        frames_of_runs = [self._of_runs(each, named) for each in asked]
+        robots = [robot for robot in frames_of_runs if robot is not None]
+        if not robots and all_nodes:
             raise InvalidOption(self._nothing(asked))
         if not robots:
             raise InvalidOption(
@@ -298,16 +298,16 @@ class RobotFinder:
         return frame
 
     def _nothing(self, nodes: Sequence[str]) -> str:
-        known: set[str] = set()
+        all_frames: set[str] = set()
         for node in nodes:
             seen = self._find_frames(node)
-            known |= set() if seen is None else seen.frames
+            all_frames |= set() if seen is None else seen.frames
         of = f" of {self._robot}" if self._robot else ""
         text = f"no pose{of} in frame {self._frame!r} is stored"
-        if self._robot and not self._told and self._robot.lstrip("/") not in known:
+        if self._robot and not self._told and self._robot.lstrip("/") not in all_frames:
             text = f"{self._robot!r} is no frame of tf, and no topic of poses"
-        if known:
-            text += f"; the frames of tf are {', '.join(sorted(known)[:20])}"
+        if all_frames:
+            text += f"; the frames of tf are {', '.join(sorted(all_frames)[:20])}"
         example = "odom"
         for topic, frames in self._told.items():
             text += f"; {topic} tells poses in {', '.join(sorted(set(frames)))}"

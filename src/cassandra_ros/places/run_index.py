@@ -181,20 +181,20 @@ class RunIndex:
         parts = [part for part in self._poses_of_topics() if part.extents]
         if not parts:
             return None
-        every = [extent for part in parts for extent in part.extents]
+        extents = [extent for part in parts for extent in part.extents]
         total = sum(len(list(_windows(part.extents))) for part in parts)
         done = visits = 0
-        for table in {extent.table for extent in every}:
+        for table in {extent.table for extent in extents}:
             self._index.withdraw(table, run=self._whose)  # the visits are written again
         for part in parts:
             for low, high in _windows(part.extents):
-                found = list(part.visits(low, high))
-                self._index.put(found, [], self._ttl)
-                done, visits = done + 1, visits + len(found)
+                visits_of_window = list(part.visits(low, high))
+                self._index.put(visits_of_window, [], self._ttl)
+                done, visits = done + 1, visits + len(visits_of_window)
                 if progress is not None:
                     progress(done * _WINDOW_SEC, total * _WINDOW_SEC)
             self._index.put([], part.placed(), self._ttl)
-        return IndexResult(min(e.low for e in every), max(e.high for e in every), visits)
+        return IndexResult(min(e.low for e in extents), max(e.high for e in extents), visits)
 
     def _poses_of_topics(self) -> Iterator[_TopicPoses]:
         whose = self._whose
@@ -213,8 +213,8 @@ class RunIndex:
 
     def _extents(self, topic: ArraySource) -> list[Extent]:
         node, writer = self._whose
-        every = self._stored.extents(topic, node, 0, MAX_NS)
-        return [extent for extent in every if extent.writer == writer]
+        extents = self._stored.extents(topic, node, 0, MAX_NS)
+        return [extent for extent in extents if extent.writer == writer]
 
 
 class _TopicPoses(NamedTuple):

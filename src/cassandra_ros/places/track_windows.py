@@ -82,10 +82,10 @@ class Windows:
         if self.still is not None:
             return Window(self.still, complete=True)
         number = t // WINDOW_NS
-        known = self._kept.get(number)
-        if known is not None and known[0] > time.monotonic():
+        path = self._kept.get(number)
+        if path is not None and path[0] > time.monotonic():
             self._kept.move_to_end(number)
-            return known[1]
+            return path[1]
         window = self._read(number)
         until = math.inf if window.complete else time.monotonic() + FRESH_SEC
         self._kept[number] = (until, window)
@@ -97,9 +97,9 @@ class Windows:
     def _read(self, number: int) -> Window:
         low = number * WINDOW_NS - LONGEST_GAP_NS
         high = (number + 1) * WINDOW_NS - 1 + LONGEST_GAP_NS
-        every = Path.of(self._poses_of(None).tracks(low, high))
-        if not len(every):
-            return Window(every)
+        path = Path.of(self._poses_of(None).tracks(low, high))
+        if not len(path):
+            return Window(path)
         robot = self.robot
         extents = self._stored.extents(robot.topic, robot.node, low, high)
         # Several runs may have the same value of RUN: then their poses are used together.
@@ -110,7 +110,7 @@ class Windows:
             text: Path.of(self._poses_of(frozenset(writers)).tracks(low, high))
             for text, writers in called.items()
         }
-        return Window(every, own, int(every.times[-1]) > high - LONGEST_GAP_NS)
+        return Window(path, own, int(path.times[-1]) > high - LONGEST_GAP_NS)
 
 
 def overlapping_pairs(extents: Sequence[Extent]) -> Iterator[tuple[Extent, Extent]]:

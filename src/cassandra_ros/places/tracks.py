@@ -72,14 +72,14 @@ def find_tracks(
         watch: Called repeatedly while poses are read; may raise.
     """
     low, high, most = window
-    found = []
+    tracks = []
     for robot in places.robots(*asked, nodes, writers):
         extents = places.extents(robot, low, high)
         spans = list(merge_ranges(sorted((max(low, e[2]), min(high, e[3])) for e in extents)))
         path = _path(robot, spans, watch)
         if len(path):
-            found.append(RobotTrack(robot.node, robot.frame, *reduce_points(path, most)))
-    return found
+            tracks.append(RobotTrack(robot.node, robot.frame, *reduce_points(path, most)))
+    return tracks
 
 
 def _path(robot: Robot, spans: Sequence[tuple[int, int]], watch: Callable[[], None]) -> Path:
@@ -122,8 +122,8 @@ def reduce_points(path: Path, most: int) -> tuple[Path, list[bool]]:
     chosen = (
         np.arange(count) if count <= most else _chosen_indices(path, most, np.flatnonzero(breaks))
     )
-    kept = Path(path.times[chosen], path.x[chosen], path.y[chosen], path.gap)
-    return kept, [False, *(np.diff(before[chosen]) == 0).tolist()][: len(kept)]
+    reduced = Path(path.times[chosen], path.x[chosen], path.y[chosen], path.gap)
+    return reduced, [False, *(np.diff(before[chosen]) == 0).tolist()][: len(reduced)]
 
 
 def _chosen_indices(path: Path, most: int, broken: Times) -> Times:

@@ -93,16 +93,16 @@ class RegionStays:
         watch: Callable[[], None],
     ) -> Iterator[NsRange]:
         candidates = [self._coverage.candidates(w.robot, self._region, low, high) for w in asked]
-        every = merge_ranges(sorted(span for spans in candidates for span in spans))
-        for number in _numbers(list(every), reverse):
+        ranges = merge_ranges(sorted(span for spans in candidates for span in spans))
+        for number in _numbers(list(ranges), reverse):
             watch()
             start, end = number * WINDOW_NS, (number + 1) * WINDOW_NS - 1
-            found: list[NsRange] = []
+            stays: list[NsRange] = []
             for windows, spans in zip(asked, candidates):
                 if _meets(spans, start, end):
                     for path in self._window(windows, start).paths:
-                        found += path.stays(self._region)
-            inside = list(clip_ranges(merge_ranges(sorted(found)), max(low, start), min(high, end)))
+                        stays += path.stays(self._region)
+            inside = list(clip_ranges(merge_ranges(sorted(stays)), max(low, start), min(high, end)))
             yield from reversed(inside) if reverse else inside
 
 
@@ -186,8 +186,8 @@ class Whereabouts:
             writers: Writer ids of the runs. If they recorded poses of a node, only these are used;
                 None = all runs.
         """
-        every = self.robots(frame, robot, nodes, writers)
-        windows = {each.node: Windows(each, self._stored) for each in every}
+        robots = self.robots(frame, robot, nodes, writers)
+        windows = {each.node: Windows(each, self._stored) for each in robots}
         return RegionStays(region, windows, self._coverage)
 
     def robots(

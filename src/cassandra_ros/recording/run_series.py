@@ -334,7 +334,7 @@ class RunSeries:
                 messages, nbytes = recording.waiting()
                 if messages and tell_at < math.inf:
                     tell_at = math.inf
-                    kept = (
+                    record = (
                         f"stay in the spool {recording.spool}" if recording.spool else "are dropped"
                     )
                     _log.warning(
@@ -342,7 +342,7 @@ class RunSeries:
                         "again (a second Ctrl-C)",
                         messages,
                         nbytes / 1e6,
-                        kept,
+                        record,
                     )
         # Returns or raises again what it did on that thread.
         return self._ended(recording, recording.close())

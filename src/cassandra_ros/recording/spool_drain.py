@@ -347,16 +347,16 @@ class _StoredBlocks:
 
 def _joined(losses: list[Loss]) -> list[Loss]:
     """Join losses of one topic and kind into one each: a loss is a row."""
-    found: dict[tuple[str, LossKind], Loss] = {}
+    losses_by_kind: dict[tuple[str, LossKind], Loss] = {}
     for loss in losses:
         key = (loss.topic, loss.kind)
-        old = found.get(key)
+        old = losses_by_kind.get(key)
         if old is not None:
             first, last = min(old.first_ns, loss.first_ns), max(old.last_ns, loss.last_ns)
             count = old.count + loss.count
             loss = replace(old, first_ns=first, last_ns=last, count=count)
-        found[key] = loss
-    return list(found.values())
+        losses_by_kind[key] = loss
+    return list(losses_by_kind.values())
 
 
 def _time(ns: int) -> datetime:

@@ -165,13 +165,13 @@ def make_together(
 
     Raises what MessageWriter.make_tables does.
     """
-    wanted = []
+    tables = []
     for source in sources:
         own = settings.of(source.connection.topic)
         if not (own.key_part or own.index):
             like = None if own == settings.default else _like(own)
-            wanted.append(Asked(source.connection, *source.lengths(), own.format, like))
-    writer.make_tables(wanted)
+            tables.append(Asked(source.connection, *source.lengths(), own.format, like))
+    writer.make_tables(tables)
 
 
 def _connect(

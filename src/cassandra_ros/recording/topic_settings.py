@@ -111,13 +111,13 @@ def read_settings(text: str, source: str = "settings") -> list[Rule]:
 
 
 def _rule(number: int, entry: object) -> Rule:
-    known = {"pattern", *_READERS}
+    keys = {"pattern", *_READERS}
     if not isinstance(entry, dict) or "pattern" not in entry:
         raise InvalidOption(f"entry {number} of topics is no mapping with a pattern: {entry!r:.80}")
     for name in entry:
-        if name not in known:
-            near = difflib.get_close_matches(str(name), known, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(known))}"
+        if name not in keys:
+            near = difflib.get_close_matches(str(name), keys, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(keys))}"
             raise InvalidOption(f"entry {number} has an unknown key {name!r:.80}; {hint}")
     try:
         values = {name: _READERS[name](entry[name]) for name in entry if name != "pattern"}

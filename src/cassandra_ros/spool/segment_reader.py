@@ -127,14 +127,14 @@ class SegmentReader:
 
     def totals(self) -> dict[int, TopicTotal]:
         """Count the messages by channel id, by the message indexes alone."""
-        found: defaultdict[int, TopicTotal] = defaultdict(TopicTotal)
+        totals: defaultdict[int, TopicTotal] = defaultdict(TopicTotal)
         for record in self._records():
             if record.kind == mcap_records.INDEX_KIND:
                 listed = mcap_records.read_index(self._bytes(record))
                 if listed.times:
                     times = listed.times
-                    found[listed.channel].add(len(times), min(times), max(times))
-        return dict(found)
+                    totals[listed.channel].add(len(times), min(times), max(times))
+        return dict(totals)
 
     def parts(self) -> Iterator[SegmentPart]:
         """Yield the messages chunk by chunk, and what is missing where the file is damaged."""
@@ -167,8 +167,8 @@ class SegmentReader:
     def _told(self, damage: _Damage) -> SegmentPart:
         totals: defaultdict[str, TopicTotal] = defaultdict(TopicTotal)
         for listed in damage.indexes:
-            known = self.connections.get(listed.channel)
-            topic = "" if known is None else known.topic
+            connection = self.connections.get(listed.channel)
+            topic = "" if connection is None else connection.topic
             totals[topic].add(len(listed.times), min(listed.times), max(listed.times))
         missing = [Missing(t, n.count, n.first_ns, n.last_ns) for t, n in totals.items()]
         why = f"{self.path} is damaged from byte {damage.at} to {damage.to}"

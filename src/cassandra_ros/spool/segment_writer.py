@@ -60,11 +60,11 @@ class SegmentWriter:
         first, last = 2**63, 0
         entries: defaultdict[int, list[int]] = defaultdict(list)
         for connection, t_ns, counter, wire in messages:
-            known = self._numbers.get(id(connection))
-            if known is None:
-                known = self._numbers[id(connection)] = len(self._numbers) + 1, connection
-                fresh.append(mcap_records.channel(*known))
-            number = known[0]
+            numbered = self._numbers.get(id(connection))
+            if numbered is None:
+                numbered = self._numbers[id(connection)] = len(self._numbers) + 1, connection
+                fresh.append(mcap_records.channel(*numbered))
+            number = numbered[0]
             entries[number] += t_ns, at
             parts.append(mcap_records.message_head(number, counter, t_ns, len(wire)))
             parts.append(wire)

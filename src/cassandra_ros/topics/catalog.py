@@ -85,7 +85,7 @@ class Catalog:
         definition = self._definition_for(topic, msg_type, known=bool(stored))
         for table in stored:
             wish.check(table.metadata, definition)
-        found = CassandraTopic(self.keyspace, self.adder, wish)
+        added = CassandraTopic(self.keyspace, self.adder, wish)
         if not any(table.metadata.format == format_name for table in stored):
             self.keyspace.schema.seen.discard((topic, format_name))
             with self._mutex:
@@ -98,9 +98,9 @@ class Catalog:
                     self._pending.pop(topic, None)
                 raise
         for field in wanted.indexes:
-            if found.tables and not found.hasIndex(field):
-                found.createIndex(field)
-        return found
+            if added.tables and not added.hasIndex(field):
+                added.createIndex(field)
+        return added
 
     def _definition_for(self, topic: str, msg_type: str | None, known: bool) -> Definition | None:
         if msg_type is not None:
@@ -133,10 +133,10 @@ class Catalog:
     def all(self, pattern: str | None) -> list[CassandraTopic]:
         """Return the topics whose whole name matches a regular expression, sorted."""
         try:
-            wanted = re.compile(".*" if pattern is None else pattern, re.DOTALL)
+            expression = re.compile(".*" if pattern is None else pattern, re.DOTALL)
         except (re.error, OverflowError, RecursionError) as exc:
             raise InvalidName(f"{pattern!r:.80} is not a regular expression: {exc}") from exc
-        return [self._topic(name) for name in sorted(self.names()) if wanted.fullmatch(name)]
+        return [self._topic(name) for name in sorted(self.names()) if expression.fullmatch(name)]
 
     def names(self, *, fresh: bool = True) -> set[str]:
         """Return the names of all topics."""
@@ -248,13 +248,13 @@ class Catalog:
             # A topic may be given twice: with and without its leading slash.
             named = {topic.name: topic for topic in map(self.get, topics)}
             return [table for topic in named.values() for table in topic.tables]
-        found: list[TopicTable] = []
+        tables: list[TopicTable] = []
         for topic in self.all(None):
             try:
-                found.extend(topic.tables)
+                tables.extend(topic.tables)
             except DefinitionError as exc:
                 _log.error("topic %s is left out, it cannot be read here: %s", topic.name, exc)
-        return found
+        return tables
 
     def time_range(
         self, topics: Iterable[str] | None, key: Time | None, to_key: Time | None
@@ -292,7 +292,7 @@ class Catalog:
             raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
         self.keyspace.schema.tables(fresh=True)
         read = None if topics is None else {self.get(name).name for name in topics}
-        found: dict[str, Filter] = {}
+        filters: dict[str, Filter] = {}
         for name, condition in where.items():
             topic = self.get(name)
             if read is not None and topic.name not in read:
@@ -301,10 +301,10 @@ class Catalog:
                     f"there is a condition for topic {topic.name}, which is not among those that "
                     f"are read: {listing}"
                 )
-            if topic.name in found:
+            if topic.name in filters:
                 raise InvalidOption(f"there are two conditions for topic {topic.name}; join them")
-            found[topic.name] = Filter(topic, condition, whose)
-        return found
+            filters[topic.name] = Filter(topic, condition, whose)
+        return filters
 
     def infos(
         self, topics: Iterable[str] | None, node: str | None = None, run: RunName = None

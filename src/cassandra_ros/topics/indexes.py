@@ -68,7 +68,7 @@ def list_indexes(
     directory: Directory, topic: str, tables: Sequence[TopicTable]
 ) -> list[IndexState]:
     """Return the coverage of each index of a topic; approximate while it is being recorded."""
-    found: list[IndexState] = []
+    states: list[IndexState] = []
     for field in sorted({field for table in tables for field in table.metadata.indexes}):
         messages = missing = 0
         for table in tables:
@@ -80,8 +80,8 @@ def list_indexes(
             missing += sum(
                 row.rows for row in rows if index is None or index.shadow not in row.filled
             )
-        found.append(IndexState(topic, field, messages, missing))
-    return found
+        states.append(IndexState(topic, field, messages, missing))
+    return states
 
 
 def remove_index(space: Keyspace, topic: str, field: str) -> None:
@@ -93,11 +93,11 @@ def remove_index(space: Keyspace, topic: str, field: str) -> None:
             f"the index on {field} cannot be removed: it is the key_part of topic {topic}, and "
             "getData finds messages by it"
         )
-    known = sorted({name for table in tables for name in table.metadata.indexes})
-    if tables and field not in known:
+    fields = sorted({name for table in tables for name in table.metadata.indexes})
+    if tables and field not in fields:
         check_indexable(topic, tables, field)
     if not space.indexes.drop(topic, field):
-        hint = nearest_fields(field, known) if known else "it has none"
+        hint = nearest_fields(field, fields) if fields else "it has none"
         raise InvalidName(f"topic {topic} has no index on {field!r}; {hint}")
 
 
@@ -183,14 +183,14 @@ class IndexFilling:
             index = table.index_fields.get(self._field)
             if index is None:
                 continue
-            found: dict[tuple[str, int], list[BucketRow]] = {}
+            buckets: dict[tuple[str, int], list[BucketRow]] = {}
             ends = (-(2**63), 2**63 - 1)
             for row in self._directory.buckets(table.name, *ends, ttl=table.metadata.ttl):
                 # An open bucket belongs to its writer, until that is silent for a minute.
                 if index.shadow not in row.filled and (row.closed or row.age_sec > STALE_SEC):
-                    found.setdefault((row.node, row.bucket), []).append(row)
-            for key in sorted(found):
-                yield table, index, found[key]
+                    buckets.setdefault((row.node, row.bucket), []).append(row)
+            for key in sorted(buckets):
+                yield table, index, buckets[key]
 
     def _fill_bucket(
         self, table: TopicTable, index: IndexField, writers: list[BucketRow]
@@ -199,8 +199,10 @@ class IndexFilling:
         totals = {row.writer: BucketTotals() for row in writers}
         backfill = Backfill(table, index.shadow)
         place = writers[0].node, writers[0].bucket
-        every = self._directory.find(table.name, *place)
-        largest = max((r.largest if r.closed else UNKNOWN_ROW_BYTES for r in every), default=0)
+        rows_of_writers = self._directory.find(table.name, *place)
+        largest = max(
+            (r.largest if r.closed else UNKNOWN_ROW_BYTES for r in rows_of_writers), default=0
+        )
         for page in backfill.pages(*place, largest):
             backfill.write(list(self._updates(table, index, page, totals)))
             self._progress(self._done, max(self._done, self._total))
@@ -231,11 +233,11 @@ class IndexFilling:
                 yield ShadowUpdate(written, value)
 
     def _mark(self, table: TopicTable, row: BucketRow, shadow: str, totals: BucketTotals) -> bool:
-        wanted = row._replace(filled=row.filled | {shadow})
+        marked = row._replace(filled=row.filled | {shadow})
         uncertain = False
         for _ in range(MAX_TRIES):
             try:
-                done = self._directory.put_recount(table.name, wanted, totals, table.metadata.ttl)
+                done = self._directory.put_recount(table.name, marked, totals, table.metadata.ttl)
                 return done or (uncertain and self._is_marked(table, row, shadow))
             except StoreUnavailable as exc:
                 # Another transaction interfered; this one may have been applied or not.

@@ -47,8 +47,8 @@ class MessageAdder:
                 writer = MessageWriter(self._keyspace, self._writer_id, linger_sec=0.0, ttl=None)
                 self._writer = writer
             # A table that is about to be replaced takes no new messages.
-            kept = self._keyspace.schema.format_after(table.name, table.metadata.format)
-            handle = writer.connect(connection, format=kept, node=node)
+            format_name = self._keyspace.schema.format_after(table.name, table.metadata.format)
+            handle = writer.connect(connection, format=format_name, node=node)
             counter = next(self._counter)
             row = writer.write(handle, t, counter, wire, name)
             writer.flush()

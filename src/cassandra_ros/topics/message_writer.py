@@ -205,13 +205,13 @@ class MessageWriter:
         node = self._node if node is None else check_new_node(node)
         key = (connection, format or self._format, node)
         with self._mutex:
-            known = self._handles.get(key)
-        if known is not None and known.table.name not in self._rows.gone:
-            stored = self._keyspace.tables.by_name(known.table.name)
+            handle = self._handles.get(key)
+        if handle is not None and handle.table.name not in self._rows.gone:
+            stored = self._keyspace.tables.by_name(handle.table.name)
             if stored is not None and stored.metadata.topic == connection.topic:
-                return known
+                return handle
             # Another client has renamed or removed the topic.
-            like = like or (known.table.metadata if stored is None else None)
+            like = like or (handle.table.metadata if stored is None else None)
         asked = Asked(connection, bucket_ns, span_ns, large, key[1], like)
         new, warning = self._new_table(asked)
         table = self._shared_table(connection, new.metadata.format)
@@ -420,9 +420,9 @@ class MessageWriter:
         """Take several messages in this order, like write but faster."""
         taken = 0
         low = min(times.min(initial=0), counters.min(initial=0))
-        known = low >= 0 and times.max(initial=0) <= MAX_NS
+        valid = low >= 0 and times.max(initial=0) <= MAX_NS
         # With on_loss, errors are reported for single messages, so these are written one by one.
-        if len(wires) and known and counters.max() <= MAX_COUNTER and self._on_loss is None:
+        if len(wires) and valid and counters.max() <= MAX_COUNTER and self._on_loss is None:
             seqs = self._high | counters
             handle = self._current(handle)
             if handle.blocks is not None:
@@ -491,13 +491,13 @@ class MessageWriter:
 
     def stats(self) -> dict[str, WriteStats]:
         """Return the numbers of stored and lost messages, by topic."""
-        found: dict[str, WriteStats] = {}
+        stats: dict[str, WriteStats] = {}
         with self._mutex:
             parts = [*self._rows.stats.items(), *self._refused.items()]
             topics = dict(self._topics)
         for name, part in parts:
-            found.setdefault(topics.get(name, name), WriteStats()).add(part)
-        return found
+            stats.setdefault(topics.get(name, name), WriteStats()).add(part)
+        return stats
 
     def hurry(self, seconds: float) -> None:
         """Limit the retries of waiting messages to ``seconds`` from now, or from an answer."""

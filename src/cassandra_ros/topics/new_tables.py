@@ -149,16 +149,16 @@ class NewTables:
             InvalidKey: The type does not have the field key_part, and the topic is new.
         """
         (name,) = self._schema.ensure_tables([_wish(NewTable(metadata, definition, large))])
-        found = self._tables.by_name(name)
-        if found is None:
+        table = self._tables.by_name(name)
+        if table is None:
             raise WriteFailed(
                 f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
                 "client removes this topic; try again"
             )
         if large:
             with suppress(TopicNotFound):  # removed meanwhile: the first message gets this error
-                self._schema.ensure_chunk_table(found)
-        return found
+                self._schema.ensure_chunk_table(table)
+        return table
 
     def make_all(self, tables: Sequence[NewTable]) -> None:
         """Find or make several tables as ``make`` does each, those that are missing together."""

@@ -31,7 +31,7 @@ def matching(
         InvalidOption: An expression is not valid.
         TopicNotFound: An expression matches no name.
     """
-    found: set[str] = set()
+    names_matching: set[str] = set()
     for text in expressions:
         pattern = compiled(option, text)
         matches = {name for name in names if pattern.fullmatch(name)}
@@ -40,5 +40,5 @@ def matching(
                 f"no topic in {where} matches {text!r:.80}: an expression must match the whole "
                 f"name, as '/camera/.*'; it has {len(names)} topics"
             )
-        found |= matches
-    return found
+        names_matching |= matches
+    return names_matching

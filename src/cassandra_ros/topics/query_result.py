@@ -276,14 +276,14 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             if row.table is not table:
                 table = row.table
                 rows = self._projections.of(table).rows
-            found = iter(rows(row))
-            values = next(found, None)
+            results = iter(rows(row))
+            values = next(results, None)
             if values is None:
                 continue
             skip = place.skip if seen is not None and _is_at(row, seen, self._source) else 0
             number = 0
             while values is not None:
-                following = next(found, None)
+                following = next(results, None)
                 number += 1
                 if number > skip:
                     given += 1

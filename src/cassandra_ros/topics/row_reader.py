@@ -117,8 +117,8 @@ class RowReader:
         streams = []
         for table in tables:
             if table.named:
-                known = {node for _, node in self._directory.nodes(table.name, 0, 0)}
-                asked = sorted(known if nodes is None else known.intersection(nodes))
+                nodes_listed = {node for _, node in self._directory.nodes(table.name, 0, 0)}
+                asked = sorted(nodes_listed if nodes is None else nodes_listed.intersection(nodes))
                 streams.append(versions(table, only.name, asked, reverse=read.reverse))
         merged = heapq.merge(*streams, key=lambda row: row.position, reverse=read.reverse)
         return (row for row in merged if read.whose.has(row) and _inside(row.position, read))
@@ -169,8 +169,8 @@ class RowReader:
             for r in read_rows(self._directory, list(foreign.values()), listing)
             if low <= r.received <= high
         )
-        wanted = (RowKey(foreign[position.table], position) for *_, position in keys)
-        late = self._stored(fetch_rows(wanted), tables)
+        row_keys = (RowKey(foreign[position.table], position) for *_, position in keys)
+        late = self._stored(fetch_rows(row_keys), tables)
         return heapq.merge(own, late, key=lambda row: row.arrival)
 
     def exact(self, table: TopicTable, key: Stamp | RowName) -> StoredRow | None:
@@ -218,11 +218,11 @@ def current(tables: Tables, *, fresh: bool = False) -> Tables:
     """
     if isinstance(tables, WholeTopic):
         return tables.now(fresh=fresh)
-    found = {}
+    present = {}
     for table in tables:
         now = table.heir(fresh) or table
-        found[now.name] = now
-    return list(found.values())
+        present[now.name] = now
+    return list(present.values())
 
 
 def followed(tables: Tables, work: Callable[[Tables], _T]) -> _T:
@@ -278,15 +278,15 @@ class FollowingReader:
                 after = last.position
             behind = None if after is None else after.among((t.name for t in tables), read.reverse)
             try:
-                found = self._rows.read(tables, replace(read, after=behind))
-                first = next(found, None)
+                rows = self._rows.read(tables, replace(read, after=behind))
+                first = next(rows, None)
                 if last is None and _left(tables):
                     continue  # no row was yielded yet
                 if first is not None:
                     tables = list(tables)  # tables made from now on need not be read
                     last = first
                     yield first
-                for row in found:
+                for row in rows:
                     last = row
                     yield row
                 if not _left(tables):
@@ -366,11 +366,11 @@ def messages_of(
 def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array, ByteArray]]:
     if len(places) == len(unpacked):
         return [(group.members, group.planes) for group in unpacked.groups]
-    kept = np.zeros(len(unpacked), bool)
-    kept[places] = True
-    numbers, chosen = np.cumsum(kept) - 1, []
+    mask = np.zeros(len(unpacked), bool)
+    mask[places] = True
+    numbers, chosen = np.cumsum(mask) - 1, []
     for group in unpacked.groups:
-        inside = kept[group.members]
+        inside = mask[group.members]
         if inside.any():
             chosen.append((numbers[group.members[inside]], group.planes[:, inside]))
     return chosen

@@ -49,10 +49,10 @@ class Runs:
             RunNotFound: There is no such run; the text has similar names.
             InvalidName: ``run`` is neither a text nor a writer id.
         """
-        found = self._known(check_run(run))
-        if not found:
+        runs = self._known(check_run(run))
+        if not runs:
             raise RunNotFound(self._absent(run))
-        return found
+        return runs
 
     def _known(self, run: RunName) -> list[Run]:
         every = sorted(self._registry.runs(), key=_began, reverse=True)
@@ -63,21 +63,21 @@ class Runs:
         """Return the writer ids of a run, or of all runs with its name; raises like find."""
         if run is None or isinstance(run, frozenset):
             return run
-        found = frozenset(each.writer for each in self._known(check_run(run)))
+        writers = frozenset(each.writer for each in self._known(check_run(run)))
         writer = _writer(str(run))
-        if not found and writer is not None and self._has_written(writer):
-            found = frozenset([writer])
-        if not found:
+        if not writers and writer is not None and self._has_written(writer):
+            writers = frozenset([writer])
+        if not writers:
             raise RunNotFound(self._absent(run))
-        return found
+        return writers
 
     def called(self, text: str) -> frozenset[int]:
         """Return the writer ids for which ``self.text`` returns ``text``."""
         with self._mutex:
-            every = self._learn()  # later calls of text() for single rows agree with this
-        found = {writer for writer, known in every.items() if known == text}
+            texts = self._learn()  # later calls of text() for single rows agree with this
+        writers = {writer for writer, known in texts.items() if known == text}
         writer = _writer(text)
-        return frozenset(found if writer is None or writer in every else found | {writer})
+        return frozenset(writers if writer is None or writer in texts else writers | {writer})
 
     def text(self, writer: int) -> str:
         """Return the name of a writer's run; its id if it has no run or the run has no name."""
@@ -97,24 +97,24 @@ class Runs:
         return found
 
     def _absent(self, run: RunName) -> str:
-        every = self._registry.runs()
-        names = sorted({each.name or str(each.writer) for each in every})
+        runs = self._registry.runs()
+        names = sorted({each.name or str(each.writer) for each in runs})
         near = difflib.get_close_matches(str(run), names, n=3, cutoff=0.5)
-        hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(every)} runs"
+        hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(runs)} runs"
         return f"there is no run {run!r:.80} in keyspace {self._name}; {hint}"
 
     def nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
         """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
-        found = [run for run in self._registry.runs() if run.writer in writers]
-        known = {run.writer for run in found} == writers
-        return frozenset(run.node for run in found) if known and writers else None
+        runs = [run for run in self._registry.runs() if run.writer in writers]
+        known = {run.writer for run in runs} == writers
+        return frozenset(run.node for run in runs) if known and writers else None
 
     def context(self, run: RunName) -> RunContext | None:
         """Return parameters and node graph at the start of a run; None if they were not stored."""
         for each in self.find("" if run is None or isinstance(run, frozenset) else run):
-            found = self._registry.get_context(each.writer, each.node)
-            if found is not None:
-                return found
+            context = self._registry.get_context(each.writer, each.node)
+            if context is not None:
+                return context
         return None
 
     def losses(self, topics: Sequence[str] | None, read: Read) -> list[Loss]:

@@ -74,7 +74,7 @@ class StoredPlaces:
         time_range = TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
         if length <= _LONG_NS:
             return time_range.low, time_range.high
-        found = []
+        times = []
         for reverse in (False, True):
             read = Read(
                 time_range,
@@ -83,8 +83,8 @@ class StoredPlaces:
                 columns=lambda table: (),
                 wanted=1,
             )
-            found += [each.t for each in islice(self._keyspace.rows.read([table], read), 1)]
-        return (min(found), max(found)) if found else None
+            times += [each.t for each in islice(self._keyspace.rows.read([table], read), 1)]
+        return (min(times), max(times)) if times else None
 
     def run_nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
         """Return the nodeIDs of the runs of some writers; None if a writer has no run."""

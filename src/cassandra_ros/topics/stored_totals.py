@@ -125,7 +125,7 @@ def describe(
 def _described(
     directory: Directory, tables: Sequence[TopicTable], whose: Whose, losses: Sequence[Loss]
 ) -> list[TopicInfo]:
-    found: list[TopicInfo] = []
+    infos: list[TopicInfo] = []
     lost: Counter[tuple[str, str]] = Counter()
     for loss in losses:
         lost[loss.topic, loss.node] += loss.count
@@ -137,8 +137,8 @@ def _described(
         nodes = sorted({row.node for row in rows})
         for node in nodes or [table.metadata.nodeID] * (whose == EVERYBODY):
             missing = lost[table.metadata.topic, node]
-            found.append(_describe(table, node, [r for r in rows if r.node == node], missing))
-    return found
+            infos.append(_describe(table, node, [r for r in rows if r.node == node], missing))
+    return infos
 
 
 def buckets_of(

@@ -289,8 +289,8 @@ class TopicTables:
             return was
         # A topic that was renamed keeps its tables.
         heirs = (listing.heirs.get(table.name, table.name) for table in was)
-        found = self._whole(topic, listing, [name for name in heirs if name in listing.visible])
-        return found or was
+        whole = self._whole(topic, listing, [name for name in heirs if name in listing.visible])
+        return whole or was
 
 
 def definition_in(metadata: TopicMetadata) -> Definition | None:

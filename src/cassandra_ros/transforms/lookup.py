@@ -47,19 +47,19 @@ def lookup_transform(
     frames = (_frame(target), _frame(source))
     check_nodes(node)
     asked = to_ns(time)
-    found: list[TransformTopic | None] = []
+    stored: list[TransformTopic | None] = []
     for name in (tf, tf_static):
         try:
-            found.append(TransformTopic(find(name), node, run))
+            stored.append(TransformTopic(find(name), node, run))
         except TopicNotFound:
-            found.append(None)
-    if found == [None, None]:
+            stored.append(None)
+    if stored == [None, None]:
         find(tf)  # raises TopicNotFound with similar names
     topics = [
         f"topic {name}{'' if topic else ' (which is not stored)'}"
-        for name, topic in zip((tf, tf_static), found)
+        for name, topic in zip((tf, tf_static), stored)
     ]
-    moving, recorded = found
+    moving, recorded = stored
     fixed = FixedTransforms()
     if recorded is not None:
         # Newest first, so that older transforms of the same frames are skipped without reading
@@ -123,15 +123,17 @@ class _Lookup:
             moving, fixed = ([s for s in part if s.child in path] for part in (moving, fixed))
         else:
             # tf2's errors depend on which frames it knows.
-            known = tree.frames().intersection(self.failure.frames)
-            fixed.extend(name_only(frame) for frame in known)
+            frames = tree.frames().intersection(self.failure.frames)
+            fixed.extend(name_only(frame) for frame in frames)
         # Imported here because tf2 is needed only for lookups; programs that record may lack it.
         from cassandra_ros.transforms.tf_buffer import look_up
 
         failure = self.failure
-        found = look_up(*failure.frames, time, moving, fixed, lambda kind: failure.text(kind, tree))
-        found.header.stamp = Stamp.from_ns(time or 0)
-        return found
+        answer = look_up(
+            *failure.frames, time, moving, fixed, lambda kind: failure.text(kind, tree)
+        )
+        answer.header.stamp = Stamp.from_ns(time or 0)
+        return answer
 
 
 @dataclass(frozen=True)

@@ -137,9 +137,9 @@ def _plans(space: Keyspace, report: Converted) -> list[_Plan]:
     plans = []
     for olds in groups.values():
         newest = max(olds, key=lambda old: (old.metadata.date, old.name))
-        wanted = _usable_format(newest, report)
-        if [old.metadata.format for old in olds] != [wanted]:
-            plans.append(_Plan(olds, newest, wanted))
+        usable = _usable_format(newest, report)
+        if [old.metadata.format for old in olds] != [usable]:
+            plans.append(_Plan(olds, newest, usable))
     return plans
 
 
@@ -169,15 +169,15 @@ def _state(space: Keyspace, tables: Sequence[TopicTable]) -> State:
 
     The directory does not list messages with names, so these are read.
     """
-    found: State = {}
+    state: State = {}
     for table in tables:
         if table.named:
             names = [key.position for key in list_names(table, None)]
-            found[table.name,] = (len(names), sum(map(hash, names)))
+            state[table.name,] = (len(names), sum(map(hash, names)))
             continue
         for row in buckets_of(space.directory, table, EVERYBODY):
-            found[table.name, row.node, row.bucket, row.writer] = row.heartbeat
-    return found
+            state[table.name, row.node, row.bucket, row.writer] = row.heartbeat
+    return state
 
 
 def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) -> None:
@@ -285,9 +285,9 @@ class Conversion:
         """Return the maximum time range of a block, ns; 0 = rate unknown, or rows are no blocks."""
         if not format_class(self._plan.format).PACKED:
             return 0
-        known = max(old.metadata.span_ns for old in self._olds)
-        if known:
-            return known
+        span_ns = max(old.metadata.span_ns for old in self._olds)
+        if span_ns:
+            return span_ns
         rows = [r for old in self._olds for r in buckets_of(self._space.directory, old) if r.rows]
         # As if each writer had the same number of connections: only the magnitude matters.
         each = max(1.0, connections / max(1, len({row.writer for row in rows})))
@@ -298,11 +298,11 @@ class Conversion:
 
     def _begin(self) -> TopicTable:
         headers = list(self._space.registry.headers(self._names))
-        wanted = self._plan.metadata.with_(span_ns=self._span(len(headers)))
+        metadata_of_new = self._plan.metadata.with_(span_ns=self._span(len(headers)))
 
         def planned(olds: Sequence[TopicMetadata]) -> TablePlan:
             # The plan already contains what the metadata of the other tables say.
-            return planner(wanted, self._plan.newest.definition)([wanted])
+            return planner(metadata_of_new, self._plan.newest.definition)([metadata_of_new])
 
         name, metadata = replacement.begin(self._space.schema, planned, self._topic, self._names)
         new = self._space.tables.get(name, metadata)

@@ -105,15 +105,15 @@ def retain(
     catalog.adder.close()  # buckets that it has open count as being written
     tables = _timed(catalog, topics)
     work = _Retention(catalog, tables, rules, dry_run)
-    found: dict[str, Retained] = {}
+    by_topic: dict[str, Retained] = {}
     counts = [count_rows(catalog.keyspace.directory, [t], Read()) for t in tables]
     for number, table in enumerate(tables):
-        each = found.setdefault(table.metadata.topic, Retained(table.metadata.topic))
+        each = by_topic.setdefault(table.metadata.topic, Retained(table.metadata.topic))
         each.messages += counts[number]
         work.table(table, each)
         if progress is not None:
             progress(sum(counts[: number + 1]), sum(counts))
-    return [found[topic] for topic in sorted(found)]
+    return [by_topic[topic] for topic in sorted(by_topic)]
 
 
 def _timed(catalog: Catalog, topics: Iterable[str] | None) -> list[TopicTable]:
@@ -169,22 +169,22 @@ class _Retention:
     def _cutoff_of_size(self, tables: Sequence[TopicTable], most: int) -> int:
         """Return the time from which on the messages of all tables take at most ``most`` bytes."""
         directory = self._space.directory
-        every = [
+        rows_of_tables = [
             (table, row)
             for table in tables
             for row in settle(directory, table, buckets_of(directory, table))
             if row.rows
         ]
-        every.sort(key=lambda each: -each[1].t_max)
+        rows_of_tables.sort(key=lambda each: -each[1].t_max)
         left, whole = most, LAST_NS
-        for _, row in every:
+        for _, row in rows_of_tables:
             if row.bytes > left:
                 whole = row.t_max + 1  # all later messages fit, also those of earlier buckets
                 break
             left -= row.bytes
         else:
             return 0
-        newer = [(table, row) for table, row in every if row.t_max >= whole]
+        newer = [(table, row) for table, row in rows_of_tables if row.t_max >= whole]
         taken = sum(row.bytes for _, row in newer if row.t_min >= whole)
         for table, row in newer:
             if row.t_min < whole:

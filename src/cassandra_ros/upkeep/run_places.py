@@ -48,21 +48,21 @@ def index_places(
     Runs that are indexed stay as they are, unless a frame is fixed to another one in a new way.
     Runs that go on, and interrupted imports that may be repeated, are left out.
     """
-    found: list[PlacesOfRun] = []
+    states: list[PlacesOfRun] = []
     stored = catalog.stored_places
     ttls = [t.metadata.ttl for topic in _tell_poses(stored) for t in topic.tables]
     ttl = 0 if 0 in ttls else max(ttls, default=0)
     for each, state in _states(catalog, node, run):
         if state.state != "not indexed":
-            found.append(state)
+            states.append(state)
             continue
         whose = RobotRun(each.node, each.writer)
         made = RunIndex(stored, catalog.keyspace.place_index, whose, ttl).make(progress)
         if made is not None:
             state = state._replace(state="indexed", first_ns=made.poses_from)
             state = state._replace(last_ns=made.poses_to, visits=made.visits)
-        found.append(state)
-    return found
+        states.append(state)
+    return states
 
 
 def places_of_runs(catalog: Catalog, node: str | None, run: RunName) -> list[PlacesOfRun]:
@@ -111,7 +111,7 @@ class _IndexComparison:
         if run.state == "recording" or (run.kind == "import" and run.state != "ended"):
             return places._replace(state="goes on")
         tables = {each.table for each in noted}
-        known = all(
+        covered = all(
             extent.table in tables
             and any(
                 n.low <= extent.low and extent.high <= n.high
@@ -120,7 +120,7 @@ class _IndexComparison:
             )
             for extent in extents
         )
-        if not known:
+        if not covered:
             return places._replace(state="not indexed")
         fixed = self._fixed(run.node)
         frames = [n.above for n in noted if n.robot != n.table]

@@ -258,11 +258,11 @@ class _Check:
     ) -> None:
         """Report zones that differ from the messages, because conditions skip blocks by them."""
         values, nan, odd = measured
-        wanted = (encode_texts(nan) if nan else None, *values)
-        if row.odd or (said == wanted and not odd):
+        expected = (encode_texts(nan) if nan else None, *values)
+        if row.odd or (said == expected and not odd):
             return  # conditions do not skip an odd block
         names = ("_nan", *table.zone_columns)
-        wrong = [name for name, *each in zip(names, said, wanted) if each[0] != each[1]]
+        wrong = [name for name, *each in zip(names, said, expected) if each[0] != each[1]]
         self._note(
             DamageKind.BOUNDS,
             table,
@@ -295,9 +295,9 @@ class _Check:
         ]:
             self.report.count_writing()
             return
-        known = {row.writer: row for row in before}
-        for writer in sorted({*counted, *known}):
-            totals, row = counted.get(writer, BucketTotals()), known.get(writer)
+        listed = {row.writer: row for row in before}
+        for writer in sorted({*counted, *listed}):
+            totals, row = counted.get(writer, BucketTotals()), listed.get(writer)
             if row is None:
                 self._list(table, (table.name, node, bucket, writer), totals)
             elif not row.closed:
@@ -308,13 +308,13 @@ class _Check:
     def _slots(self, table: TopicTable, places: set[tuple[str, int]]) -> None:
         """Report robots whose buckets no reader finds, because cr_node does not list them."""
         directory, length = self._space.directory, table.metadata.bucket_ns
-        wanted: dict[tuple[int, str], list[int]] = {}
+        buckets_of_slots: dict[tuple[int, str], list[int]] = {}
         for node, bucket in places:
-            wanted.setdefault((slot_of(bucket), node), []).append(bucket)
-        slots = [slot for slot, _ in wanted]
+            buckets_of_slots.setdefault((slot_of(bucket), node), []).append(bucket)
+        slots = [slot for slot, _ in buckets_of_slots]
         listed = directory.nodes(table.name, min(slots), max(slots)) if slots else []
-        for slot, node in sorted(set(wanted).difference(listed)):
-            buckets = wanted[slot, node]
+        for slot, node in sorted(set(buckets_of_slots).difference(listed)):
+            buckets = buckets_of_slots[slot, node]
             if self._repair:
                 directory.add_node(table.name, slot, node)
             self._note(
@@ -401,8 +401,8 @@ class _Check:
     def _orphans(self, table: TopicTable) -> None:
         space = self._space
         until_us = old_us(space.cassandra)
-        every = orphans(space.cassandra, space.name, table, until_us)
-        in_range = [o for o in every if table.named or _within(o.t, self._time_range)]
+        all_orphans = orphans(space.cassandra, space.name, table, until_us)
+        in_range = [o for o in all_orphans if table.named or _within(o.t, self._time_range)]
         if not in_range:
             return
         if self._repair:
@@ -433,11 +433,11 @@ class _Check:
     def leftovers(self) -> None:
         """Report entries of tables that do not exist."""
         space = self._space
-        known = space.directory.tables() | space.registry.tables()
+        names = space.directory.tables() | space.registry.tables()
         listing = space.schema.listing(fresh=True)
         # Entries of tables that a conversion has replaced stay until the next conversion.
         replaced = {old for metadata in listing.every.values() for old in metadata.replaces}
-        for table in sorted(known.difference(listing.every, replaced)):
+        for table in sorted(names.difference(listing.every, replaced)):
             if self._repair:
                 space.forget_table(table)
             text = (

@@ -52,13 +52,13 @@ class TableCopy:
 
     def _newest_of_names(self) -> dict[tuple[str, str], tuple[int, int]]:
         """Return where equal messages, which are stored once, came last, over several tables."""
-        found: dict[tuple[str, str], tuple[int, int]] = {}
+        newest: dict[tuple[str, str], tuple[int, int]] = {}
         if self._new.metadata.key_format == "hash" and len(self._olds) > 1:
             for table in self._olds:
                 for key in list_names(table, None):
                     t, node, seq, _, name = key.position
-                    found[node, name] = max(found.get((node, name), (t, seq)), (t, seq))
-        return found
+                    newest[node, name] = max(newest.get((node, name), (t, seq)), (t, seq))
+        return newest
 
     def fill(self) -> None:
         """Write all rows into the new table."""
@@ -71,13 +71,13 @@ class TableCopy:
                 self._write(self._rows(self._olds, Read(whose=Whose(None, some))))
 
     def _writers(self) -> frozenset[int]:
-        found: set[int] = set()
+        writers: set[int] = set()
         for table in self._olds:
             if table.named:
-                found.update(split_seq(key.position.seq)[0] for key in list_names(table, None))
+                writers.update(split_seq(key.position.seq)[0] for key in list_names(table, None))
             else:
-                found.update(row.writer for row in buckets_of(self._space.directory, table))
-        return frozenset(found)
+                writers.update(row.writer for row in buckets_of(self._space.directory, table))
+        return frozenset(writers)
 
     def _fill_expiring(self, writers: frozenset[int]) -> None:
         """Write rows by remaining lifetime, which is set for all rows written from then on."""
@@ -101,8 +101,8 @@ class TableCopy:
                 if whose.wrote(place.seq):
                     left = rounded(left, table.metadata.ttl)
                     by_left.setdefault(left, []).append(RowKey(table, place))
-            for left, wanted in by_left.items():
-                yield left, _fetching(table, wanted)
+            for left, row_keys in by_left.items():
+                yield left, _fetching(table, row_keys)
             return
         length, places = table.metadata.bucket_ns, set()
         for row in buckets_of(self._space.directory, table, whose):

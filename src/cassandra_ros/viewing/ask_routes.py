@@ -187,13 +187,13 @@ def _complete(call: ApiCall) -> Json:
             return ()
         return [table.definition for table in tables if table.definition is not None]
 
-    known = NameSource(
+    names = NameSource(
         lambda: [topic.name for topic in store.getAllTopics()],
         definitions,
         lambda: sorted({info.node for info in store.info() if info.node}),
         lambda: list(dict.fromkeys(run.name for run in store.runs() if run.name)),
     )
-    completion = complete(text, len(text) if cursor is None else cursor, known)
+    completion = complete(text, len(text) if cursor is None else cursor, names)
     offers: Json = [
         {"text": offer.text, "kind": offer.kind, "note": offer.note} for offer in completion.offers
     ]

@@ -143,7 +143,7 @@ def listed_at_most(call: ApiCall) -> int:
 
 
 def _run(run: Run, by_topic: bool, counts: bool) -> dict[str, Json]:
-    known = counts or run.ended is not None
+    counted = counts or run.ended is not None
     entry: dict[str, Json] = {
         "run": run.name or str(run.writer),
         "id": run.writer,
@@ -156,7 +156,7 @@ def _run(run: Run, by_topic: bool, counts: bool) -> dict[str, Json]:
         "host": run.host,
         "format": run.format,
         "labels": dict(run.public_labels),
-        "messages": sum(run.stored.values()) if known else None,
+        "messages": sum(run.stored.values()) if counted else None,
         "lost": sum(run.lost.values()),
     }
     if by_topic:

@@ -142,9 +142,9 @@ def _answer(call: ApiCall, ending: str) -> Answer:
     request = _digest(repr((ending, selection, compression, latched, call.catalog.keyspace.name)))
     headers = call.headers
     if "range" in headers and not {"if-range", "if-match"}.intersection(headers):
-        known = cache.latest(request)
-        if known is not None:
-            return CachedFile(known.path, name, _CONTENT_TYPES[ending], known.key)
+        latest = cache.latest(request)
+        if latest is not None:
+            return CachedFile(latest.path, name, _CONTENT_TYPES[ending], latest.key)
     key = _digest(request + _version(call.catalog, selection, latched))
     write = partial(_write, call.store, selection, compression, latched)
 

@@ -248,10 +248,10 @@ def _lost(report: ImportReport) -> str:
 
 
 def _answer(outcome: _Outcome) -> dict[str, object]:
-    found: dict[str, object] = {"path": outcome.path, "state": outcome.state}
+    answer: dict[str, object] = {"path": outcome.path, "state": outcome.state}
     report = outcome.report
     if report is not None:
-        found.update(
+        answer.update(
             run=report.writer_id,
             messages=report.messages,
             topics=report.topics,
@@ -259,7 +259,7 @@ def _answer(outcome: _Outcome) -> dict[str, object]:
             lost_bytes=report.salvaged.lost_bytes,
             warnings=report.warnings,
         )
-    return {**found, "error": outcome.error or None}
+    return {**answer, "error": outcome.error or None}
 
 
 class SafeInterrupt:

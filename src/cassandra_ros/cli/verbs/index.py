@@ -84,12 +84,14 @@ def run(options: argparse.Namespace) -> int:
             topic = ros_cas.getTopic(name)
             if options.remove:
                 topic.removeIndex(options.field)
-                text, found = "removed", {}
+                text, answer = "removed", {}
             else:
                 with MessageBar(f"indexing {options.field}") as bar:
                     count = topic.createIndex(options.field, progress=bar.reach)
-                text, found = f": {count} stored messages were taken in", {"messages": count}
-            done.append({"topic": name, "field": options.field, "removed": options.remove, **found})
+                text, answer = f": {count} stored messages were taken in", {"messages": count}
+            done.append(
+                {"topic": name, "field": options.field, "removed": options.remove, **answer}
+            )
             if not (options.quiet or options.json):
                 sign = " " * options.remove
                 print(f"index on {shown(options.field)} of topic {shown(name)}{sign}{text}")
@@ -103,10 +105,10 @@ def _list(options: argparse.Namespace) -> int:
 
     with open_store(options) as ros_cas:
         names = stored_topics(ros_cas.catalog, options)
-        every = ros_cas.getAllTopics() if names is None else map(ros_cas.getTopic, names)
+        topics = ros_cas.getAllTopics() if names is None else map(ros_cas.getTopic, names)
         directory = ros_cas.catalog.keyspace.directory
         states = [
-            state for topic in every for state in list_indexes(directory, topic.name, topic.tables)
+            state for topic in topics for state in list_indexes(directory, topic.name, topic.tables)
         ]
     if options.json:
         print_json([{**state._asdict(), "finished": not state.missing} for state in states])

@@ -119,7 +119,7 @@ def run(options: argparse.Namespace) -> int:
 
     output = _output(options)
     (start, end), choice = read_times(options), _choice(options)
-    wanted = MapOptions(
+    map_options = MapOptions(
         **_given(
             resolution=options.resolution,
             max_range=options.max_range,
@@ -137,7 +137,7 @@ def run(options: argparse.Namespace) -> int:
             nodeID=options.node_id,
             run=options.run,
             name=None if options.store else options.map_name,
-            options=wanted,
+            options=map_options,
             poses=choice,
             progress=bar.reach,
         )

@@ -72,8 +72,8 @@ def _load(context: RunContext, options: argparse.Namespace) -> None:
     from cassandra_ros.messages.ros_master import set_parameters
 
     namespace = options.namespace
-    wanted = "/" + "/".join(filter(None, namespace.split("/")))
-    leaves = dict(_leaves(_below(context.params, namespace), wanted.rstrip("/")))
+    prefix = "/" + "/".join(filter(None, namespace.split("/")))
+    leaves = dict(_leaves(_below(context.params, namespace), prefix.rstrip("/")))
     own = [name for name in leaves if _is_masters(name)]
     empty = [name for name, value in leaves.items() if value is None and name not in own]
     count = set_parameters(

@@ -83,8 +83,8 @@ def run(options: argparse.Namespace) -> int:
 
     ending = options.output.rpartition(".")[2].lower()
     if ending not in ENDINGS:
-        known = ", ".join(f".{each}" for each in ENDINGS)
-        raise InvalidOption(f"{options.output}: the picture's name ends in one of {known}")
+        endings = ", ".join(f".{each}" for each in ENDINGS)
+        raise InvalidOption(f"{options.output}: the picture's name ends in one of {endings}")
     with open_store(options) as ros_cas, open_output(
         options.output, options.force, binary=True
     ) as stream:

@@ -89,11 +89,11 @@ def run(options: argparse.Namespace) -> int:
     with open_store(options) as ros_cas:
         if options.explain:
             asked = {"nodeID": options.node_id, "run": options.run}
-            found = ros_cas.explainCQL(options.statement, params, **asked)
+            explanation = ros_cas.explainCQL(options.statement, params, **asked)
             if options.output == "json":
-                print_json(found)
+                print_json(explanation)
             else:
-                print(shown_lines(str(found)))
+                print(shown_lines(str(explanation)))
         else:
             _answer(ros_cas, options, params)
     return 0

@@ -198,16 +198,16 @@ def _size(sample: TopicSample, rates: Rates, measured: float | None) -> TopicSiz
 
 def _need(sizes: Sequence[TopicSize], format: str, days: float) -> ClusterNeed:
     day = [size.bytes_a_day[format] for size in sizes]
-    known = [nbytes for nbytes in day if nbytes is not None]
+    estimates = [nbytes for nbytes in day if nbytes is not None]
     sent = sum(size.rate_hz * size.message_bytes for size in sizes if size.rate_hz)
     return ClusterNeed(
         format,
         days,
-        node_bytes_a_day=sum(known),
-        node_bytes=sum(known) * days,
-        node_free_bytes=max(known, default=0.0) * days,
+        node_bytes_a_day=sum(estimates),
+        node_bytes=sum(estimates) * days,
+        node_free_bytes=max(estimates, default=0.0) * days,
         network_bytes_a_second=sent * _NODES,
-        left_out=len(day) - len(known),
+        left_out=len(day) - len(estimates),
     )
 
 

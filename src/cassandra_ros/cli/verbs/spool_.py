@@ -84,8 +84,8 @@ def _chosen(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
     there = {path.name for path in folder.runs()}
     for name in ids:
         if name not in there:
-            known = ", ".join(sorted(there)) or "none"
-            raise SpoolError(f"the spool {folder.path} has no run {name}; it has {known}")
+            names = ", ".join(sorted(there)) or "none"
+            raise SpoolError(f"the spool {folder.path} has no run {name}; it has {names}")
     found = set()
     for left in folder.left():
         try:
@@ -128,9 +128,9 @@ def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
         left.add(each.path.name)
         each.release()
     paths = [p for p in folder.runs() if not options.runs or p.name in options.runs]
-    found = [_listed(p, "left" if p.name in left else "recording") for p in paths]
+    runs = [_listed(p, "left" if p.name in left else "recording") for p in paths]
     if options.json:
-        print_json([each._asdict() for each in found])
+        print_json([each._asdict() for each in runs])
     elif not options.quiet:
         names = ("id", "run", "robot", "keyspace", "store", "messages", "size", "start", "end")
         rows = [
@@ -146,7 +146,7 @@ def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
                 format_time(each.last_ns) if each.messages else "-",
                 shown(each.state, None),
             )
-            for each in found
+            for each in runs
         ]
         print(format_table((*names, "state"), rows) if rows else "the spool is empty")
     return 0

@@ -304,7 +304,7 @@ class Stacker:
         """
         size, count = planes.shape
         least = 1 if size >= LARGE_BYTES else MIN_STACKED
-        found: list[Stack] = []
+        stacks: list[Stack] = []
         rest: list[Int64Array] = []
         left: Int64Array = np.arange(count)
         for _ in range(MAX_LAYOUTS_TRIED):
@@ -314,14 +314,14 @@ class Stacker:
             part = planes if len(left) == count else planes[:, left]
             fits = np.arange(len(left)) == 0 if layout is None else layout.fits(part)
             if layout is not None and fits.all():
-                return [*found, Stack(layout, members[left], part)], _joined(rest)
+                return [*stacks, Stack(layout, members[left], part)], _joined(rest)
             chosen = left[fits]
             if layout is not None and len(chosen) >= least:
-                found.append(Stack(layout, members[chosen], part[:, fits]))
+                stacks.append(Stack(layout, members[chosen], part[:, fits]))
             else:
                 rest.append(members[chosen])
             left = left[~fits]
-        return found, _joined([*rest, members[left]])
+        return stacks, _joined([*rest, members[left]])
 
     def heads(self, groups: Iterable[tuple[ByteArray, Int64Array]]) -> Stack:
         """Return the heads of messages of any size as one stack; shorter messages are left out.
@@ -348,8 +348,8 @@ class Stacker:
 
         None: it is malformed, or has more than ``most`` lengths.
         """
-        kept = self._cache.get(len(wire), ())
-        for layout in kept:
+        layouts = self._cache.get(len(wire), ())
+        for layout in layouts:
             if layout.fits(wire[:, None])[0]:
                 return layout
         try:
@@ -359,7 +359,7 @@ class Stacker:
         if layout.weight <= MAX_CACHED_WEIGHT:
             if len(self._cache) >= MAX_CACHED_SIZES:
                 self._cache.clear()
-            self._cache[len(wire)] = (layout, *kept[: MAX_CACHED_LAYOUTS - 1])
+            self._cache[len(wire)] = (layout, *layouts[: MAX_CACHED_LAYOUTS - 1])
         return layout
 
 

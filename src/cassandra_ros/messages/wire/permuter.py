@@ -128,8 +128,8 @@ class SegmentPermuter:
                 if segment.is_text and not back:
                     good &= np.fromiter(map(bytes.isascii, parts[-1]), np.bool_, len(good))
         good &= ats == ends
-        found = map(b"".join, zip(*parts))
-        return [each if fine else None for each, fine in zip(found, good.tolist())]
+        rows = map(b"".join, zip(*parts))
+        return [each if fine else None for each, fine in zip(rows, good.tolist())]
 
 
 def _lengths(
@@ -139,13 +139,13 @@ def _lengths(
 
     On the wire a length prefix counts elements, in a row bytes.
     """
-    found = np.ascontiguousarray(windows(data, 4)[ats])
+    lengths = np.ascontiguousarray(windows(data, 4)[ats])
     if back:
-        sizes = found.view(">i4")[:, 0].astype(np.int64)
+        sizes = lengths.view(">i4")[:, 0].astype(np.int64)
         good = (sizes >= 0) & (sizes % unit == 0)
         prefixes = (sizes // unit).astype("<u4")
     else:
-        sizes = found.view("<u4")[:, 0].astype(np.int64) * unit
+        sizes = lengths.view("<u4")[:, 0].astype(np.int64) * unit
         good = sizes < 2**31
         prefixes = sizes.astype(">u4")
     return prefixes.view(np.uint8).reshape(len(ats), 4), sizes, good
@@ -196,13 +196,13 @@ class Permuter:
 
     def _permutation(self, stack: Stack) -> Permutation | None:
         key = len(stack.planes), stack.layout.lengths.tobytes()
-        kept = self._cache  # another thread may replace the cache meanwhile
-        if key in kept:
-            return kept[key]
+        cache = self._cache  # another thread may replace the cache meanwhile
+        if key in cache:
+            return cache[key]
         made = self._make(stack.planes[:, 0].tobytes())
-        if len(kept) >= MAX_CACHED:
-            kept = self._cache = {}
-        kept[key] = made
+        if len(cache) >= MAX_CACHED:
+            cache = self._cache = {}
+        cache[key] = made
         return made
 
     def _make(self, wire: bytes) -> Permutation | None:
@@ -251,16 +251,16 @@ class Permuter:
     ) -> None:
         """Set the messages of rows of equal size."""
         key = length, int(sizes[members[0]])
-        known = self._row_cache.get(key, [])
+        builders = self._row_cache.get(key, [])
         rows = windows(np.frombuffer(data, np.uint8), length)[starts[members]]
         for n in range(MAX_LAYOUTS_TRIED):
-            if n == len(known):
+            if n == len(builders):
                 made = self._learn(key, rows[0].tobytes()) if len(members) >= MIN_ROWS else None
                 if made is None:
                     return
-                known = [*known, made]
-                self._keep(key, known)
-            wires, good = known[n].wires(rows)
+                builders = [*builders, made]
+                self._keep(key, builders)
+            wires, good = builders[n].wires(rows)
             for at, wire in zip(members[good].tolist(), split_rows(wires[good])):
                 found[at] = wire
             members, rows = members[~good], rows[~good]
@@ -277,10 +277,10 @@ class Permuter:
         return made if fits else None
 
     def _keep(self, key: tuple[int, int], known: list[Permutation]) -> None:
-        kept = self._row_cache  # another thread may replace the cache meanwhile
-        if key not in kept and len(kept) >= MAX_CACHED:
-            kept = self._row_cache = {}
-        kept[key] = known
+        cache = self._row_cache  # another thread may replace the cache meanwhile
+        if key not in cache and len(cache) >= MAX_CACHED:
+            cache = self._row_cache = {}
+        cache[key] = known
 
 
 def _columns(row: bytes) -> list[bytes | None]:

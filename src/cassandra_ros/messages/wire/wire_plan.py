@@ -81,9 +81,9 @@ def walk_message(
 
 def _choose(fixed: Sequence[FixedField], wanted: Container[str]) -> tuple[list[FixedField], str]:
     """Return the wanted fields, and struct codes that read them and skip the other fields."""
-    kept = [f.column.name in wanted for f in fixed]
-    codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, kept)]
-    return [f for f, keep in zip(fixed, kept) if keep], "<" + "".join(codes)
+    chosen = [f.column.name in wanted for f in fixed]
+    codes = [f.little if k else f"{struct.calcsize(f.little)}x" for f, k in zip(fixed, chosen)]
+    return [f for f, keep in zip(fixed, chosen) if keep], "<" + "".join(codes)
 
 
 def _head(

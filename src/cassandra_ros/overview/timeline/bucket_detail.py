@@ -130,6 +130,6 @@ def _blocks(
         rows += [
             (r.t, r.last, r.left, r.size, r.writer, not len(r.gone), bucket) for r in some if r.left
         ]
-    every = np.array(rows, np.int64).reshape(-1, 7).T
-    first, last, messages, size, writer, sure, of_buckets = every
+    columns = np.array(rows, np.int64).reshape(-1, 7).T
+    first, last, messages, size, writer, sure, of_buckets = columns
     return TimeRanges(first, last, messages, size, writer, sure.astype(bool)), of_buckets

@@ -88,16 +88,16 @@ class DirectoryReader:
         """Return the slots and nodes of the tables with a time key, by name of table."""
         now = self._clock()
         with self._mutex:
-            known = {name: slots for name, (until, slots) in self._slots.items() if until > now}
-        missing = [table.name for table in tables if not table.named and table.name not in known]
+            cached = {name: slots for name, (until, slots) in self._slots.items() if until > now}
+        missing = [table.name for table in tables if not table.named and table.name not in cached]
         asked = (self._directory.begin_nodes(name, _EVER) for name in missing)
         for name, answer in zip(missing, sent_ahead(asked, AT_ONCE)):
-            known[name] = [(slot, node) for slot, node in answer()]
+            cached[name] = [(slot, node) for slot, node in answer()]
         until = now + KEEP_SEC
         with self._mutex:
             self._slots = {name: each for name, each in self._slots.items() if each[0] > now}
-            self._slots.update((name, (until, known[name])) for name in missing)
-        return {table.name: known[table.name] for table in tables if not table.named}
+            self._slots.update((name, (until, cached[name])) for name in missing)
+        return {table.name: cached[table.name] for table in tables if not table.named}
 
     def extent(self, tables: Sequence[TopicTable], whose: Whose) -> Ends | None:
         """Return the first and the last time of messages in some tables; None without messages.
@@ -105,9 +105,9 @@ class DirectoryReader:
         For single writers the times come from ``pieces``.
         """
         if whose.writers is not None:
-            every = self.extent(tables, whose._replace(writers=None))
-            found = self.pieces(tables, every, whose) if every is not None else []
-            own = [piece.time_ranges for piece in found if len(piece.time_ranges.first)]
+            whole = self.extent(tables, whose._replace(writers=None))
+            pieces = self.pieces(tables, whole, whose) if whole is not None else []
+            own = [piece.time_ranges for piece in pieces if len(piece.time_ranges.first)]
             if not own:
                 return None
             return min(int(s.first.min()) for s in own), max(int(s.last.max()) for s in own)
@@ -132,15 +132,15 @@ class DirectoryReader:
         A bucket with deleted messages gives no times, because the directory does not know them.
         """
         slots = self.slots(tables)
-        wanted = [
+        slot_ranges = [
             (table, (table.name, node, slot, *_EVER))
             for table in tables
             for node, slot in _outmost_slots(slots.get(table.name, []), reverse).items()
             if whose.nodes is None or node in whose.nodes
         ]
-        params = (place for _, place in wanted)
+        params = (place for _, place in slot_ranges)
         answers = self._directory.begin_buckets(params, _WRITERS, reverse=reverse)
-        for (table, _), answer in zip(wanted, sent_ahead(answers, AT_ONCE)):
+        for (table, _), answer in zip(slot_ranges, sent_ahead(answers, AT_ONCE)):
             length, ttl = table.metadata.bucket_ns, table.metadata.ttl
             times: list[int] = []
             rows = [row for row in answer() if not (ttl and row.expired(ttl))]
@@ -156,15 +156,15 @@ class DirectoryReader:
 
         Tables whose messages have names are left out.
         """
-        found: list[RangeCounts] = []
+        counts: list[RangeCounts] = []
         parts = list(self._parts(tables, ends, whose))
         stride = max(1, -(-len(parts) // MAX_PARTITIONS))
         chosen, left = _thinned(parts, stride)
         limit = max(LEAST_BUCKETS, MAX_BUCKETS // max(1, len(chosen)))
         answers = self._columns(chosen, limit)
         for (table, (_, node, _), _), (columns, each) in zip(chosen, answers):
-            found.append(piece_of(table, node, columns, each, whose))
-        return [*found, *_rest(left, found)]
+            counts.append(piece_of(table, node, columns, each, whose))
+        return [*counts, *_rest(left, counts)]
 
     def _parts(self, tables: Sequence[TopicTable], ends: Ends, whose: Whose) -> Iterator[SlotPart]:
         """Yield the partitions with buckets in a time range, and the range of these buckets."""
@@ -183,19 +183,19 @@ class DirectoryReader:
         """Return the buckets of partitions, and the number of buckets for which each one stands."""
         until, left = self._clock() + KEEP_SEC, MAX_RECOUNTS
         tables = {place: table for table, place, _ in parts}
-        found = {place: self._get(place, ends, limit) for _, place, ends in parts}
-        missing = [(place, ends) for _, place, ends in parts if found[place] is None]
+        columns_of_slots = {place: self._get(place, ends, limit) for _, place, ends in parts}
+        missing = [(place, ends) for _, place, ends in parts if columns_of_slots[place] is None]
 
         def keep(place: SlotKey, ends: Ends, columns: BucketColumns, stride: int) -> None:
             nonlocal left
             columns, done = self._recounted(tables[place], place[1], columns, left)
             left -= done
-            found[place] = self._keep(place, _CachedRows(until, ends, columns, stride))
+            columns_of_slots[place] = self._keep(place, _CachedRows(until, ends, columns, stride))
 
         # One row more than the limit shows that there are too many.
-        wanted: list[SlotRange] = [(place, ends, limit + 1) for place, ends in missing]
+        slot_ranges: list[SlotRange] = [(place, ends, limit + 1) for place, ends in missing]
         many: list[tuple[SlotKey, Ends, int]] = []
-        for (place, ends), columns in zip(missing, self._directory.columns(wanted)):
+        for (place, ends), columns in zip(missing, self._directory.columns(slot_ranges)):
             if len(columns.bucket) > limit:
                 many.append((place, ends, -(-(ends[1] - ends[0] + 1) // limit)))
             else:
@@ -206,7 +206,9 @@ class DirectoryReader:
         answers = self._directory.columns(samples, single=True)
         for (place, ends, stride), columns in zip(many, answers):
             keep(place, ends, columns, stride)
-        return [each for each in (found[place] for _, place, _ in parts) if each is not None]
+        return [
+            each for each in (columns_of_slots[place] for _, place, _ in parts) if each is not None
+        ]
 
     def _recounted(
         self, table: TopicTable, node: str, columns: BucketColumns, most: int
@@ -237,15 +239,15 @@ class DirectoryReader:
         None if they are too few, too coarse or too old.
         """
         with self._mutex:
-            kept = self._kept.get(place)
-        if kept is None or kept.until < self._clock():
+            cached = self._kept.get(place)
+        if cached is None or cached.until < self._clock():
             return None
-        covers = kept.ends[0] <= ends[0] and ends[1] <= kept.ends[1]
-        if not covers or kept.stride > max(1, -(-(ends[1] - ends[0] + 1) // limit)):
+        covers = cached.ends[0] <= ends[0] and ends[1] <= cached.ends[1]
+        if not covers or cached.stride > max(1, -(-(ends[1] - ends[0] + 1) // limit)):
             return None
-        bucket = kept.columns.bucket
-        inside = (bucket > ends[0] - kept.stride) & (bucket <= ends[1])
-        return kept.columns.where(inside), kept.stride
+        bucket = cached.columns.bucket
+        inside = (bucket > ends[0] - cached.stride) & (bucket <= ends[1])
+        return cached.columns.where(inside), cached.stride
 
     def _keep(self, place: SlotKey, kept: _CachedRows) -> tuple[BucketColumns, int]:
         with self._mutex:

@@ -138,10 +138,10 @@ class Lane:
 
     def gaps(self, scale: Scale) -> list[tuple[int, int]]:
         """Return first and last times of the unusual pauses of runs, ns."""
-        found = [] if self.sampled else gaps_between(self.time_ranges, scale)
+        gaps = [] if self.sampled else gaps_between(self.time_ranges, scale)
         for writer in np.unique(self.keys.writers):
-            found += gaps_in(self.keys.times[self.keys.writers == writer], scale)
-        return sorted(found)
+            gaps += gaps_in(self.keys.times[self.keys.writers == writer], scale)
+        return sorted(gaps)
 
 
 class RunSpan(NamedTuple):
@@ -186,12 +186,12 @@ class Picture(NamedTuple):
     @property
     def runs(self) -> list[RunSpan]:
         """Runs with messages in the range, by their first; at most the MAX_RUNS longest."""
-        found: dict[tuple[str, int], RunSpan] = {}
+        spans: dict[tuple[str, int], RunSpan] = {}
         for lane in self.lanes:
             for span in _spans(lane):
                 key = span.node, span.writer
-                found[key] = _joined(found[key], span) if key in found else span
-        longest = sorted(found.values(), key=lambda span: span.first - span.last)[:MAX_RUNS]
+                spans[key] = _joined(spans[key], span) if key in spans else span
+        longest = sorted(spans.values(), key=lambda span: span.first - span.last)[:MAX_RUNS]
         return sorted(longest, key=lambda span: (span.first, span.last, span.writer))
 
 
@@ -202,12 +202,12 @@ def _spans(lane: Lane) -> list[RunSpan]:
     messages, writers = (
         np.concatenate(pair) for pair in ((s.messages, ones), (s.writer, keys.writers))
     )
-    every, place = np.unique(writers, return_inverse=True)
-    lows, highs = np.full(len(every), 2**63 - 1), np.full(len(every), -(2**63))
+    unique_writers, place = np.unique(writers, return_inverse=True)
+    lows, highs = np.full(len(unique_writers), 2**63 - 1), np.full(len(unique_writers), -(2**63))
     np.minimum.at(lows, place, first)
     np.maximum.at(highs, place, last)
-    counts = np.bincount(place, messages, len(every))
-    rows = zip(every.tolist(), lows.tolist(), highs.tolist(), counts.tolist())
+    counts = np.bincount(place, messages, len(unique_writers))
+    rows = zip(unique_writers.tolist(), lows.tolist(), highs.tolist(), counts.tolist())
     # Estimates for partitions that were not read have no writer: 0.
     return [RunSpan(w, lane.node, low, high, int(n)) for w, low, high, n in rows if w]
 
@@ -279,10 +279,10 @@ class Timeline:
                 of_lane = lanes.setdefault((node, table.metadata.topic), ([], []))
                 of_lane[0].append(table)
                 of_lane[1].extend(piece for piece in own if piece.node == node)
-        found = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
+        drawn = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
         if whose.writers is None:
-            return found
-        return [lane for lane in found if lane.times[0] is not None]
+            return drawn
+        return [lane for lane in drawn if lane.times[0] is not None]
 
 
 def _extent(named: Sequence[RangeCounts]) -> Ends | None:

@@ -74,10 +74,10 @@ def piece_of(
     if whose.writers is not None:
         chosen &= np.isin(columns.writer, sorted(whose.writers))
     some = columns.where(chosen)
-    length, known = table.metadata.bucket_ns, some.rows > 0
+    length, counted = table.metadata.bucket_ns, some.rows > 0
     begin = some.bucket * length
-    first = np.where(known, some.t_min, begin)
-    last = np.where(known, some.t_max, begin + length - 1)
+    first = np.where(counted, some.t_min, begin)
+    last = np.where(counted, some.t_max, begin + length - 1)
     if stride > 1:
         first = some.bucket // stride * stride * length
         last = np.minimum(first + stride * length - 1, _end_of_slot(some.bucket, length))
@@ -126,19 +126,19 @@ def unread(
 
 def named_pieces(table: TopicTable, whose: Whose) -> list[RangeCounts]:
     """Return the pieces of messages with names, by robot; at most MAX_NAMES messages."""
-    keys, every = some_names(table, MAX_NAMES)
+    keys, complete = some_names(table, MAX_NAMES)
     by_node: dict[str, list[tuple[int, int, int]]] = {}
     for (t, node, seq, _, _), size, *_ in keys:
         if whose.wrote(seq) and (whose.nodes is None or node in whose.nodes):
             by_node.setdefault(node, []).append((t, seq >> 32, size))
-    found = []
+    pieces = []
     for node, rows in by_node.items():
         single = MessageKeys(*np.array(rows, np.int64).T)
         nothing = TimeRanges.joined([])
-        found.append(
-            RangeCounts(table, node, nothing, nothing.first, sampled=not every, keys=single)
+        pieces.append(
+            RangeCounts(table, node, nothing, nothing.first, sampled=not complete, keys=single)
         )
-    return found
+    return pieces
 
 
 def slots_between(table: TopicTable, ends: tuple[int, int]) -> tuple[int, int]:

@@ -202,12 +202,12 @@ def gaps_between(time_ranges: TimeRanges, scale: Scale) -> list[tuple[int, int]]
         column[order] for column in (time_ranges.writer, time_ranges.first, time_ranges.last)
     )
     seen = (first[1:] - last[:-1] >= LEAST_CELLS * scale.step) & (writer[1:] == writer[:-1])
-    found: list[tuple[int, int]] = []
+    gaps: list[tuple[int, int]] = []
     for one in np.unique(writer[1:][seen]):  # of thousands of runs few have a pause
         own = order[writer == one]
         columns = time_ranges.first[own], time_ranges.last[own], time_ranges.messages[own]
-        found += _gaps(*columns, scale)
-    return _longest(found)
+        gaps += _gaps(*columns, scale)
+    return _longest(gaps)
 
 
 def _gaps(first: Longs, last: Longs, messages: Longs, scale: Scale) -> list[tuple[int, int]]:
