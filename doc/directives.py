@@ -92,7 +92,7 @@ def option_rows(parser: argparse.ArgumentParser) -> Iterator[tuple[str, list[tup
 def interface(path: Path) -> tuple[str, list[Line]]:
     """Read a .srv or .msg file: the comment at its head, and its lines with theirs.
 
-    A comment of several lines before a field belongs to it; one behind it is its own.
+    A comment of several lines before a field belongs to it; one after it is its own.
     """
     text = path.read_text(encoding="utf-8")
     blocks = text.split("\n\n", 2)

@@ -563,7 +563,7 @@ def make_writer(
 ) -> MessageWriter:
     """Check the arguments of RosCassandra.messageWriter and make the writer; None = random id."""
     if run is not None and not isinstance(run, Run):
-        raise InvalidOption(f"run={run!r:.80} describes no run: give a store.registry.Run")
+        raise InvalidOption(f"run={run!r:.80} describes no run: give a tables.registry.Run")
     if format is not None:
         format_class(format)
     if run is not None:
