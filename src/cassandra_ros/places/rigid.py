@@ -62,7 +62,7 @@ class Rigid:
         return Rigid(self.moved[rows], self.turned[rows])
 
     def put(self, rows: Rows, others: Rigid) -> None:
-        """Set some rows."""
+        """Replace some rows by ``others``, in order."""
         self.moved[rows], self.turned[rows] = others.moved, others.turned
 
     def __matmul__(self, inner: Rigid) -> Rigid:

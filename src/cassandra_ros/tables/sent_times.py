@@ -43,7 +43,7 @@ class SendTimeStore:
         return self._tables.has(_TABLE)
 
     def put(self, writer: int, node: str, stripe: int, sent: SendTimes) -> None:
-        """Write those of the messages from number ``stripe * STRIPE`` on of an import."""
+        """Write the values of an import's messages from number ``stripe * STRIPE`` on."""
         self._tables.make(_TABLE)
         # Differences with like bytes side by side: consecutive numbers compress to nothing.
         columns = np.array([sent.delays, np.diff(sent.sequences, prepend=0)], _NUMBER)

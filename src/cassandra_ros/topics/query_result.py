@@ -136,7 +136,11 @@ START = ResultPlace(0, 0, None)
 
 
 def read_place(cursor: Cursor) -> ResultPlace:
-    """Parse a cursor; a bare position means after its message. InvalidKey: malformed cursor."""
+    """Return the place that a cursor stands for; for a Position, the place after its message.
+
+    Raises:
+        InvalidKey: The cursor was not made by this package.
+    """
     if cursor is None or cursor == "":
         return START
     if isinstance(cursor, Position):
