@@ -479,6 +479,9 @@ def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
         if not indexed:
             rosCas.upkeep.indexPlaces()
     assert rosCas.catalog.places.robots("map", nodes=["bee"])[0].node == "bee"
+    assert [(each.node, each.run) for each in rosCas.upkeep.placesIndex(nodeID="bee")] == [
+        ("bee", "b")
+    ]
 
 
 def test_two_robots_to_which_nobody_gave_a_name(rosCas):
@@ -637,6 +640,26 @@ def test_where_poses_are_deleted_the_robot_went_straight(rosCas):
     assert noted_of(rosCas) == []
     rosCas.upkeep.indexPlaces()
     assert all(asked(rosCas, straight, nodeID=how) == [t + 4 * SEC] for how, t in later.items())
+
+
+@pytest.mark.parametrize("how", ["condition", "thinned"])
+def test_poses_of_two_runs_that_are_deleted_together(rosCas, how):
+    """The records of both are withdrawn, although that of the second begins after the first."""
+    later = T0 + 20 * SEC
+    for run, start in (("first", T0), ("second", later)):
+        with Writer(rosCas, "", run) as writer:
+            for n, y in enumerate([0.0, 0.0, 100.0, 0.0, 0.0]):
+                writer.put("/odom", start + n * SEC, odometry(25.0 * n, y, "map"))
+                writer.put("/n", start + n * SEC, Int32(n))
+    rosCas.upkeep.indexPlaces()
+    assert noted_of(rosCas) == [(T0, T0 + 4 * SEC), (later, later + 4 * SEC)]
+    assert asked(rosCas, "NEAR(50, 0, 2)") == []
+    if how == "condition":
+        assert rosCas.executeCQL("delete from /odom where pose.pose.position.y > 50") == [(2,)]
+    else:
+        rosCas.upkeep.retain(["/odom"], thin=0.25, now=later + 60 * SEC)
+    assert noted_of(rosCas) == []
+    assert asked(rosCas, "NEAR(50, 0, 2)") == [T0 + 2 * SEC, later + 2 * SEC]
 
 
 def test_a_long_stretch_that_is_deleted_leaves_the_index_of_the_rest(rosCas):
