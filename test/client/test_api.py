@@ -122,6 +122,18 @@ def test_keys(rosCas, format_name):
         topic.getData()
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_time_that_went_through_a_float(rosCas, sign):
+    """A float is off by at most 256 ns; what lies further away is another time."""
+    topic = rosCas.addTopic("/a")
+    topic.addData(String(data="x"), key=T0 + 5)
+    exact = r"256 ns away: write the time as \{secs: 1500000000, nsecs: 5\}"
+    with pytest.raises(MessageNotFound, match=exact):
+        topic.getData(T0 + 5 + sign * 256)
+    with pytest.raises(MessageNotFound, match=rf"the nearest lies at .* \({T0 + 5} ns\)$"):
+        topic.getData(T0 + 5 + sign * 257)
+
+
 def test_nearest(rosCas):
     topic = rosCas.addTopic("/a")
     for second in (0, 10, 1000, 100_000):
