@@ -429,9 +429,10 @@ def test_a_second_format_of_the_same_bag_is_refused(rosCas, bags):
 
 def test_two_nodes_keep_two_copies(rosCas, bags, tmp_path):
     path = bags / "primitive_arrays.bag"
-    import_bag(rosCas, path, nodeID="r1")
-    import_bag(rosCas, path, nodeID="r2")
+    first, second = (import_bag(rosCas, path, nodeID=node) for node in ("r1", "r2"))
+    assert first.writer_id != second.writer_id  # so that a run has the messages of one robot
     assert len(stored_rows(rosCas)) == 40
+    assert {row.node for row in rosCas.readMessages(run=second.writer_id)} == {"r2"}
     with pytest.raises(InvalidKey, match="'r1', 'r2'; choose one"):
         verify_bag(rosCas, path)
     assert verify_bag(rosCas, path, nodeID="r2").equal

@@ -501,6 +501,10 @@ def test_one_run_of_two(stage):
     talk(stage, fields(), (), range(300, 400))
     stage.listen()
     assert stage.result(400) == list(map(numbered, range(400)))
+    stage.writers.pop((2, "")).close()
+    written = {run: StoredPast(stage.store.catalog, TOPIC, run=run) for run in (1, 2)}
+    assert written[1].is_written(stage.begin)
+    assert not written[2].is_written(stage.begin)  # the other run goes on, this one does not
     with pytest.raises(RunNotFound):
         StoredPast(stage.store.catalog, TOPIC, run="nobody")
 

@@ -90,6 +90,18 @@ def test_losses_are_kept_beside_the_data(connect, keyspace):
         assert store.losses(key=91) == store.losses(to_key=4) == []
 
 
+def test_the_description_of_a_run_counts_its_own_losses(rosCas):
+    for writer_id, name in ((7, "one"), (8, "two")):
+        run = Run("r", writer_id, "api", name=name)
+        with rosCas.messageWriter(writer_id=writer_id, nodeID="r", run=run) as writer:
+            handle = writer.connect(connection_of("/p", PointStamped))
+            writer.write(handle, T0, 0, serialize(PointStamped()))
+        loss = Loss("/p", "r", writer_id, LossKind.NO_TABLE, 10, 20, writer_id)
+        rosCas.catalog.keyspace.registry.put_loss(loss)
+    assert [info.lost for info in rosCas.info(run="one")] == [7]
+    assert [info.lost for info in rosCas.info()] == [7 + 8]
+
+
 def test_names_and_labels_are_texts(rosCas):
     for wrong in (
         Run("", 7, "api", name=7),
@@ -306,6 +318,15 @@ def test_a_delete_of_a_run_removes_its_rows_alone(rosCas, how):
     assert topic.countTopicData(run="evening") == 40 - len(gone)
     assert topic.removeData(run="morning") == 100
     assert topic.countTopicData() == len(left) - 100
+
+
+def test_a_run_is_listed_until_all_of_it_is_deleted(rosCas):
+    Recorded(rosCas, "ros")
+    low, high = T0 + 85 * SECOND_NS, T0 + 99 * SECOND_NS
+    assert rosCas.upkeep.delete(key=low, to_key=high, run="evening") == {"/point": 15}
+    assert "evening" in [run.name for run in rosCas.runs()]
+    assert rosCas.upkeep.delete(run="evening") == {"/point": 25}
+    assert "evening" not in [run.name for run in rosCas.runs()]
 
 
 def test_the_key_of_one_run_removes_nothing_of_another(rosCas):

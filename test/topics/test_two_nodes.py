@@ -76,6 +76,17 @@ def test_merged_separate_and_counted(rosCas, kind):
     assert topic.getMeta["nodeIDs"] == list(NODES)
 
 
+def test_values_of_one_node(rosCas):
+    """The index on the field of the keys has the rows of both."""
+    topic = fill(rosCas, "value", "/h")
+    for node in NODES:
+        mine = [(key.node, message.frame_id) for key, message in topic.items("3", nodeID=node)]
+        assert mine == [(node, "3")] * 4
+        assert topic.countTopicData("3", nodeID=node) == 4
+    assert topic.removeData("3", nodeID="r1") == 4
+    assert (topic.countTopicData("3"), topic.countTopicData("3", nodeID="r1")) == (4, 0)
+
+
 @every_key
 def test_deleted_apart(rosCas, kind):
     topic = fill(rosCas, kind, "/h")
