@@ -86,6 +86,7 @@ def kept(request, rosCas):
         ("KEY >= ?", [STAMPS[2]], lambda t, node, n: t >= STAMPS[2]),
         ("KEY > ? and KEY < ?", STAMPS[1:3], lambda t, node, n: False),
         ("KEY between ? and ?", STAMPS[1:3], lambda t, node, n: t in STAMPS[1:3]),
+        ("KEY in (?, ?)", STAMPS[1:4:2], lambda t, node, n: t in STAMPS[1:4:2]),
         ("KEY = '2014-05-13T16:53:21.000000001Z'", (), lambda t, node, n: t == STAMPS[1]),
         ("KEY = 1400000001.000000001", (), lambda t, node, n: t == STAMPS[1]),
         ("KEY = 1400000001.000000002", (), lambda t, node, n: False),

@@ -261,6 +261,10 @@ def test_order():
     arrays = [Float64MultiArray(data=d) for d in ([1.0], [], [2.0])]
     for down in ("", " desc"):  # what is missing comes last
         assert made(f"select data from t order by data[0]{down}", arrays)[2] == ([],)
+    arrays = [Float64MultiArray(data=d) for d in ([], [NAN], [1.0])]
+    for down in ("", " desc"):  # NaN comes after all numbers, and before what is missing
+        rows = made(f"select KEY from t order by data[0]{down}", arrays)
+        assert [row[0] - T0 for row in rows] == [2, 1, 0]
 
 
 def test_distinct():

@@ -5,15 +5,17 @@
 from __future__ import annotations
 
 import logging
+from operator import eq, ge, gt, le, lt
 
 import pytest
-from std_msgs.msg import ColorRGBA
+from std_msgs.msg import ColorRGBA, Int8
 from topics.by_index import await_built
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.query.plan.pushdown import PLANS
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -126,6 +128,21 @@ def test_several_queries_that_find_much_give_way_to_reading_once(rosCas):
 def test_what_no_value_can_be_is_not_looked_for(rosCas):
     found = explained(rosCas, "r = 1e300", skipped=8, rows_read=0)
     assert "8 known to hold nothing" in str(found)
+
+
+@pytest.mark.parametrize("format", ["ros", "packed"])
+def test_the_ends_of_integers(rosCas, format):
+    """A bound at, or beyond, the smallest and the largest value of a column."""
+    values = (-128, -127, 0, 126, 127)
+    topic = rosCas.addTopic(f"/ends/{format}", format, msg_type="std_msgs/Int8")
+    for number, value in enumerate(values):
+        topic.addData(Int8(value), key=T0 + number)
+    for operator, holds in {"<": lt, "<=": le, "=": eq, ">=": ge, ">": gt}.items():
+        for bound in (-129, *values, 128):
+            statement = f"select data from /ends/{format} where data {operator} {bound}"
+            expected = [(value,) for value in values if holds(value, bound)]
+            for plan in PLANS:
+                assert list(rosCas.statements.select(statement, plan=plan)) == expected, statement
 
 
 def test_a_count_by_the_directory(rosCas):
