@@ -11,6 +11,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.overview.latched_messages import latched_before
+from cassandra_ros.overview.latest_messages import Latest
 
 T0 = 1_500_000_000 * SECOND_NS
 
@@ -30,3 +31,16 @@ def test_what_was_received_at_the_time_itself_is_not_before_it(rosCas):
         t: [row.received for row in latched_before(rosCas.catalog, t, ["/h"])] for t in (T0, T0 + 1)
     }
     assert found == {T0: [], T0 + 1: [T0]}
+
+
+def test_messages_latched_at_the_time_of_a_view_are_shown(rosCas):
+    """Two publishers have latched a message at the same time, and a view of this time has both."""
+    header = {"type": Header._type, "md5sum": Header._md5sum, "latching": "1"}
+    header["message_definition"] = Header._full_text
+    with rosCas.messageWriter(writer_id=5) as writer:
+        for n in range(2):
+            handle = writer.connect(live_connection("/h", {**header, "callerid": f"/talker{n}"}))
+            writer.write(handle, T0, n, serialize(Header(seq=n)))
+    latest = Latest(rosCas.catalog.keyspace, rosCas.getTopic("/h").tables)
+    assert [row.message().seq for row in latest.before(T0)] == [0, 1]
+    assert latest.before(T0 - 1) == []
