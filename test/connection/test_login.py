@@ -88,6 +88,9 @@ def test_what_others_can_read_is_not_used(home, caplog):
     assert user() == ("c", "3")
     (record,) = caplog.records
     assert "cqlshrc holds a password and others can read it" in record.getMessage()
+    for mode in (0o640, 0o604):  # the group, and everybody else
+        home("", "[plain_text_auth]\nusername = d\npassword = 4\n", mode=mode)
+        assert user() == (None, None)
 
 
 @pytest.mark.parametrize(

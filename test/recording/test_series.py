@@ -234,7 +234,14 @@ def test_a_ring_keeps_the_newest():
     assert [item[3] for item in ring.content(())] == [3 * SEC]
 
 
-@pytest.mark.parametrize("bound", [SnapshotBound(nbytes=1 << 20), SnapshotBound(seconds=1e6)])
+@pytest.mark.parametrize(
+    "bound",
+    [
+        SnapshotBound(nbytes=1 << 20),
+        SnapshotBound(nbytes=4 << 20),  # more than the memory that the ring may take
+        SnapshotBound(seconds=1e6),
+    ],
+)
 def test_a_ring_stays_within_its_bytes(bound):
     ring = MessageRing(bound, 1 << 20)
     for n in range(100):

@@ -211,6 +211,15 @@ def test_keys_in_the_message_and_indexes(rosCas, part):
         assert topic.getData(7).header.seq == 7
 
 
+def test_an_index_keeps_its_name(rosCas):
+    fill(rosCas, "ros", count=5)
+    rosCas.executeCQL("CREATE INDEX by_frame ON /t (header.frame_id)")
+    rosCas.convertTopic("/t", "json")
+    assert rosCas.getTopic("/t").hasIndex("header.frame_id")
+    rosCas.executeCQL("DROP INDEX by_frame")
+    assert not rosCas.getTopic("/t").hasIndex("header.frame_id")
+
+
 @pytest.mark.parametrize("target", ["binary", "packed"])
 def test_what_expires_keeps_about_the_time_that_it_has_left(rosCas, cql, target):
     topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String", ttl=2000)
