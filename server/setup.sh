@@ -96,8 +96,6 @@ optional_package_list() {
   fi
 }
 
-is_installed() { [ "$(dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null)" = installed ]; }
-
 print_missing() {
   local package installed
   # One question for all: each reads the whole list of dpkg. It fails at a package that it does not know.
@@ -112,7 +110,7 @@ print_missing() {
 has_java_and_maven() {
   local java
   command -v mvn >/dev/null || return 1
-  is_installed openjdk-17-jre-headless && return
+  [ -z "$(print_missing openjdk-17-jre-headless)" ] && return
   for java in "${JAVA_HOME:-/nowhere}/bin/java" "$(command -v java)" /usr/lib/jvm/*17*/bin/java; do
     [ -x "$java" ] && "$java" -version 2>&1 | grep 'version "17' >/dev/null && return
   done
