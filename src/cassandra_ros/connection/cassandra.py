@@ -74,6 +74,8 @@ AT_ONCE = 16
 """Maximum number of statements of execute_many that wait for their answers at the same time."""
 CHANGES_AT_ONCE = 4
 """Maximum number of DDL statements that wait for their answers from a cluster of one node."""
+AGREEMENT_SEC = 10
+"""How long the driver waits after a DDL statement for the agreement of several nodes, s."""
 
 _NEEDS = {
     "ONE": "a node that has a copy of the row",
@@ -435,9 +437,8 @@ class Cassandra:
     def change_schema(self, changes: Sequence[SchemaChange]) -> None:
         """Run DDL statements that change different tables; wait until all nodes agree.
 
-        One node gets them together, and carries them out one after the other; the driver has then
-        asked the only node that has to agree. Several nodes get each statement after they have
-        agreed on the one before it.
+        One node gets them together, and carries them out one after the other; no other node has to
+        agree. Several nodes get each statement after they have agreed on the one before it.
 
         Raises:
             StoreUnavailable: The nodes do not agree within 30 s.
@@ -445,13 +446,15 @@ class Cassandra:
                 way have been answered.
         """
         self.require_open()
-        session, alone = self._open_session(), self.live_nodes() == 1
+        link, alone = self._links.await_open(RETRY_SEC), self.live_nodes() == 1
+        # The driver's own wait asks only the nodes that it knows: of one there is nothing to ask.
+        link.cluster.max_schema_agreement_wait = 0 if alone else AGREEMENT_SEC
         failures: list[CassandraRosError] = []
 
         def begin(change: SchemaChange) -> tuple[str, ResponseFuture]:
             cql, what = change
             with translated(what, self.outage.nodes):
-                return what, session.execute_async(SimpleStatement(cql), timeout=60.0)
+                return what, link.session.execute_async(SimpleStatement(cql), timeout=60.0)
 
         wanted = takewhile(lambda _: not failures, changes)
         for what, future in sent_ahead(map(begin, wanted), CHANGES_AT_ONCE if alone else 1):
