@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -63,6 +64,9 @@ class Node:
     settings: Settings
     replaced: bool = False
     """Whether this start copies the data that the node has lost from the other nodes."""
+    archive: Path | None = None
+    """File to which Java writes the classes of this server when it ends; None = Java uses the
+    archive that is there, if there is one."""
 
     @property
     def address(self) -> str:
@@ -171,7 +175,12 @@ class Node:
         arguments += _JVM_FLAGS.split() + _LOCAL_FLAGS.split()
         if self.replaced:
             arguments.append(f"-Dcassandra.replace_address_first_boot={self.address}")
-        arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
+        if self.archive is not None:  # Java makes no archive with an agent, but uses it with one
+            arguments.append(f"-XX:ArchiveClassesAtExit={self.archive}")
+        else:
+            arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
+            if (archive := archive_of(java, jars)).is_file():
+                arguments.append(f"-XX:SharedArchiveFile={archive}")
         arguments += module_options()
         return [
             *arguments,
@@ -185,6 +194,13 @@ class Node:
             str(jars / "*"),
             "org.apache.cassandra.service.CassandraDaemon",
         ]
+
+
+def archive_of(java: str, jars: Path) -> Path:
+    """Return the path of the archive of Cassandra's classes for a `java`; it need not exist."""
+    program = Path(java).resolve()
+    told = f"{program} {program.stat().st_size} {program.stat().st_mtime_ns}"
+    return jars / f"classes-{hashlib.sha256(told.encode()).hexdigest()[:16]}.jsa"
 
 
 @dataclass(frozen=True)
