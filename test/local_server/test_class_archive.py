@@ -12,7 +12,7 @@ import pytest
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.class_archive import make_class_archive
 from cassandra_ros.local_server.jars import find_java, jars_directory
-from cassandra_ros.local_server.nodes import archive_of
+from cassandra_ros.local_server.nodes import find_archive
 
 
 @pytest.fixture
@@ -27,13 +27,13 @@ def jars(tmp_path, monkeypatch):
     return folder
 
 
-def uses(cluster, archive):
-    """Start the cluster, which has to answer; return whether Java has mapped the archive."""
+def uses_archive(cluster):
+    """Start the cluster, which has to answer; return whether Java has mapped an archive of ours."""
     cluster.start(die_with_us=True)
     try:
         (status,) = cluster.status()
         assert status.answers
-        return str(archive) in Path(f"/proc/{status.pid}/maps").read_text()
+        return "/classes-" in Path(f"/proc/{status.pid}/maps").read_text()
     finally:
         cluster.stop()
 
@@ -41,20 +41,20 @@ def uses(cluster, archive):
 @pytest.mark.long
 def test_an_archive_is_made_once_and_used_where_it_fits(jars, tmp_path):
     said = []
-    archive = archive_of(find_java(), jars)
     cluster = LocalCluster(tmp_path / "server", port=free_port(), heap="512M")
-    assert not uses(cluster, archive)
+    assert not uses_archive(cluster)
     assert make_class_archive(said.append)
     assert not make_class_archive(said.append)
     assert len(said) == 1
     assert [path.name for path in jars.parent.glob(".classes-*")] == []
-    assert uses(cluster, archive)
-    good = archive.read_bytes()
-    archive.write_bytes(good[: len(good) // 2])
-    assert not uses(cluster, archive)
-    archive.write_bytes(b"no archive")
-    assert not uses(cluster, archive)
-    archive.write_bytes(good)
+    assert uses_archive(cluster)
+    archive = find_archive(find_java(), jars)
+    whole = archive.read_bytes()
+    archive.write_bytes(whole[: len(whole) // 2])  # Java would crash with it
+    assert not uses_archive(cluster)
+    archive.write_bytes(bytes(len(whole)))
+    assert not uses_archive(cluster)
+    archive.write_bytes(whole)
     (jars / "zzz-1.0.jar").write_bytes((jars / "slf4j-api-2.0.17.jar").read_bytes())
     (jars / "jcl-over-slf4j-2.0.17.jar").unlink()
-    assert not uses(cluster, archive)
+    assert not uses_archive(cluster)

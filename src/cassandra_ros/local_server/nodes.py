@@ -179,7 +179,7 @@ class Node:
             arguments.append(f"-XX:ArchiveClassesAtExit={self.archive}")
         else:
             arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
-            if (archive := archive_of(java, jars)).is_file():
+            if archive := find_archive(java, jars):
                 arguments.append(f"-XX:SharedArchiveFile={archive}")
         arguments += module_options()
         return [
@@ -196,11 +196,22 @@ class Node:
         ]
 
 
-def archive_of(java: str, jars: Path) -> Path:
-    """Return the path of the archive of Cassandra's classes for a `java`; it need not exist."""
+def archive_name(java: str) -> str:
+    """Return the beginning of the name of the archive of Cassandra's classes for a `java`."""
     program = Path(java).resolve()
     told = f"{program} {program.stat().st_size} {program.stat().st_mtime_ns}"
-    return jars / f"classes-{hashlib.sha256(told.encode()).hexdigest()[:16]}.jsa"
+    return f"classes-{hashlib.sha256(told.encode()).hexdigest()[:16]}"
+
+
+def find_archive(java: str, jars: Path) -> Path | None:
+    """Return the archive of Cassandra's classes for a `java`; None = it was not made.
+
+    Its name ends with its size, because Java crashes with one that was cut short.
+    """
+    for path in jars.glob(f"{archive_name(java)}-*.jsa"):
+        if path.stem.endswith(f"-{path.stat().st_size}"):
+            return path
+    return None
 
 
 @dataclass(frozen=True)
