@@ -20,7 +20,6 @@ from cassandra_ros.local_server.nodes import archive_name, find_archive
 from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.processes import locked
 
-
 _HEAP = "512M"
 
 
