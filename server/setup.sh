@@ -96,11 +96,13 @@ optional_package_list() {
   fi
 }
 
-is_installed() { [ "$(dpkg-query -W -f '${db:Status-Status}' "$1" 2>/dev/null)" = installed ]; }
-
 print_missing() {
-  local package
-  for package in "$@"; do is_installed "$package" || echo "$package"; done
+  local package installed
+  # One question for all: each reads the whole list of dpkg. It fails at a package that it does not know.
+  installed=$(dpkg-query -W -f '\n${db:Status-Status} ${Package} ' "$@" 2>/dev/null || true)
+  for package in "$@"; do
+    [[ $installed == *$'\n'"installed $package "* ]] || echo "$package"
+  done
 }
 
 # Whether a Java 17 is there without .venv, where local_cassandra looks for it, and Maven.
@@ -108,7 +110,7 @@ print_missing() {
 has_java_and_maven() {
   local java
   command -v mvn >/dev/null || return 1
-  is_installed openjdk-17-jre-headless && return
+  [ -z "$(print_missing openjdk-17-jre-headless)" ] && return
   for java in "${JAVA_HOME:-/nowhere}/bin/java" "$(command -v java)" /usr/lib/jvm/*17*/bin/java; do
     [ -x "$java" ] && "$java" -version 2>&1 | grep 'version "17' >/dev/null && return
   done
@@ -169,7 +171,7 @@ make_venv() {
   has_java_and_maven || files+=(requirements-java.txt)
   # Its path belongs to it: the programs of a venv that was moved still name the old place.
   wanted=$( { echo "$venv"; /usr/bin/python3 --version; echo "${files[*]}"; cat requirements*.txt; } | digest)
-  if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && "$venv/bin/python" -c '' 2>/dev/null; then
+  if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && "$venv/bin/python" -S -c '' 2>/dev/null; then
     say "python: .venv has what ${files[*]} names, skipped"
     return
   fi
@@ -225,7 +227,7 @@ make_workspace() {
     ls scripts
     ls "$package"
     cat CMakeLists.txt package.xml setup.py
-    find msg srv -type f | LC_ALL=C sort | while read -r item; do echo "$item"; cat "$item"; done
+    find msg srv -type f | LC_ALL=C sort | xargs -d '\n' awk 'FNR == 1 { print FILENAME } 1'
     find -L "$package/test" -name '*.test' | LC_ALL=C sort
   } | digest)
   if [ "$(cat "$stamp" 2>/dev/null)" = "$wanted" ] && [ -e "$workspace/devel/setup.bash" ]; then

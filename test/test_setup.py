@@ -67,10 +67,12 @@ def test_in_somebodys_workspace_it_stops_and_prints_their_command(tmp_path, sign
 
 # Installed is what the file 'installed' beside it matches.
 _DPKG_QUERY = """#!/bin/sh
-for package; do :; done
-grep -Eqx "$(cat "$(dirname "$0")/installed")" <<END && printf installed
-$package
-END
+[ "$1 $2 $3" = '-W -f \\n${db:Status-Status} ${Package} ' ] || exit 2
+shift 3
+for package; do
+  echo "$package" | grep -Eqx "$(cat "$(dirname "$0")/installed")" && state= || state=not-
+  printf '\\n%sinstalled %s ' "$state" "$package"
+done
 """
 
 

@@ -40,6 +40,12 @@ class Size:
     image_rates: tuple[int, ...]
     """Images of 2 MB a second."""
     live_sec: float
+    program_runs: int
+    """Starts of each program."""
+    table_steps: tuple[int, ...]
+    """Numbers of topics in a keyspace at which the making of tables is measured, ascending."""
+    starts: int
+    """Starts of a local Cassandra and runs of make setup."""
     nodes: int
     """Of the cluster; 0 = the server that runs anyway."""
     cluster_messages: int
@@ -72,6 +78,9 @@ FULL = Size(
     rates=(5_000, 10_000, 20_000, 40_000),
     image_rates=(10, 30),
     live_sec=8.0,
+    program_runs=7,
+    table_steps=(10, 100, 600),
+    starts=3,
     nodes=3,
     cluster_messages=60_000,
 )
@@ -101,6 +110,9 @@ QUICK = Size(
     rates=(5_000,),
     image_rates=(10,),
     live_sec=3.0,
+    program_runs=3,
+    table_steps=(10, 100),
+    starts=1,
     nodes=3,
     cluster_messages=5_000,
 )
@@ -122,6 +134,9 @@ SMOKE = Size(
     rates=(500,),
     image_rates=(),
     live_sec=0.4,
+    program_runs=1,
+    table_steps=(10,),
+    starts=0,
     nodes=0,
     cluster_messages=200,
 )

@@ -228,6 +228,39 @@ def live(results: Results) -> str:
     return markdown(head, rows)
 
 
+def start(results: Results) -> str:
+    """Show how long programs take to start, and what people wait for at the beginning."""
+    rows = []
+    for one in results.of("start", "wall"):
+        low, middle, high = quartiles(one.values)
+        spread = f"{number(middle)} ({number(low)}–{number(high)})"
+        cpu = [
+            number(results.median("start", what, one.contender))
+            for what in ("client cpu", "server cpu")
+        ]
+        rows.append([one.contender, spread, *cpu])
+    return markdown(["s", "wall", "client's processor", "server's"], rows)
+
+
+def new_tables(results: Results) -> str:
+    """Show how long the table of one topic takes, ms, by the number of topics."""
+    steps = sorted({one.x or 0 for one in results.of("start", "table")})
+    rows = []
+    for way in ("together", "one by one"):
+        cells = []
+        for x in steps:
+            cpu = [
+                number(results.median("start", f"table, {side} cpu", way, x=x))
+                for side in ("client", "server")
+            ]
+            cells.append(
+                f"{number(results.median('start', 'table', way, x=x))} ({' + '.join(cpu)})"
+            )
+        rows.append([way, *cells])
+    head = ["ms a table (client + server)", *(f"the {x:,.0f}th" for x in steps)]
+    return markdown(head, rows)
+
+
 def writers(results: Results) -> str:
     """Show what several writers store a second together."""
     return _by_count(results, "writers", "write", targets.FORMATS, "writers", "imu")
@@ -269,6 +302,8 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "conditions": conditions,
     "scans": scans,
     "live": live,
+    "start": start,
+    "new tables": new_tables,
     "writers": writers,
     "cluster": cluster,
     "viewer": of_viewer,

@@ -67,6 +67,7 @@ def targets(results: Results) -> list[Target]:
         *_lookups(results),
         *_disk(results),
         *_live(results),
+        *_start(results),
     ]
 
 
@@ -219,6 +220,35 @@ def _live(results: Results) -> Iterator[Target]:
         if one.contender.startswith("recorder") and one.x is not None
     ]
     yield at_most("memory of the recorder", "MB", MEMORY_MB, memory)
+
+
+def _start(results: Results) -> Iterator[Target]:
+    def beside(names: Sequence[str], base: str) -> list[tuple[str, float | None]]:
+        other = results.median("start", "wall", base)
+        return [(name, ratio(results.median("start", "wall", name), other)) for name in names]
+
+    yield at_most(
+        "start of a program",
+        "x rosbag --help",
+        1.2,
+        beside(["cassandra_bag --help"], "rosbag --help"),
+    )
+    asked = [f"cassandra_bag {verb}" for verb in ("keyspaces", "info", "query")]
+    yield at_most("answer of a small store", "x rosbag info", 2.0, beside(asked, "rosbag info"))
+    for work, name, wanted in (
+        ("recorder subscribed", "recorder, until it is subscribed", 1.0),
+        ("new keyspace with side tables", "new keyspace, side tables", 0.3),
+        ("the Husky's bag by command", "cassandra_bag import, Husky", 2.0),
+        ("start of Cassandra", "local_cassandra start", 5.0),
+        ("make setup, all there", "make setup", 1.0),
+    ):
+        yield at_most(work, "s", wanted, [("", results.median("start", "wall", name))])
+    tables = [
+        (f"{one.x:,.0f}", results.median("start", "table", "together", x=one.x))
+        for one in results.of("start", "table")
+        if one.contender == "together"
+    ]
+    yield at_most("tables of topics made together", "ms a table", 40.0, tables)
 
 
 def rows(results: Results) -> list[list[str]]:

@@ -16,10 +16,10 @@ from cassandra_ros.cli.terminal_text import format_table
 from cassandra_ros.errors import InvalidName, InvalidOption
 from cassandra_ros.printable import MOST_CHARACTERS, shown, shown_lines
 from cassandra_ros.recording.losses import LossTotal
+from cassandra_ros.recording.option_values import read_label
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.topic_counts import TopicReport
-from cassandra_ros.recording.topic_settings import read_label
 from cassandra_ros.tables.registry import LossKind, Run
 
 EVIL = "\x1b]0;owned\x07\nfake line\r\x9b31m\u202e"

@@ -37,6 +37,7 @@ def modules_after(*words):
     [
         ["cassandra_bag", "--help"],
         ["cassandra_bag", "query", "--help"],
+        ["recorder", "--help"],
         ["player", "--help"],
         ["query_server", "--help"],
         ["viewer", "--help"],

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,7 +39,7 @@ def test_tokens_share_the_ring_evenly(nodes):
 def test_nothing_listens_beyond_loopback():
     config = yaml.safe_load(node().render_yaml())
     assert {config[key] for key in config if key.endswith("_address")} == {"127.0.0.1"}
-    command = node().command("java", Path("/jars"))
+    command = node().command(sys.executable, Path("/jars"))
     assert not [word for word in command if "jmx" in word and "port" in word]
 
 
@@ -46,11 +47,11 @@ def test_the_memory_follows_the_heap():
     small, large = (yaml.safe_load(node(heap=heap).render_yaml()) for heap in ("512M", "2G"))
     assert small["memtable_heap_space"] == "96MiB"
     assert large["memtable_heap_space"] == "384MiB"
-    command = node(heap="2G").command("java", Path("/jars"))
+    command = node(heap="2G").command(sys.executable, Path("/jars"))
     assert "-Xmx2048M" in command
     assert "-Xms2048M" in command
-    assert "-Xms512M" in node().command("java", Path("/jars"))  # the rest when it is needed
-    assert "-XX:MaxDirectMemorySize=2048M" in node(heap="4G").command("java", Path("/jars"))
+    assert "-Xms512M" in node().command(sys.executable, Path("/jars"))  # the rest when it is needed
+    assert "-XX:MaxDirectMemorySize=2048M" in node(heap="4G").command(sys.executable, Path("/jars"))
     # Cassandra's own bounds of what is in the air are parts of the heap.
     assert not [key for key in small if "in_flight" in key]
 
@@ -70,6 +71,6 @@ def test_other_users_read_neither_data_nor_logs(tmp_path, before):
 
 
 def test_a_folder_with_odd_letters_becomes_a_url():
-    command = node(directory="/my data/nöde").command("java", Path("/jars"))
+    command = node(directory="/my data/nöde").command(sys.executable, Path("/jars"))
     assert "-Dcassandra.config=file:///my%20data/n%C3%B6de/cassandra.yaml" in command
     assert "-Dcassandra.storagedir=/my data/nöde" in command

@@ -19,9 +19,10 @@ from cassandra_ros.cli.recorder import local_space
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording import run_series as series_module
 from cassandra_ros.recording.free_space import SpaceGuard
+from cassandra_ros.recording.option_values import SnapshotBound
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.run_series import RunSeries
-from cassandra_ros.recording.snapshot import ITEM_BYTES, MessageRing, SnapshotBound, Snapshots
+from cassandra_ros.recording.snapshot import ITEM_BYTES, MessageRing, Snapshots
 from cassandra_ros.tables.registry import LossKind
 
 SEC = 10**9

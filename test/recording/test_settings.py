@@ -16,9 +16,9 @@ from cassandra_ros.cli.recorder import make_parser
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.recording.dry_run import plan_topics
 from cassandra_ros.recording.filters import Filters
+from cassandra_ros.recording.option_values import SnapshotBound, read_bound
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.snapshot import SnapshotBound, read_bound
 from cassandra_ros.recording.topic_settings import Settings, TopicSettings, read_settings
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Callable
 
 from suite.context import Context
-from suite.experiments import bags, conditions, growth, live, lookups, writers, writing
+from suite.experiments import bags, conditions, growth, live, lookups, start, writers, writing
 
 EXPERIMENTS: dict[str, Callable[[Context], None]] = {
     "writing": writing.run,
@@ -17,6 +17,7 @@ EXPERIMENTS: dict[str, Callable[[Context], None]] = {
     "clauses": conditions.run_clauses,
     "conditions": conditions.run,
     "live": live.run,
+    "start": start.run,
     "writers": writers.run,
     "cluster": writers.run_cluster,
 }

@@ -227,14 +227,16 @@ def import_bag(
                 for n, connection in reader.connections.items()
                 if n in numbers
             }
-            writer.make_tables([*wanted.values()])
-            handles = {n: _connect(writer, asked) for n, asked in wanted.items()}
-            _name_topics(handles, report)
-            if is_repeated:
-                _remove_other_blocks(keyspace, handles, run)
             if reader.has_publish_times:
                 store_publish_times(keyspace.side_tables, reader, run)
-            _write_messages(reader, writer, handles, report, progress)
+            # The bag is read while its tables are made.
+            with ReadAhead(_batches(reader, wanted.keys())) as ahead:
+                writer.make_tables([*wanted.values()])
+                handles = {n: _connect(writer, asked) for n, asked in wanted.items()}
+                _name_topics(handles, report)
+                if is_repeated:
+                    _remove_other_blocks(keyspace, handles, run)
+                _write_messages(ahead, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
 
@@ -399,22 +401,21 @@ def _batches(reader: MessageFile, numbers: AbstractSet[int]) -> Iterator[Message
 
 
 def _write_messages(
-    reader: MessageFile,
+    ahead: ReadAhead,
     writer: MessageWriter,
     handles: dict[int, Handle],
     report: ImportReport,
     progress: MessageProgress | None,
 ) -> None:
     try:
-        with ReadAhead(_batches(reader, handles.keys())) as ahead:
-            for (number, positions, times, wires), size in ahead:
-                handle = handles[number]
-                writer.write_run(handle, times, positions, wires)
-                topic = report.topics[handle.topic]
-                topic.messages += len(wires)
-                topic.bytes += size
-                if progress is not None:
-                    progress(len(wires), size)
+        for (number, positions, times, wires), size in ahead:
+            handle = handles[number]
+            writer.write_run(handle, times, positions, wires)
+            topic = report.topics[handle.topic]
+            topic.messages += len(wires)
+            topic.bytes += size
+            if progress is not None:
+                progress(len(wires), size)
     except BagError as exc:
         writer.flush()
         raise type(exc)(

@@ -17,6 +17,7 @@ from cassandra_ros.cli.confirmation import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import verbs_parser
 from cassandra_ros.cli.terminal_text import format_bytes
+from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
 from cassandra_ros.local_server.disk import full_disk
 from cassandra_ros.local_server.jars import cassandra_version, jars_directory
@@ -38,9 +39,16 @@ def install(options: argparse.Namespace) -> int:
 
     Maven does it, or without Maven the Python package maven-artifact. They are stored in
     $ROS_HOME/cassandra_ros/jars, or in the folder that $CASSANDRA_ROS_JARS
-    names. `start` downloads them if they are missing.
+    names. `start` downloads them if they are missing. `install` also starts Cassandra once, without
+    data, so that Java can archive its classes: each later start is faster.
     """
+    from cassandra_ros.local_server.class_archive import make_class_archive
+
     how = "is now" if install_jars(say) else "was already"
+    try:
+        make_class_archive(say)
+    except ServerError as exc:
+        say(f"starts will take longer: {exc}")
     say(f"Apache Cassandra {cassandra_version()} {how} in {jars_directory()}")
     return 0
 

@@ -17,7 +17,7 @@ import shutil
 import sys
 from functools import partial
 from pathlib import Path
-from typing import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Callable, Mapping, Sequence
 
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.cli.candidates import answer_shell
@@ -37,21 +37,18 @@ from cassandra_ros.cli.script import end_now
 from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
-from cassandra_ros.local_server.jars import default_directory
-from cassandra_ros.messages.ros_master import master_answers
-from cassandra_ros.recording.recording import BLOCK_SEC
-from cassandra_ros.recording.recording_options import RecorderOptions
-from cassandra_ros.recording.snapshot import read_bound
-from cassandra_ros.recording.store_future import NO_STORE, is_there
-from cassandra_ros.recording.topic_settings import (
-    Rule,
-    check_condition,
+from cassandra_ros.recording.option_values import (
+    BLOCK_SEC,
     check_pattern,
+    read_bound,
     read_label,
     read_rate,
-    read_settings,
     read_ttl,
 )
+
+if TYPE_CHECKING:
+    from cassandra_ros.recording.recording_options import RecorderOptions
+    from cassandra_ros.recording.topic_settings import Rule
 
 PROGRAM = "recorder"
 _LOOPBACK = ("localhost", "127.", "::1")
@@ -233,6 +230,8 @@ def _add_rosbag(add: Add) -> None:
 
 def read_where(text: str) -> tuple[str, str]:
     """Parse 'TOPIC: CONDITION'. Return a pattern of topics and the condition."""
+    from cassandra_ros.recording.topic_settings import check_condition
+
     topic, colon, condition = (part.strip() for part in text.partition(":"))
     if not (topic and colon and condition):
         raise InvalidOption(f"{text!r} is not of the form 'TOPIC: CONDITION'")
@@ -249,6 +248,8 @@ def read_config(name: str) -> Sequence[Rule]:
     """Read a settings file. An empty name, which a launch file may pass, means no file."""
     if not name:
         return ()
+    from cassandra_ros.recording.topic_settings import read_settings
+
     try:
         return read_settings(Path(name).read_text(encoding="utf-8"), name)
     except (OSError, UnicodeDecodeError) as exc:
@@ -295,6 +296,8 @@ def _truth(parser: argparse.ArgumentParser, name: str, value: object) -> bool:
 
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
     """Return the options of the recorder; end the program if they contradict each other."""
+    from cassandra_ros.recording.recording_options import RecorderOptions
+
     if options.udp:
         parser.error("--udp: rospy has no UDP transport; leave it out: TCP loses nothing")
     if bool(options.topics) == options.all and not (options.node and not options.topics):
@@ -332,6 +335,8 @@ def local_space(hosts: Sequence[str]) -> Callable[[], int | None] | None:
     Returns:
         The function; None if the store is not on this machine.
     """
+    from cassandra_ros.local_server.jars import default_directory
+
     data = default_directory()
     if not all(each.startswith(_LOOPBACK) for each in hosts):
         return None
@@ -345,11 +350,14 @@ def main() -> int:
     answer_shell(parser)
     words = strip_remappings(None)
     given = parser.parse_args(words)  # wrong usage and --help need no master
+    from cassandra_ros.messages.ros_master import master_answers
+
     if given.topics or given.all or given.node or not master_answers():
         read_options(parser, given)
     from cassandra_ros.nodes.diagnostics import StorePlace
     from cassandra_ros.nodes.recorder_node import record, start_node
     from cassandra_ros.nodes.recording_plan import make_plan
+    from cassandra_ros.recording.store_future import NO_STORE, is_there
 
     options = parser.parse_args([*words_of(parser, start_node(sys.argv), given), *words])
     chosen = read_options(parser, options)

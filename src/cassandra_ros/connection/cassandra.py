@@ -74,6 +74,8 @@ AT_ONCE = 16
 """Maximum number of statements of execute_many that wait for their answers at the same time."""
 CHANGES_AT_ONCE = 4
 """Maximum number of DDL statements that wait for their answers from a cluster of one node."""
+AGREEMENT_SEC = 10
+"""How long the driver waits after a DDL statement for the agreement of several nodes, s."""
 
 _NEEDS = {
     "ONE": "a node that has a copy of the row",
@@ -206,6 +208,8 @@ class Cassandra:
             # A keyspace may have hundreds of tables; the driver would read them all after each
             # change.
             schema_metadata_enabled=False,
+            # After a pushed change it would then only ask for the nodes' agreement again.
+            schema_event_refresh_window=-1,
             # Without this option batches stall for 40 ms each on delayed acknowledgements.
             sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
             connect_timeout=CONNECT_TIMEOUT_SEC,
@@ -343,12 +347,17 @@ class Cassandra:
         return self.execute(cql, (keyspace, table) if table else (keyspace,), what=what)
 
     def system_schema_of(
-        self, of: str, names: str, keyspace: str, tables: Iterable[str]
+        self, of: str, names: str, keyspace: str, tables: Sequence[str]
     ) -> list[list[CqlRow]]:
         """Read system_schema about each of some tables of a keyspace, like system_schema."""
-        cql = f"SELECT {names} FROM system_schema.{of} WHERE keyspace_name = ? AND table_name = ?"
-        keys = [(keyspace, table) for table in tables]
-        return self.execute_many(cql, keys, what=f"reading the {of} of {keyspace}")
+        found: dict[str, list[CqlRow]] = {table: [] for table in tables}
+        if found:
+            cql = f"SELECT table_name, {names} FROM system_schema.{of} WHERE keyspace_name = ? "
+            what = f"reading the {of} of {keyspace}"
+            rows = self.execute(f"{cql}AND table_name IN ?", (keyspace, list(tables)), what=what)
+            for table, *values in rows:
+                found[table].append(tuple(values))
+        return [found[table] for table in tables]
 
     def execute_on_each(
         self, cql: str, params: Sequence[object] = (), *, what: str
@@ -428,8 +437,8 @@ class Cassandra:
     def change_schema(self, changes: Sequence[SchemaChange]) -> None:
         """Run DDL statements that change different tables; wait until all nodes agree.
 
-        One node gets them together, and carries them out one after the other; several nodes get
-        each statement after they have agreed on the one before it.
+        One node gets them together, and carries them out one after the other; no other node has to
+        agree. Several nodes get each statement after they have agreed on the one before it.
 
         Raises:
             StoreUnavailable: The nodes do not agree within 30 s.
@@ -437,13 +446,15 @@ class Cassandra:
                 way have been answered.
         """
         self.require_open()
-        session, alone = self._open_session(), self.live_nodes() == 1
+        link, alone = self._links.await_open(RETRY_SEC), self.live_nodes() == 1
+        # The driver's own wait asks only the nodes that it knows: of one there is nothing to ask.
+        link.cluster.max_schema_agreement_wait = 0 if alone else AGREEMENT_SEC
         failures: list[CassandraRosError] = []
 
         def begin(change: SchemaChange) -> tuple[str, ResponseFuture]:
             cql, what = change
             with translated(what, self.outage.nodes):
-                return what, session.execute_async(SimpleStatement(cql), timeout=60.0)
+                return what, link.session.execute_async(SimpleStatement(cql), timeout=60.0)
 
         changes_left = takewhile(lambda _: not failures, changes)
         for what, future in sent_ahead(map(begin, changes_left), CHANGES_AT_ONCE if alone else 1):
@@ -456,8 +467,6 @@ class Cassandra:
                 failures.append(exc)
         if failures:
             raise failures[0]
-        if alone and changes:
-            self._agree(changes[-1][1])
 
     def _agree(self, what: str) -> None:
         """Wait until all nodes have the same schema; raises StoreUnavailable after 30 s.

@@ -57,6 +57,7 @@ class LocalCluster:
         port: CQL port; default: 9042.
         heap: Java heap of each node, such as 512M; default: see own_heap_mb.
         secure: Whether the cluster requires a login and uses TLS; default: False.
+        archive: File for the classes of the servers; see Node.
         say: Callback that gets one line of text for each step.
         progress: Callback that gets regularly what is being waited for, and since how many seconds.
 
@@ -73,11 +74,13 @@ class LocalCluster:
         port: int | None = None,
         heap: str | None = None,
         secure: bool | None = None,
+        archive: Path | None = None,
         say: Callable[[str], None] = lambda text: None,
         progress: Callable[[str, float], None] = lambda text, seconds: None,
     ) -> None:
         self.directory = Path(os.path.realpath(directory or default_directory()))
         self._changes = nodes, host, port, heap, secure
+        self._archive = archive
         self._say = say
         self._progress = progress
         self._children: dict[int, subprocess.Popen[bytes]] = {}
@@ -91,7 +94,10 @@ class LocalCluster:
     def nodes(self) -> list[Node]:
         """All nodes of the cluster, running or not."""
         numbers = range(1, self.settings.nodes + 1)
-        return [Node(n, self.directory / f"node{n}", self.settings) for n in numbers]
+        return [
+            Node(n, self.directory / f"node{n}", self.settings, archive=self._archive)
+            for n in numbers
+        ]
 
     @property
     def security(self) -> Security:

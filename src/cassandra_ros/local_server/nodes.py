@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -63,6 +64,9 @@ class Node:
     settings: Settings
     replaced: bool = False
     """Whether this start copies the data that the node has lost from the other nodes."""
+    archive: Path | None = None
+    """File to which Java writes the classes of this server when it ends; None = Java uses the
+    archive that is there, if there is one."""
 
     @property
     def address(self) -> str:
@@ -171,7 +175,12 @@ class Node:
         arguments += _JVM_FLAGS.split() + _LOCAL_FLAGS.split()
         if self.replaced:
             arguments.append(f"-Dcassandra.replace_address_first_boot={self.address}")
-        arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
+        if self.archive is not None:  # Java makes no archive with an agent, but uses it with one
+            arguments.append(f"-XX:ArchiveClassesAtExit={self.archive}")
+        else:
+            arguments += [f"-javaagent:{agent}" for agent in sorted(jars.glob("jamm-*.jar"))[:1]]
+            if archive := find_archive(java, jars):
+                arguments.append(f"-XX:SharedArchiveFile={archive}")
         arguments += module_options()
         return [
             *arguments,
@@ -185,6 +194,24 @@ class Node:
             str(jars / "*"),
             "org.apache.cassandra.service.CassandraDaemon",
         ]
+
+
+def archive_name(java: str) -> str:
+    """Return the beginning of the name of the archive of Cassandra's classes for a `java`."""
+    program = Path(java).resolve()
+    told = f"{program} {program.stat().st_size} {program.stat().st_mtime_ns}"
+    return f"classes-{hashlib.sha256(told.encode()).hexdigest()[:16]}"
+
+
+def find_archive(java: str, jars: Path) -> Path | None:
+    """Return the archive of Cassandra's classes for a `java`; None = it was not made.
+
+    Its name ends with its size, because Java crashes with one that was cut short.
+    """
+    for path in jars.glob(f"{archive_name(java)}-*.jsa"):
+        if path.stem.endswith(f"-{path.stat().st_size}"):
+            return path
+    return None
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ import rospy
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.msg import RecordedTopic
 from cassandra_ros.nodes.recorder import Recorder
+from cassandra_ros.recording.option_values import read_label
 from cassandra_ros.recording.recording_status import RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
-from cassandra_ros.recording.topic_settings import read_label
 from cassandra_ros.srv import (
     RecorderStatus,
     RecorderStatusRequest,

@@ -27,6 +27,7 @@ from cassandra_ros.recording.backlog import Backlog, OnDisk, SpoolPlan
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, Feed, MessageSource
+from cassandra_ros.recording.option_values import BLOCK_SEC, DEFAULT_BUFFER_BYTES
 from cassandra_ros.recording.place_keeper import PlaceKeeper
 from cassandra_ros.recording.store_future import NO_STORE, Store, is_there, store_future
 from cassandra_ros.recording.table_maker import TableMaker, connect, make_together
@@ -40,10 +41,6 @@ from cassandra_ros.topics.message_writer import Handle, MessageWriter, make_writ
 
 _log = logging.getLogger(__name__)
 
-DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
-"""Default maximum memory of the messages that wait for the store, bytes."""
-BLOCK_SEC = 0.5
-"""Default maximum time that a message waits for others in a block of format packed, s."""
 BATCH_ITEMS = 256
 """Maximum number of messages that the writing thread takes at once."""
 BATCH_BYTES = 1024 * 1024

@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Callable, Mapping, Sequence
 
 from cassandra_ros.recording.backlog import SpoolPlan
-from cassandra_ros.recording.recording import BLOCK_SEC, DEFAULT_BUFFER_BYTES
-from cassandra_ros.recording.snapshot import SnapshotBound
+from cassandra_ros.recording.option_values import (
+    BLOCK_SEC,
+    DEFAULT_BUFFER_BYTES,
+    SnapshotBound,
+)
 from cassandra_ros.recording.topic_settings import Rule, Settings, TopicSettings
 from cassandra_ros.spool.spool_folder import DEFAULT_BYTES, SpoolFolder
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import logging
-import re
 import threading
 import time
 from collections import deque
@@ -17,9 +16,9 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import ITEM_BYTES
+from cassandra_ros.recording.option_values import SnapshotBound
 from cassandra_ros.recording.recording import Recording, StampedMessage
 from cassandra_ros.recording.topic_counts import Counts, TopicReport
-from cassandra_ros.recording.topic_settings import read_duration
 from cassandra_ros.tables.registry import LossKind
 
 _log = logging.getLogger(__name__)
@@ -28,27 +27,6 @@ MAX_AT_ONCE = 4
 """Maximum number of snapshots that are written at the same time."""
 PAUSE_SEC = 0.05
 """Time that ``close`` waits for a run that is being started, s."""
-
-
-@dataclass(frozen=True)
-class SnapshotBound:
-    """The maximum of messages kept in memory, by time or by size. One of the two is 0."""
-
-    seconds: float = 0.0
-    nbytes: int = 0
-
-
-def read_bound(text: str) -> SnapshotBound:
-    """Read a maximum like 30s, 5m or 200MB, or raise InvalidOption."""
-    size = re.fullmatch(r"([0-9]{1,9})\s*MB", text.strip(), re.IGNORECASE)
-    if size and int(size[1]):
-        return SnapshotBound(nbytes=int(size[1]) << 20)
-    try:
-        return SnapshotBound(seconds=read_duration(text.strip()))
-    except InvalidOption:
-        raise InvalidOption(
-            f"{text!r:.80} is neither seconds nor megabytes: give one like 30s or 200MB"
-        ) from None
 
 
 MAX_LATCHED = 1000

@@ -11,16 +11,13 @@ from typing import Any, Callable, Mapping, Sequence, Tuple
 
 import yaml
 
-from cassandra_ros.arguments import check_fields, check_labels, check_text, check_ttl
+from cassandra_ros.arguments import check_fields, check_text
 from cassandra_ros.errors import CassandraRosError, InvalidOption, InvalidQuery
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.query.tree.parse import parse_condition, terms_of_condition
 from cassandra_ros.query.tree.syntax import Literal, Near, TimeNs, inside, leaves
+from cassandra_ros.recording.option_values import check_pattern, read_rate, read_ttl
 
-_UNITS = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}
-"""Units of durations, s."""
-MAX_RATE_HZ = 1e6
-"""Maximum value of a rate limit, Hz."""
 MAX_CONFIG_BYTES = 1 << 20
 """Maximum length of a settings file, characters."""
 
@@ -126,45 +123,6 @@ def _rule(number: int, entry: object) -> Rule:
         raise InvalidOption(f"entry {number}, pattern {entry['pattern']!r:.80}: {exc}") from exc
 
 
-def check_pattern(pattern: object) -> str:
-    """Return a regular expression of topic names, or raise InvalidOption."""
-    text = check_text("pattern", pattern, wanted="a regular expression, as /camera/.*")
-    try:
-        re.compile(text)
-    except (re.error, OverflowError, RecursionError) as exc:
-        raise InvalidOption(f"{text!r:.80} is not a regular expression: {exc}") from exc
-    return text
-
-
-def read_duration(value: object) -> float:
-    """Read a duration: a number of seconds above 0, or a number followed by s, m, h or d."""
-    text = str(value) if isinstance(value, (int, float, str)) else ""
-    match = re.fullmatch(r"([0-9]{1,15}(?:\.[0-9]*)?|\.[0-9]+)([smhd]?)", text)
-    if match is None or not float(match[1]):
-        raise InvalidOption(f"{str(value)!r:.80} is not a duration, like 30, 5m or 2h")
-    return float(match[1]) * _UNITS[match[2]]
-
-
-def read_rate(value: object) -> float:
-    """Read a rate in messages per second, above 0 and at most MAX_RATE_HZ."""
-    try:
-        rate = float(value) if isinstance(value, (int, float, str)) else 0.0
-    except ValueError:
-        rate = 0.0
-    if isinstance(value, bool) or not 0 < rate <= MAX_RATE_HZ:
-        raise InvalidOption(f"{str(value)!r:.80} is no rate: give messages a second, like 5 or 0.1")
-    return rate
-
-
-def read_label(text: str) -> tuple[str, str]:
-    """Read KEY=VALUE; raises InvalidOption."""
-    key, equals, value = text.partition("=")
-    if not (key.strip() and equals):
-        raise InvalidOption(f"{text!r:.80} is no label: give KEY=VALUE, as site=lab")
-    ((key, value),) = check_labels({key.strip(): value.strip()}).items()
-    return key, value
-
-
 def check_condition(value: object) -> str:
     """Return a condition that can be parsed; its fields are checked with the first message."""
     text = check_text("where", value, wanted="a condition, as 'linear.x > 0.5'")
@@ -192,13 +150,6 @@ def _read_format(value: object) -> str | None:
     text = check_text("format", value)
     format_class(text)
     return text
-
-
-def read_ttl(value: object) -> int:
-    """Read a time to live: whole seconds, 0 = never, or a number followed by s, m, h or d."""
-    if value == "0":
-        return 0
-    return check_ttl(int(read_duration(value)) if isinstance(value, str) else value)
 
 
 def _read_key_part(value: object) -> str:

@@ -115,6 +115,7 @@ class Loss:
     """Number of lost messages; 0 = the number is unknown."""
 
 
+_HEADER = ("tbl", "conn", "def_hash", "topic", "number", "header", "def_offset", "md5sum")
 _LOSS = "node, writer, kind, first, last, n"
 
 
@@ -124,16 +125,28 @@ class Registry:
     def __init__(self, side_tables: SideTables) -> None:
         self._tables = side_tables
 
-    def put_header(self, table: str, conn: int, row: StoredHeader) -> None:
-        """Write a connection header and its definition; a repetition writes the same rows."""
-        def_hash = hashlib.sha256(row.definition).digest()
-        definition = {"md5sum": row.md5sum, "hash": def_hash, "text": row.definition}
-        of = f"of topic {row.topic}"
-        self._tables.insert("cr_definition", definition, f"storing the definition {of}")
-        header = {"tbl": table, "conn": conn, "def_hash": def_hash, **row._asdict()}
-        header["number"] = _signed(row.number)
-        del header["definition"]
-        self._tables.insert("cr_connection", header, f"storing the connection header {of}")
+    def put_headers(self, rows: Sequence[tuple[str, int, StoredHeader]]) -> None:
+        """Write connection headers and their definitions; a repetition writes the same rows.
+
+        Args:
+            rows: Table, number of the connection in it, header; at least one.
+        """
+        definitions: dict[tuple[str, bytes], bytes] = {}
+        headers: list[CqlRow] = []
+        for table, conn, row in rows:
+            def_hash = hashlib.sha256(row.definition).digest()
+            definitions[row.md5sum, def_hash] = row.definition
+            number = _signed(row.number)
+            headers.append(
+                (table, conn, def_hash, row.topic, number, row.header, row.def_offset, row.md5sum)
+            )
+        topics = {row.topic for _, _, row in rows}
+        of = f"of {len(topics)} topics" if len(topics) > 1 else f"of topic {rows[0][2].topic}"
+        names = ("md5sum", "hash", "text")
+        texts = [(*key, text) for key, text in definitions.items()]
+        self._tables.insert_many("cr_definition", names, texts, f"storing the definition {of}")
+        what = f"storing the connection header {of}"
+        self._tables.insert_many("cr_connection", _HEADER, headers, what)
 
     def get_header(self, table: str, conn: int) -> StoredHeader | None:
         """Return a connection header; None if no header has this number."""

@@ -269,16 +269,17 @@ class Schema:
             listing.check_staying(name)
         return mine
 
-    def ensure_tables(self, wishes: Sequence[TableWish]) -> list[str]:
+    def ensure_tables(self, wishes: Sequence[TableWish]) -> list[str | None]:
         """Find the tables for new messages, or make those that are missing; return their names.
 
-        All are made under one lock, with one reading of the comments before and one after.
+        All are made under one lock, with one reading of the comments before and one after. A name
+        is None if the table was dropped as soon as it was made.
         """
         names = _find_all(self.listing(), wishes)
         if None in names:
             with self.lock() as lock:
                 names = self._make_missing(wishes, lock)
-        return [name for name in names if name is not None]
+        return names
 
     def _make_missing(self, wishes: Sequence[TableWish], lock: SchemaLock) -> list[str | None]:
         """Make the tables that are missing, under the lock; return the names for all wishes."""
@@ -354,6 +355,8 @@ class Schema:
             self._known = {**self._known, **read}
             every = self._listing.every if self._listing else {}
             self._listing = Listing({**every, **self._noted(made)})
+            # The lock excludes changes by other clients, so all that were pushed are our own.
+            self._mark = self._changes.mark
         columns = self._cassandra.system_schema_of("columns", _COLUMNS, self.keyspace, names)
         for table, found in zip(tables, columns):
             if dict(found) != table.columns or made.get(table.name) != table.metadata:

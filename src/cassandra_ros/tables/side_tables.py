@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import difflib
 import logging
+import math
 import re
 import threading
 import time
@@ -39,8 +40,10 @@ TELL_SEC = 5.0
 """Time after which a program that waits for the schema lock says so, s."""
 _TRIES = 8
 CHANGES_A_RENEWAL = 8
-"""Number of DDL statements between two renewals of the lock. Even on a machine so busy that each
-takes some seconds they end long before the lock runs out."""
+"""Number of DDL statements before which the lock is renewed, if it is older than FRESH_SEC. Even
+on a machine so busy that each takes some seconds they end long before the lock runs out."""
+FRESH_SEC = 1.0
+"""Time after which the lock is renewed before further tables are made, s."""
 _SCHEMA = "schema"
 _LOCK = "cr_lock"
 _LOCK_COLUMNS = "name text PRIMARY KEY, owner uuid"
@@ -107,6 +110,8 @@ class SchemaLock:
         self._cassandra = cassandra
         self._table = qualified(keyspace, _LOCK)
         self._owner = uuid.uuid4()
+        self._held_since = -math.inf
+        """Monotonic time before which the lock was taken or renewed last, s."""
 
     def __enter__(self) -> SchemaLock:
         begun, told = time.monotonic(), False
@@ -137,6 +142,7 @@ class SchemaLock:
             _log.warning("the schema lock runs out by itself within %d s: %s", LOCK_TTL_SEC, exc)
 
     def _take(self) -> bool:
+        self._held_since = time.monotonic()
         applied, owner = self._lwt(
             f"INSERT INTO {self._table} (name, owner) VALUES (?, ?) IF NOT EXISTS "
             f"USING TTL {LOCK_TTL_SEC}",
@@ -172,11 +178,13 @@ class SchemaLock:
             SchemaConflict: The lock ran out. Some statements may have been carried out.
         """
         for first in range(0, len(changes), CHANGES_A_RENEWAL):
-            self.renew()
+            if time.monotonic() - self._held_since > FRESH_SEC:
+                self.renew()
             self._cassandra.change_schema(changes[first : first + CHANGES_A_RENEWAL])
 
     def renew(self) -> None:
         """Check that we still hold the lock and restart its time; raises like ``change``."""
+        self._held_since = time.monotonic()
         applied, _ = self._lwt(
             f"UPDATE {self._table} USING TTL {LOCK_TTL_SEC} SET owner = ? WHERE name = ? "
             "IF owner = ?",
@@ -368,7 +376,7 @@ class SideTables:
                 self._make_lock_table()
             if not there.issuperset(wanted):
                 with SchemaLock(self._cassandra, self.keyspace) as lock:
-                    there = self._list()
+                    there = self._names()
                     lock.change_all(
                         [
                             (
@@ -403,6 +411,9 @@ class SideTables:
     def _list(self) -> frozenset[str]:
         # A caller that looks for a table is about to use the keyspace.
         self._cassandra.use_keyspace(self.keyspace)
+        return self._names()
+
+    def _names(self) -> frozenset[str]:
         rows = self._cassandra.system_schema("tables", "table_name", self.keyspace)
         return frozenset(name for (name,) in rows)
 

@@ -222,19 +222,22 @@ class MessageWriter:
         return self._keep(key, Handle(connection, table, conn, node, key[1], warning))
 
     def make_tables(self, several: Sequence[Asked]) -> None:
-        """Find or make the tables of several connections together, before each is connected.
+        """Find or make the tables of several connections together, and store their headers.
 
         It takes a fraction of the time in which ``connect`` makes one after the other.
 
         Raises:
             SchemaConflict, StoreUnavailable: The tables cannot be made. Some may have been made.
         """
-        self._keyspace.new_tables.make_all(
+        asked = [each for each in several if each.connection.md5sum != ANY_MD5]
+        names = self._keyspace.new_tables.make_all(
             [
                 self._new_table(each._replace(format=each.format or self._format))[0]
-                for each in several
-                if each.connection.md5sum != ANY_MD5
+                for each in asked
             ]
+        )
+        self._keyspace.connections.put_all(
+            [(name, each.connection) for name, each in zip(names, asked) if name is not None]
         )
 
     def _new_table(self, asked: Asked) -> tuple[NewTable, str | None]:

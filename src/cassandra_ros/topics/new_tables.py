@@ -149,7 +149,7 @@ class NewTables:
             InvalidKey: The type does not have the field key_part, and the topic is new.
         """
         (name,) = self._schema.ensure_tables([_wish(NewTable(metadata, definition, large))])
-        table = self._tables.by_name(name)
+        table = None if name is None else self._tables.by_name(name)
         if table is None:
             raise WriteFailed(
                 f"the table of topic {metadata.topic} was dropped as soon as it was made: another "
@@ -160,9 +160,12 @@ class NewTables:
                 self._schema.ensure_chunk_table(table)
         return table
 
-    def make_all(self, tables: Sequence[NewTable]) -> None:
-        """Find or make several tables as ``make`` does each, those that are missing together."""
-        self._schema.ensure_tables(list(map(_wish, tables)))
+    def make_all(self, tables: Sequence[NewTable]) -> list[str | None]:
+        """Find or make several tables as ``make`` does each, those that are missing together.
+
+        Return their names; None = it was dropped as soon as it was made.
+        """
+        return self._schema.ensure_tables(list(map(_wish, tables)))
 
     def for_wish(self, wish: Wish, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the requested format."""

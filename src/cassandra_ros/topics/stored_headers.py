@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from functools import lru_cache
-from typing import Callable, Container, Iterator
+from typing import Callable, Container, Iterator, Sequence
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.connection_header import Connection, cut_definition, join_definition
@@ -20,18 +20,27 @@ class ConnectionCache:
 
     def __init__(self, registry: Registry) -> None:
         self._registry = registry
-        self.put: Callable[[str, Connection], int] = lru_cache(MAX_KNOWN)(self._store)
-        """Write a connection of a table (by name) before its first row; return its number."""
+        self._stored: dict[tuple[str, Connection], int] = {}
+        """Table and connection of the headers that were written last → number."""
         self.get: Callable[[str, int], Connection] = lru_cache(MAX_KNOWN)(self._read)
         """Return a connection of a table by its number; raises CorruptMessage if it is missing."""
 
-    def _store(self, table: str, connection: Connection) -> int:
-        topic, number, md5sum = connection.topic, connection.number, connection.md5sum
-        conn = _conn(connection)
-        header, offset, definition = cut_definition(connection.header)
-        row = StoredHeader(topic, number, header, offset, md5sum, definition)
-        self._registry.put_header(table, conn, row)
-        return conn
+    def put(self, table: str, connection: Connection) -> int:
+        """Write a connection of a table (by name) before its first row; return its number."""
+        return self.put_all([(table, connection)])[0]
+
+    def put_all(self, connections: Sequence[tuple[str, Connection]]) -> list[int]:
+        """Write connections of tables (by name) together; return their numbers."""
+        new = {each: _conn(each[1]) for each in connections if each not in self._stored}
+        if new:
+            self._registry.put_headers(
+                [(table, number, _cut(of)) for (table, of), number in new.items()]
+            )
+        numbers = [new[each] if each in new else self._stored[each] for each in connections]
+        if len(self._stored) + len(new) > MAX_KNOWN:
+            self._stored = {}
+        self._stored.update(new)
+        return numbers
 
     def has(self, table: str, connection: Connection) -> bool:
         """Return whether a connection of a table (by name) is stored."""
@@ -57,6 +66,12 @@ def _conn(connection: Connection) -> int:
     text = f"{connection.topic}\0{connection.number}\0".encode("utf-8", "surrogateescape")
     digest = hashlib.md5(text + connection.header).digest()
     return int.from_bytes(digest[:8], "big", signed=True)
+
+
+def _cut(connection: Connection) -> StoredHeader:
+    header, offset, definition = cut_definition(connection.header)
+    number, md5sum = connection.number, connection.md5sum
+    return StoredHeader(connection.topic, number, header, offset, md5sum, definition)
 
 
 def _joined(row: StoredHeader) -> Connection:

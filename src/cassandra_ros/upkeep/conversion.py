@@ -306,8 +306,8 @@ class Conversion:
 
         name, metadata = replacement.begin(self._space.schema, planned, self._topic, self._names)
         new = self._space.tables.get(name, metadata)
-        for _, conn, header in headers:
-            self._space.registry.put_header(name, conn, header)
+        if headers:
+            self._space.registry.put_headers([(name, conn, header) for _, conn, header in headers])
         return new
 
     def _give_up(self, new: TopicTable) -> None:

@@ -173,7 +173,7 @@ def _measurement(ros_cas: RosCassandra, keyspace: str) -> Callable[[TopicSample]
 
 def _size(sample: TopicSample, rates: Rates, measured: float | None) -> TopicSize:
     from cassandra_ros.bag.size_estimate import estimate
-    from cassandra_ros.recording.recording import BLOCK_SEC
+    from cassandra_ros.recording.option_values import BLOCK_SEC
 
     given = (hz for pattern, hz in rates if re.fullmatch(pattern, sample.topic))
     sample.rate_hz = next(given, sample.rate_hz)

@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""An archive of Cassandra's classes, which Java then need not read and check at each start.
+
+A server without data writes it when it ends, once for each Java and folder of jars. Java checks
+the archive at each start: it ignores one that another Java or other jars made.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import Callable
+
+from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server.cluster import LocalCluster
+from cassandra_ros.local_server.jars import find_java, jars_directory
+from cassandra_ros.local_server.nodes import archive_name, find_archive
+from cassandra_ros.local_server.ports import free_port
+from cassandra_ros.local_server.processes import locked
+
+_HEAP = "512M"
+
+
+def make_class_archive(say: Callable[[str], None]) -> bool:
+    """Make the archive for our Java if it is missing; return whether it was missing.
+
+    Raises:
+        ServerError: There is no Java 17, or a server that writes the archive cannot be started.
+    """
+    java, jars = find_java(), jars_directory()
+    try:
+        with locked(jars.parent / f".{jars.name}-classes.lock"):
+            if find_archive(java, jars):
+                return False
+            say("starting Cassandra once, to archive its classes: later starts take less time")
+            _make(java, jars)
+    except OSError as exc:
+        raise ServerError(f"the archive of classes cannot be kept in {jars}: {exc}") from exc
+    return True
+
+
+def _make(java: str, jars: Path) -> None:
+    with tempfile.TemporaryDirectory(prefix=".classes-", dir=jars.parent) as folder:
+        draft = Path(folder) / "classes.jsa"
+        where = Path(folder) / "server"
+        cluster = LocalCluster(where, port=free_port(), heap=_HEAP, archive=draft)
+        try:
+            cluster.start(die_with_us=True)
+        finally:
+            cluster.stop()
+        if not draft.is_file():
+            raise ServerError("Java has written no archive of classes")
+        with draft.open("rb") as file:
+            os.fsync(file.fileno())
+        for old in jars.glob("classes-*.jsa"):  # of a Java that was updated
+            old.unlink()
+        os.replace(draft, jars / f"{archive_name(java)}-{draft.stat().st_size}.jsa")
