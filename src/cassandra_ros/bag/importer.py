@@ -219,24 +219,28 @@ def import_bag(
         run = _run(reader, nodeID, writer_id, format, content)
         formats = _formats(keyspace, reader, numbers, run, is_repeated)
         node = check_new_node(nodeID)
-        with MessageWriter(
-            keyspace, writer_id, format=format, node=node, run=run, limits=limits
+        wanted = {
+            n: Asked(connection, *lengths[n], formats[n])
+            for n, connection in reader.connections.items()
+            if n in numbers
+        }
+        if reader.has_publish_times:
+            store_publish_times(keyspace.side_tables, reader, run)
+        # The bag is read while its tables are made.
+        with ReadAhead(_batches(reader, wanted.keys())) as ahead, MessageWriter(
+            keyspace,
+            writer_id,
+            format=format,
+            node=node,
+            run=run,
+            limits=limits,
+            connections=[*wanted.values()],
         ) as writer:
-            wanted = {
-                n: Asked(connection, *lengths[n], formats[n])
-                for n, connection in reader.connections.items()
-                if n in numbers
-            }
-            if reader.has_publish_times:
-                store_publish_times(keyspace.side_tables, reader, run)
-            # The bag is read while its tables are made.
-            with ReadAhead(_batches(reader, wanted.keys())) as ahead:
-                writer.make_tables([*wanted.values()])
-                handles = {n: _connect(writer, asked) for n, asked in wanted.items()}
-                _name_topics(handles, report)
-                if is_repeated:
-                    _remove_other_blocks(keyspace, handles, run)
-                _write_messages(ahead, writer, handles, report, progress)
+            handles = {n: _connect(writer, asked) for n, asked in wanted.items()}
+            _name_topics(handles, report)
+            if is_repeated:
+                _remove_other_blocks(keyspace, handles, run)
+            _write_messages(ahead, writer, handles, report, progress)
             writer.close(lost=report.lost)
     return report
 

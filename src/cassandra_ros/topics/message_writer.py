@@ -119,6 +119,7 @@ class MessageWriter:
         run: Description of the recording or import, stored with it.
         on_loss: Called with (topic, number of messages, error) of losses; None = the writer raises.
         given: The caller makes the handles; a dropped table of theirs is an error.
+        connections: Connections that will be written; see ``make_tables``.
     """
 
     def __init__(
@@ -136,6 +137,7 @@ class MessageWriter:
         run: Run | None = None,
         on_loss: LossCallback | None = None,
         given: bool = False,
+        connections: Sequence[Asked] = (),
     ) -> None:
         keyspace.side_tables.make()
         self.writer_id = writer_id
@@ -156,6 +158,7 @@ class MessageWriter:
         self._closed = False
         self._take_back: TakeBack | None = None
         self._high = writer_id << COUNTER_BITS
+        self.make_tables(connections)
         if run is not None:
             keyspace.registry.put_run(run, started=True)
         self._rows = RowWriter(
@@ -230,14 +233,16 @@ class MessageWriter:
             SchemaConflict, StoreUnavailable: The tables cannot be made. Some may have been made.
         """
         asked = [each for each in several if each.connection.md5sum != ANY_MD5]
-        names = self._keyspace.new_tables.make_all(
+        if not asked:
+            return
+        tables = self._keyspace.new_tables.make_all(
             [
                 self._new_table(each._replace(format=each.format or self._format))[0]
                 for each in asked
             ]
         )
         self._keyspace.connections.put_all(
-            [(name, each.connection) for name, each in zip(names, asked) if name is not None]
+            [(table.name, each.connection) for table, each in zip(tables, asked) if table]
         )
 
     def _new_table(self, asked: Asked) -> tuple[NewTable, str | None]:

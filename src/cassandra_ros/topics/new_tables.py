@@ -160,12 +160,13 @@ class NewTables:
                 self._schema.ensure_chunk_table(table)
         return table
 
-    def make_all(self, tables: Sequence[NewTable]) -> list[str | None]:
+    def make_all(self, tables: Sequence[NewTable]) -> list[TopicTable | None]:
         """Find or make several tables as ``make`` does each, those that are missing together.
 
-        Return their names; None = it was dropped as soon as it was made.
+        Return them; None = it was dropped as soon as it was made.
         """
-        return self._schema.ensure_tables(list(map(_wish, tables)))
+        names = self._schema.ensure_tables(list(map(_wish, tables)))
+        return [None if name is None else self._tables.by_name(name) for name in names]
 
     def for_wish(self, wish: Wish, definition: Definition) -> TopicTable:
         """Find or make the table for messages of this definition, in the requested format."""
