@@ -26,6 +26,7 @@ MD5SUMS = {
     "cassandra_ros/GetData": "8124e18ea6cdb0d909bc1f6a3a457c80",
     "cassandra_ros/Info": "167aee25def68c26a0c43f575942a618",
     "cassandra_ros/LookupTransform": "820d17e1d1b427a82b0585d6f580fe9f",
+    "cassandra_ros/Mark": "4e428f261adf8db9bcb32cc4f1f6572d",
     "cassandra_ros/PlayerStatus": "1cf9d059b7474f8aeb009aaebf4b8c84",
     "cassandra_ros/Range": "7572f262756c02770bf58b31813cac12",
     "cassandra_ros/RecordTopics": "371374c54b468eb912924b0e26b813c9",

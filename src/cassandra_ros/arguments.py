@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import re
 from numbers import Integral
-from typing import Any, Iterable, Mapping
+from typing import Any, Container, Iterable, Mapping
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
 from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
@@ -28,6 +28,8 @@ key of 65,535 bytes together with a name, a time and a counter."""
 MAX_TEXT_BYTES = 1 << 20
 """Maximum length of any text, UTF-8 bytes. Each client reads the metadata of all topics, so these
 must not hold whole files."""
+MAX_VALUES_BYTES = 1 << 16
+"""Maximum length of the values of an event as JSON, UTF-8 bytes. Many events are read together."""
 MAX_LIMIT = 2**63 - 1
 """Maximum value of a limit for the number of messages or rows."""
 MAX_TTL_SEC = 18 * 365 * 86400
@@ -257,20 +259,39 @@ def check_message_name(topic: str, name: Any) -> str:
     )
 
 
+def check_event_name(name: Any) -> str:
+    """Return the name of an event, or raise InvalidName."""
+    wanted = f"the name of an event, as 'bump', of 1 to {MAX_NAME_BYTES} bytes"
+    text = check_text("name", name, MAX_NAME_BYTES, InvalidName, wanted)
+    if not text:
+        raise InvalidName(f"name='' cannot be used: give {wanted}")
+    return text
+
+
+def check_event_values(values: Any) -> dict[str, Any]:
+    """Return the values of an event if JSON can store them without change, or raise InvalidName."""
+    found = _json_keys("values", values, ())
+    check_text("values", json.dumps(found), MAX_VALUES_BYTES, InvalidName, "smaller values")
+    return found
+
+
 def check_user_keys(keys: Any) -> dict[str, Any]:
     """Return the user's own metadata if JSON can store them without change, or raise InvalidName.
 
     JSON cannot store tuples, sets, bytes, NaN, keys that are not texts, and invalid Unicode.
     """
+    return _json_keys("metadata", keys, FACTS)
+
+
+def _json_keys(what: str, keys: Any, taken: Container[str]) -> dict[str, Any]:
+    """Return a mapping that JSON can store without change, none of whose keys is taken."""
     if not isinstance(keys, Mapping):
-        raise InvalidName(f"metadata={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
+        raise InvalidName(f"{what}={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
     checked: dict[str, Any] = {}
     for name, value in keys.items():
-        if not isinstance(name, str) or not name or name in FACTS:
-            raise InvalidName(
-                f"{name!r:.80} cannot be set as metadata: it is no text, or one of "
-                + ", ".join(FACTS)
-            )
+        if not isinstance(name, str) or not name or name in taken:
+            others = f", or one of {', '.join(FACTS)}" if taken else " of one letter or more"
+            raise InvalidName(f"{name!r:.80} cannot be set as {what}: it is no text{others}")
         try:
             text = json.dumps({name: value}, allow_nan=False, ensure_ascii=False)
             checked.update(json.loads(text.encode("utf-8")))
@@ -279,7 +300,7 @@ def check_user_keys(keys: Any) -> dict[str, Any]:
             reason = str(exc)
         if reason:
             raise InvalidName(
-                f"metadata {name!r:.80}={_shown(value)} cannot be kept as JSON: {reason}; give "
+                f"{what} {name!r:.80}={_shown(value)} cannot be kept as JSON: {reason}; give "
                 "texts, finite numbers, true, false, None, lists, and dicts whose keys are texts"
             )
     return checked

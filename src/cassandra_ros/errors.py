@@ -7,7 +7,7 @@
     + LoginFailed, CertificateRefused, TlsMismatch
   - StoreUnavailable, WriteFailed, AccessDenied, KeyspaceNotFound, SchemaConflict,
     UnsupportedSchema, TopicExists, ClockNotSet, NotConfirmed, ServerError, DownloadFailed
-  - TopicNotFound, MessageNotFound, RunNotFound (also a KeyError)
+  - TopicNotFound, MessageNotFound, RunNotFound, EventNotFound (also a KeyError)
     + BagNotFound, a RunNotFound (also a FileNotFoundError)
   - TransformException
     + LookupException, ConnectivityException, ExtrapolationException
@@ -122,6 +122,10 @@ class MessageNotFound(CassandraRosError, KeyError):
 
 class RunNotFound(CassandraRosError, KeyError):
     """No recording or import has this name or writer id; the text gives the nearest names."""
+
+
+class EventNotFound(CassandraRosError, KeyError):
+    """No stored event has this name or key; the text gives the nearest names."""
 
 
 class BagNotFound(RunNotFound, FileNotFoundError):

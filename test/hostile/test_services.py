@@ -19,6 +19,8 @@ TEXTS = {
     "nearest": ["", "before", "after", "either", "x"],
     "where": ["", "header.stamp > 0", "pose.pose.position.x > 1", "ranges contains 1"],
     "node_id": ["", "a", "é"],
+    "name": ["bump", "", "é"],
+    "values": ["", '{"force": 12.5}', "[1]", '{"a": NaN}'],
     "run": ["", "a", "5", "-1"],
     "target_frame": ["odom", "map", "/odom", ""],
     "source_frame": ["base", "laser", ""],
@@ -62,17 +64,21 @@ def request_of(chance, request_class, statement):
 
 def test_service_requests(give, rosCas):
     from cassandra_ros.nodes.query_node import Services
+    from cassandra_ros.recording.event_marks import EventMarks
 
     srv = importlib.import_module("cassandra_ros.srv")
 
     Drive().store(rosCas, ("/tf", "/tf_static", "/odom", "/scan"), "a")
-    reading, writing = Services(rosCas, False), Services(rosCas, True)
+    marks = EventMarks(rosCas.catalog.keyspace.events.put)
+    reading, writing = (Services(rosCas, able, marks) for able in (False, True))
     handlers = [
         (srv.GetDataRequest, reading.get_data),
         (srv.RangeRequest, reading.range),
         (srv.ExecuteCQLRequest, reading.execute_cql),
         (srv.ExplainCQLRequest, reading.explain_cql),
         (srv.InfoRequest, reading.info),
+        (srv.MarkRequest, reading.mark),
+        (srv.MarkRequest, writing.mark),
         (srv.LookupTransformRequest, reading.lookup_transform),
         (srv.AddDataRequest, writing.add_data),
         (srv.AddDataRequest, reading.add_data),

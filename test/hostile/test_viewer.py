@@ -89,7 +89,7 @@ def request(chance, port):
 
 @contextlib.contextmanager
 def viewer_of(store):
-    with running_viewer(store, limits=LIMITS) as viewer:
+    with running_viewer(store, limits=LIMITS, allow_writes=True) as viewer:
         yield viewer
 
 

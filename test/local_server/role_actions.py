@@ -179,6 +179,10 @@ class User:
         """Name of a topic that the administrator has made for this."""
         return self.fleet.topic()
 
+    def event(self):
+        """An event that the administrator has added for this."""
+        return self.fleet.admin.addEvent(f"e{next(_numbers)}", 9.5)
+
     def left_topic(self):
         """Name of a topic that the administrator has made for this, and does not write to now."""
         with RosCassandra(cqlshrc=self.fleet.cqlshrc, keyspace=KEYSPACE) as store:
@@ -220,7 +224,7 @@ class User:
     @functools.cached_property
     def _viewer(self):
         store = self._open.enter_context(self.open())
-        return self._open.enter_context(running_viewer(store))
+        return self._open.enter_context(running_viewer(store, allow_writes=True))
 
     def service(self, name, **request):
         """Call a service of a query_server that logs in as this user."""
@@ -234,7 +238,8 @@ class User:
 
     def request(self, path, **parameters):
         """Ask a viewer that logs in as this user."""
-        reply = self._viewer.ask(path, parameters)
+        method = "POST" if path == "/api/events/add" else "GET"
+        reply = self._viewer.ask(path, parameters, method)
         if reply.status >= 400:
             assert reply.status == 403, reply.text
             raise Refused(reply.json()["text"])
@@ -315,6 +320,10 @@ VERBS = {
     "rename": lambda user: user.verb("rename", "-q", user.topic(), f"/renamed{next(_numbers)}"),
     "meta": lambda user: user.verb("meta", "/a"),
     "meta KEY=VALUE": lambda user: user.verb("meta", user.topic(), "place=roof"),
+    "event add": lambda user: user.verb("event", "add", "bump", "-q", "--start", "9.5"),
+    "event list": lambda user: user.verb("event", "list"),
+    "event end": lambda user: user.verb("event", "end", user.event().key, "-q", "--end", "10.5"),
+    "event delete": lambda user: user.verb("event", "delete", user.event().key, "-qy"),
     "delete, of messages": lambda user: user.verb(
         "delete", "-qy", user.topic(), "--end", str(T0 // SEC)
     ),
@@ -351,6 +360,7 @@ SERVICES = {
     ),
     "explainCQL": lambda user: user.service("explainCQL", statement="select data from a"),
     "info": lambda user: user.service("info"),
+    "mark": lambda user: user.service("mark", name="bump"),
     "addData, to a stored topic": lambda user: user.service(
         "addData", topic="/a", yaml="data: x", key=T0 + 60 * SEC
     ),
@@ -371,6 +381,7 @@ RECORDER = {
     "resume": lambda user: user.record(services=[("pause", {}), ("resume", {})]),
     "status": lambda user: user.record(services=[("status", {})]),
     "snapshot": lambda user: user.record("--snapshot", "30s", services=[("snapshot", {})]),
+    "mark": lambda user: user.record(services=[("mark", {"name": "bump"})]),
 }
 """Services of a recorder that logs in as the user, which has to store what it hears."""
 
@@ -381,6 +392,8 @@ REQUESTS = {
     "/api/topics": {},
     "/api/runs": {},
     "/api/marks": {},
+    "/api/events": {},
+    "/api/events/add": {"name": "bump", "start": "9.5", "end": "9.6"},
     "/api/timeline": {},
     "/api/query": {"q": "select data from a"},
     "/api/explain": {"q": "select data from a"},

@@ -53,7 +53,7 @@ def test_the_first_that_matches_holds_and_options_go_before_the_file():
     ("text", "said"),
     [
         ("topics: [", "while parsing"),
-        ("- a", "mapping with one key, topics"),
+        ("- a", "mapping with the keys topics and events"),
         ("topics: {a: b}", "must be a list"),
         ("topics: [{format: ros}]", "no mapping with a pattern"),
         ("topics: [{pattern: '('}]", "not a regular expression"),

@@ -86,6 +86,17 @@ export async function get(path, parameters = {}, options = {}) {
 }
 
 /**
+ * Send a request that changes what is stored.
+ * @param {string} path
+ * @param {Parameters} parameters
+ * @returns {Promise<any>}
+ * @throws {ApiError}
+ */
+export async function send(path, parameters) {
+  return (await ask(path, parameters, { method: "POST" })).json();
+}
+
+/**
  * Return whether a request ended because it was aborted.
  * @param {unknown} error
  */

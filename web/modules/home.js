@@ -4,7 +4,7 @@
 /** Page Home: stored topics over time; a selected time range opens in Look or Ask, or as a file. */
 
 import * as api from "./api.js";
-import { showRuns, showTopics } from "./home_tables.js";
+import { showEvents, showRuns, showTopics } from "./home_tables.js";
 import * as page from "./page.js";
 import * as state from "./state.js";
 import { Timeline } from "./timeline.js";
@@ -17,6 +17,9 @@ const MOST_CELLS = 4000;
 /** Maximum number of lanes that are all requested; above it only the visible ones are. */
 const MANY_LANES = 60;
 const MOST_RUNS = 1000;
+/** Maximum number of events that are drawn, and of those that are listed. */
+const MOST_FLAGS = 1000;
+const MOST_LISTED = 200;
 
 const { make } = page;
 
@@ -35,7 +38,7 @@ const panel = make("section", { class: "panel timeline-panel" },
   make("header", {}, selection, zoomButtons(), erasPlace, summary, make("div", { class: "row push" }, chosen, links)),
   box,
   make("p", { class: "keys muted" }, "Wheel: zoom · drag: select · Shift and drag, or drag the axis: move · keys ",
-    ...["+", "−", "←", "→", "Home", "Enter", "Esc"].flatMap((key) => [make("kbd", {}, key), " "])),
+    ...["+", "−", "←", "→", "Home", "Enter", "Esc", "E"].flatMap((key) => [make("kbd", {}, key), " "])),
 );
 const empty = make("section", { class: "panel note grow", id: "empty", hidden: true });
 document.getElementById("home")?.replaceChildren(panel, empty, tables);
@@ -48,6 +51,9 @@ Object.assign(canvas, { timeline });
 /** @type {any} Last answer for all time. */
 let whole = null;
 let following = true;
+/** Whether there are more events than are drawn; then those of the visible time range are requested. */
+let manyEvents = false;
+let updateEvents = () => {};
 /** @type {import("./timeline.js").Span[]} Time ranges with messages, separated by ten years or more. */
 let eras = [];
 let updateTopics = (/** @type {any[]} */ lanes) => {};
@@ -68,14 +74,17 @@ async function load({ again: known = false } = {}) {
   loading = new AbortController();
   const { signal } = loading;
   const choice = chosenParameters();
-  const [answer, marks] = await Promise.all([
+  const [answer, marks, events] = await Promise.all([
     api.get("/api/timeline", { ...choice, pixels: cellsOf(1) }, { signal }),
     api.get("/api/marks", choice, { signal }),
+    askEvents({}, signal),
   ]);
   const before = keysOf(whole);
   whole = answer;
   timeline.picture.take(await ofEra(answer, choice, known, signal), { all: true, whole: true });
   timeline.picture.takeMarks(marks.marks);
+  timeline.picture.takeEvents(events.events);
+  manyEvents = events.more;
   timeline.update();
   box.style.height = `${timeline.wanted}px`;
   const nothing = !timeline.picture.lanes.length;
@@ -162,7 +171,11 @@ async function askWindow(detail) {
   const robots = [...new Set(timeline.seen.map((lane) => lane.node))];
   const nodes = many && robots.length && robots.every(Boolean) ? robots : choice.nodes;
   const asked = { ...choice, topics, nodes, start: from, end: to, pixels: cellsOf(parts), detail };
-  const answer = await api.get("/api/timeline", asked, { signal });
+  const [answer, events] = await Promise.all([
+    api.get("/api/timeline", asked, { signal }),
+    manyEvents ? askEvents({ start: from, end: to }, signal) : null,
+  ]);
+  if (events) timeline.picture.takeEvents(events.events);
   const { runs: known } = timeline.picture;
   timeline.picture.take(answer, { topics, nodes });
   timeline.picture.runs = known;
@@ -171,6 +184,16 @@ async function askWindow(detail) {
   const coarse = answer.lanes.some((/** @type {any} */ lane) => lane.even.length || lane.unknown.length || !lane.exact);
   if (detail || !coarse) return settled();
   later = window.setTimeout(() => askWindow(true).catch(failed), DETAIL_MS);
+}
+
+/**
+ * Request the events to be drawn.
+ * @param {import("./api.js").Parameters} span
+ * @param {AbortSignal} signal
+ */
+function askEvents(span, signal) {
+  const { nodes, runs: names } = state.read();
+  return api.get("/api/events", { nodes, runs: names, limit: MOST_FLAGS, ...span }, { signal });
 }
 
 function stop() {
@@ -259,6 +282,40 @@ timeline.addEventListener("resize", ask);
 timeline.addEventListener("scroll", () => timeline.picture.lanes.length > MANY_LANES && ask());
 timeline.addEventListener("select", note);
 timeline.addEventListener("moment", note);
+
+timeline.addEventListener("mark", () => markSelection().catch(failed));
+
+/** Ask for the name of the selected time range, and make it an event. */
+async function markSelection() {
+  const { selection: span } = timeline;
+  if (!span) return;
+  const { allow_writes: allowed } = await api.get("/api/keyspace");
+  if (!allowed) {
+    throw new api.ApiError("AccessDenied", "This viewer only reads. Start it with --allow-writes to make events here.", 403);
+  }
+  const { nodes } = chosenParameters();
+  const node = nodes.length === 1 ? nodes[0] : timeline.lane?.node ?? "";
+  const name = make("input", { type: "text", id: "event-name", required: true, maxlength: "256", "aria-label": "Name of the event" });
+  const robot = make("span", { class: "muted" }, node ? ` of ${node}` : " of all robots");
+  const form = make("form", { class: "row", id: "event-form" }, "Event", name, robot,
+    make("button", { class: "main" }, "Add"), make("button", { type: "button", onclick: () => close() }, "Cancel"));
+  const close = () => {
+    form.remove();
+    canvas.focus();
+  };
+  form.addEventListener("submit", (event) => {
+    event.preventDefault();
+    api.send("/api/events/add", { name: name.value, start: span.start, end: span.end, node }).then(() => {
+      close();
+      updateEvents();
+      return load({ again: true });
+    }).catch(failed);
+  });
+  form.addEventListener("keydown", (event) => event.key === "Escape" && close());
+  document.getElementById("event-form")?.remove();
+  panel.querySelector("header")?.append(form);
+  name.focus();
+}
 
 let choice = JSON.stringify(chosenParameters());
 state.onChange(() => {
@@ -365,9 +422,10 @@ async function loadTables() {
   const runTable = make("div", { class: "scroll", hidden: true });
   updateTopics = showTopics(topics, all.lanes);
   showRuns(runTable, listed.runs, show);
-  const tabs = [["Topics", topics], ["Runs", runTable]].map(([name, sheet]) => {
-    const count = name === "Topics" ? distinct("topic").length : listed.runs.length;
-    const tab = make("button", { role: "tab", class: "tab" }, `${name} ${count}`);
+  const eventSheet = eventList();
+  const counts = new Map([["Topics", distinct("topic").length], ["Runs", listed.runs.length]]);
+  const tabs = [["Topics", topics], ["Runs", runTable], ["Events", eventSheet]].map(([name, sheet]) => {
+    const tab = make("button", { role: "tab", class: "tab" }, [name, counts.get(String(name)) ?? ""].join(" ").trim());
     tab.addEventListener("click", () => choose(sheet));
     return { tab, sheet };
   });
@@ -378,7 +436,33 @@ async function loadTables() {
     }
   };
   choose(topics);
-  tables.replaceChildren(make("header", { role: "tablist" }, ...tabs.map(({ tab }) => tab)), topics, runTable);
+  tables.replaceChildren(make("header", { role: "tablist" }, ...tabs.map(({ tab }) => tab)), topics, runTable, eventSheet);
+}
+
+/** Make the list of events with its search. */
+function eventList() {
+  const search = make("input", { type: "search", id: "event-search", placeholder: "Search events", "aria-label": "Search events" });
+  const list = make("div", { id: "events" });
+  const more = make("p", { class: "note", hidden: true }, `These are the first ${MOST_LISTED}: search for more letters.`);
+  const show = (/** @type {any} */ event) => {
+    const span = { start: BigInt(event.start), end: event.end === null ? timeline.whole.end : BigInt(event.end) };
+    timeline.show(span);
+    timeline.select(span);
+  };
+  let searching = new AbortController();
+  updateEvents = () => {
+    searching.abort();
+    searching = new AbortController();
+    const { signal } = searching;
+    const { nodes, runs: names } = chosenParameters();
+    api.get("/api/events", { text: search.value, nodes, runs: names, limit: MOST_LISTED }, { signal }).then((answer) => {
+      showEvents(list, answer.events, show);
+      more.hidden = !answer.more;
+    }).catch(failed);
+  };
+  search.addEventListener("input", updateEvents);
+  updateEvents();
+  return make("div", { class: "scroll", hidden: true, id: "event-sheet" }, make("div", { class: "row" }, search), list, more);
 }
 
 // Also if the selection has no messages: the user can change it in the menus.

@@ -1,11 +1,11 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** The tables below the timeline: topics; recordings and imports. */
+/** The tables below the timeline: topics; recordings and imports; events. */
 
 import { make } from "./page.js";
 import * as state from "./state.js";
-import { length, shown } from "./times.js";
+import { LAST, length, shown } from "./times.js";
 
 const SECOND = 1_000_000_000n;
 
@@ -68,6 +68,39 @@ export function showRuns(place, runs, show) {
   ];
   const robots = runs.some((run) => run.node);
   showTable(place, columns.filter((column) => column.name !== "robot" || robots), runs);
+}
+
+/**
+ * Show events.
+ * @param {HTMLElement} place
+ * @param {any[]} events Events of /api/events.
+ * @param {(event: any) => void} show Shows an event in the timeline.
+ */
+export function showEvents(place, events, show) {
+  if (!events.length) {
+    place.replaceChildren(make("p", { class: "note" }, "There is no such event."));
+    return;
+  }
+  const texts = (/** @type {any} */ named) => Object.entries(named).map(([name, value]) => `${name}=${typeof value === "string" ? value : JSON.stringify(value)}`).join(", ");
+  /** @type {Column[]} */
+  const columns = [
+    { name: "event", text: (event) => event.name, cell: (event) => make("button", { class: "plain", title: "Show it in the timeline", onclick: () => show(event) }, event.name) },
+    { name: "robot", text: (event) => event.node || "all" },
+    { name: "from", text: (event) => time(event.start), value: (event) => BigInt(event.start) },
+    { name: "to", text: (event) => (event.end === null ? "lasts" : time(event.end)), value: (event) => BigInt(event.end ?? LAST) },
+    { name: "took", text: (event) => (event.end === null ? "–" : length(BigInt(event.end) - BigInt(event.start))), value: (event) => BigInt(event.end ?? LAST) - BigInt(event.start), number: true },
+    { name: "labels", text: (event) => texts(event.labels) },
+    { name: "values", text: (event) => texts(event.values) },
+    { name: "", text: () => "", cell: (event) => make("a", { href: lookAt(event) }, "Look") },
+  ];
+  showTable(place, columns, events);
+}
+
+/** @param {any} event @returns {string} Address of Look at the time range of an event. */
+function lookAt(event) {
+  const start = BigInt(event.start);
+  const nodes = event.node ? [event.node] : null;
+  return state.link("/look.html", { start, end: event.end === null ? null : BigInt(event.end), time: start, nodes, selection: null });
 }
 
 /** @param {HTMLElement} place @param {Column[]} columns @param {any[]} rows */

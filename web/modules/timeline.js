@@ -46,7 +46,8 @@ const MOST_TEXTS = 5000;
 
 /**
  * Events: `view` when the visible time range changed, `resize`, `scroll` when other rows are visible,
- * `select` when the selection changed, `moment` when a time was clicked.
+ * `select` when the selection changed, `moment` when a time was clicked, `mark` when the selection is to
+ * become an event.
  */
 export class Timeline extends EventTarget {
   /**
@@ -358,6 +359,8 @@ export class Timeline extends EventTarget {
       "[": () => this.select({ start: this.view.start, end: this.moment ?? this.view.end }),
       "]": () => this.select({ start: this.moment ?? this.view.start, end: this.view.end }),
       Escape: () => this.select(null),
+      e: () => this.selection && this.tell("mark"),
+      E: () => this.selection && this.tell("mark"),
     };
     const act = keys[event.key];
     if (!act) return;
@@ -400,6 +403,7 @@ export class Timeline extends EventTarget {
     this.drawSpan(pen);
     pen.restore();
     this.drawAxis(pen, axis);
+    this.drawFlags(pen);
     this.drawStrip(pen);
     this.drawPointer(pen);
   }
@@ -431,6 +435,25 @@ export class Timeline extends EventTarget {
     pen.fillStyle = this.colours.muted;
     const long = length(this.view.end - this.view.start + 1n);
     this.fitted(pen, `${shown(this.view.start, axis.step >= 60_000_000_000n ? 86_400_000_000_000n : 60_000_000_000n)} · ${long}`, 10, STRIP + AXIS / 2 - 1, names - 14);
+  }
+
+  /** @param {CanvasRenderingContext2D} pen Draws the events: a flag at the start, a line to the end. */
+  drawFlags(pen) {
+    const { names, width } = this.size;
+    pen.fillStyle = this.colours.accent;
+    for (const event of this.picture.events) {
+      const x = Math.round(this.xOf(event.start));
+      const end = event.end === null ? width : Math.min(width, this.xOf(event.end));
+      if (end < names || x > width) continue;
+      pen.fillRect(Math.max(names, x), TOP - 3, Math.max(1, end - Math.max(names, x)), 2);
+      if (x < names) continue;
+      pen.fillRect(x, STRIP + 2, 1, AXIS - 4);
+      pen.beginPath();
+      pen.moveTo(x, STRIP + 2);
+      pen.lineTo(x + 8, STRIP + 5);
+      pen.lineTo(x, STRIP + 9);
+      pen.fill();
+    }
   }
 
   /** @param {CanvasRenderingContext2D} pen All time, with the visible time range. */
@@ -609,7 +632,7 @@ export class Timeline extends EventTarget {
   /** @param {CanvasRenderingContext2D} pen */
   drawPointer(pen) {
     const at = this.pointer;
-    if (!at || at.y < TOP || this.drag?.kind === "pan" || (at.x < this.size.names && !this.lineAt(at.y))) {
+    if (!at || at.y < STRIP || (at.y < TOP && !this.eventsAt(this.timeAt(at.x)).length) || this.drag?.kind === "pan" || (at.x < this.size.names && !this.lineAt(at.y))) {
       this.tip.hidden = true;
       return;
     }
@@ -633,6 +656,7 @@ export class Timeline extends EventTarget {
       return line?.kind === "lane" ? [line.lane.types.join(", "), line.lane.topic] : ["robot", line?.node || "unnamed"];
     }
     const found = [shown(ns, (this.view.end - this.view.start) / BigInt(Math.max(1, this.size.width)))];
+    found.push(...this.eventsAt(ns).map((event) => `event ${event.name}${event.node ? ` of ${event.node}` : ""}`));
     if (line?.kind === "robot") {
       const run = this.runAt(line.node, ns);
       for (const mark of this.marksAt(line.node, ns)) {
@@ -660,6 +684,14 @@ export class Timeline extends EventTarget {
       found.push(`lost ${loss.count ?? "some"}: ${loss.text}`);
     }
     return found;
+  }
+
+  /** @param {bigint} ns @returns {any[]} Events at, or near, a time. */
+  eventsAt(ns) {
+    const reach = scaled(this.view.end - this.view.start, CLICK_PX / this.size.width);
+    return this.picture.events
+      .filter((event) => event.start - reach <= ns && (event.end === null || ns <= event.end + reach))
+      .slice(0, 4);
   }
 
   /** @param {string} node @param {bigint} ns @returns {any[]} Starts and ends of recordings near a time. */

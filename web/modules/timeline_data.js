@@ -1,7 +1,7 @@
 // SPDX-FileCopyrightText: 2026 cassandra_ros authors
 // SPDX-License-Identifier: BSD-3-Clause
 // @ts-check
-/** The answers of /api/timeline and /api/marks in the form that the canvas draws. */
+/** The answers of /api/timeline, /api/marks and /api/events in the form that the canvas draws. */
 
 /**
  * @typedef {object} Scale
@@ -127,6 +127,8 @@ export class Picture {
     this.runs = [];
     /** @type {any[]} */
     this.marks = [];
+    /** @type {any[]} Events in or near the visible time range. */
+    this.events = [];
     /** @type {Lane} Sum of all lanes, over all time. */
     this.whole = new Lane("", "");
   }
@@ -167,6 +169,16 @@ export class Picture {
     }
     if (all) this.runs = answer.runs.map(runOf);
     if (whole) this.whole.take(sumOf(answer.lanes, scale), scale);
+  }
+
+  /**
+   * Take an answer of /api/events; an event without an end lasts.
+   * @param {any[]} events
+   */
+  takeEvents(events) {
+    this.events = events.map((event) => ({
+      ...event, start: BigInt(event.start), end: event.end === null ? null : BigInt(event.end),
+    }));
   }
 
   /**

@@ -152,10 +152,10 @@ def _masked(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
 
 
 def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
-    """Return a statement whose NEAR conditions know their times for its robot and runs."""
+    """Return a statement whose NEAR and EVENT conditions know their times."""
     named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
     bounds = bounds_of(select, Read(whose=whose), named, runs)
-    return with_stays(select, tables, bounds.read.whose)
+    return with_stays(select, tables, bounds.read)
 
 
 def _statement(

@@ -28,6 +28,7 @@ from cassandra_ros.messages.stamps import Time, iso_time, to_ns
 from cassandra_ros.read import Read, TimeRange, Whose, Writers
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -158,13 +159,14 @@ def verify_content(
     run: RunName = None,
     salvage: bool = False,
     large_chunks: bool = False,
+    event: EventRule = None,
 ) -> VerifyReport:
     """Compare the messages of each topic in their order, by type, md5sum and bytes only.
 
     Times and connections are not compared: they differ when the bag was played and recorded again.
-    If ``start`` is not after the first message of the bag, messages that an export added as latched
-    before its time range are left out. Without ``start`` they are compared, because a player
-    publishes them, so a recording of it has them.
+    If ``start`` is not after the first message of the bag, or there is an ``event``, messages that
+    an export added as latched before its time ranges are left out. Otherwise they are compared,
+    because a player publishes them, so a recording of it has them.
 
     Memory: two pages of rows for each topic and the memory of read_in_order. For a topic whose key
     is a time in the message, also the keys of all its messages.
@@ -178,8 +180,10 @@ def verify_content(
         progress: Callback for the messages that were compared, see MessageProgress.
         run: Name or writer id of the recording or import to compare with; None = all.
         salvage, large_chunks: As in verify_bag.
+        event: Only stored messages of a robot during its events, as in readMessages.
 
     Raises:
+        EventNotFound: There is no such event.
         BagError, TopicNotFound, RunNotFound: As in verify_bag.
     """
     renamed = dict(mapping or {})
@@ -188,7 +192,8 @@ def verify_content(
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
-        if start is not None and to_ns(start) <= reader.start_ns:
+        early = start is not None and to_ns(start) <= reader.start_ns
+        if early or event is not None:
             numbers -= _leave_out(reader, numbers, report)
         ranks = _Ranks((), positions=False)
         wanted = {reader.connections[n].topic for n in numbers}
@@ -197,8 +202,8 @@ def verify_content(
         for topic in wanted:
             names = stored & {renamed.get(topic, topic)}
             # In the order of the bag, whatever the topic's key is.
-            read = catalog.read_of(names, start, end, catalog.whose(nodeID, writers))
-            rows = catalog.read(names, read, received=True)
+            reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, writers), event)
+            rows = catalog.read_parts(names, reads, received=True)
             comparisons[topic] = Comparison(map(ranks.see, rows), report, _NO_ORDER)
         _compare(reader, numbers, comparisons, progress)
     return report

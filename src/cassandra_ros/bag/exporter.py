@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 import os
+from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
-from typing import Iterable, Iterator, Sequence
+from typing import Iterable, Iterator, Mapping, Sequence
 
 from cassandra_ros.bag.file_formats import make_file
 from cassandra_ros.bag.file_writer import FileWriter
@@ -18,10 +19,16 @@ from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
-from cassandra_ros.overview.latched_messages import latched_before
+from cassandra_ros.overview.latched_messages import LatchedFinder, LatchedRecord, tests_of
+from cassandra_ros.read import LAST_NS, TimeRange
+from cassandra_ros.tables.event_table import Event
 from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.event_finder import EventRule
+from cassandra_ros.topics.event_times import Reads
+from cassandra_ros.topics.row_finder import Filter
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.topic_table import TopicTable
 
 _RUN_NUMBERS = 1 << 16
 """Number of connection numbers that are reserved for each recording or import."""
@@ -36,6 +43,8 @@ class ExportReport:
     """Number of messages by topic."""
     bytes: int = 0
     """Size of the serialised messages, bytes."""
+    events: int = 0
+    """Number of events; only an MCAP can hold them."""
     latched: dict[str, int] = field(default_factory=dict)
     """Number of messages by topic that were latched before the start; part of ``messages``."""
 
@@ -60,6 +69,7 @@ def export_bag(
     empty: bool = False,
     run: RunName = None,
     latched: bool = True,
+    event: EventRule = None,
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0, or into an MCAP.
 
@@ -67,6 +77,7 @@ def export_bag(
     and number, so rosbag reads the messages of an imported bag in their original order: by time,
     connection, position. In an MCAP each connection is a channel. publish_time and sequence are
     those of the MCAP from which a message was imported; for other messages they are log_time and 0.
+    The events of these robots that meet the time of the messages are metadata of an MCAP.
 
     Args:
         path: The file to write: an MCAP if it ends with .mcap, else a bag. Its name is PATH.active
@@ -86,12 +97,15 @@ def export_bag(
         latched: If there is a start, begin the file with the messages that were latched before it:
             the last message of each latching publisher (of /tf_static, say) in the runs that the
             file shows. Their time in the file is the start. Each has a connection of its own, in
-            whose header the field ``latched_from`` is the time at which it was received, ns.
+            whose header the field ``latched_from`` is the time at which it was received, ns. With
+            ``event`` each of its time ranges begins so, as far as they have changed since.
+        event: Only messages of a robot during its events, as in readMessages.
 
     Raises:
         MessageNotFound: There are no messages to export. No file is created or replaced.
         BagError: The file exists, or cannot be written.
         TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
+        EventNotFound: There is no such event of that time, robot and run.
         InvalidOption, InvalidQuery: A condition in ``where`` cannot be parsed or evaluated.
         StoreUnavailable: The store stopped answering; the incomplete file is deleted.
     """
@@ -100,37 +114,74 @@ def export_bag(
     # The caller may have named one topic in two spellings.
     catalog = ros_cas.catalog
     names = None if topics is None else sorted({catalog.get(name).name for name in topics})
-    read = catalog.read_of(names, start, end, catalog.whose(nodeID, run))
-    rows = catalog.read(names, read, where, received=True)
-    low, high = read.time_range
-    before = []
-    if latched and start is not None:
-        before = latched_before(catalog, low, names, to=high, nodeID=nodeID, run=run, where=where)
+    reads = catalog.reads_of(names, start, end, catalog.whose(nodeID, run), event)
+    early = latched and (start is not None or event is not None)
+    found = _found(catalog, names, reads, where, early)
     report = ExportReport(os.fspath(path))
-    first = list(islice(rows, 1))
-    if not (before or first or empty):
+    first = list(islice(found, 1))
+    if not (first or empty):
         why = why_empty(catalog, names, nodeID, run)
         raise MessageNotFound(f"{report.path} is not written, for there is no such message: {why}")
     with make_file(path, compression) as writer:
         numbers = ConnectionNumbers(writer)
         sent = PublishTimeFinder(catalog.keyspace.side_tables, writer.keeps_publish_times)
-        for number, t_ns, row in _numbered(numbers, low, before, chain(first, rows)):
-            wire = row.wire
+        times = TimeRange(LAST_NS, 0)
+        for t_ns, row in chain(first, found):
+            wire, is_early = row.wire, t_ns != row.received
+            number = numbers.latched(row) if is_early else numbers.of(row)
             writer.write(number, t_ns, wire, *sent.of(row, t_ns))
-            report.add(row.topic, len(wire), early=t_ns != row.received)
+            report.add(row.topic, len(wire), is_early)
             if progress is not None:
                 progress(1, len(wire))
+            times = TimeRange(min(times.low, t_ns), max(times.high, t_ns))
+        for exported in _events(catalog, reads, times):
+            report.events += writer.add_event(exported)
     return report
 
 
-def _numbered(
-    numbers: ConnectionNumbers, low: int, before: Iterable[StoredRow], rows: Iterable[StoredRow]
-) -> Iterator[tuple[int, int, StoredRow]]:
-    """Yield (connection number, time, row) of each message, beginning with the latched ones."""
-    for row in before:
-        yield numbers.latched(row), low, row
-    for row in rows:
-        yield numbers.of(row), row.received, row
+def _found(
+    catalog: Catalog,
+    topics: Sequence[str] | None,
+    reads: Reads,
+    where: Conditions,
+    latched: bool,
+) -> Iterator[tuple[int, StoredRow]]:
+    """Yield (time in the file, row) of each message, each part beginning with the latched ones."""
+    tables, whose = catalog.tables(topics), reads.whole.whose
+    filters = catalog.filters(where, topics, whose)
+    finder = LatchedFinder(catalog.keyspace, tables, whose, tests_of(catalog, where, whose))
+    return _rows_of_parts(catalog, tables, filters, reads, finder if latched else None)
+
+
+def _rows_of_parts(
+    catalog: Catalog,
+    tables: Sequence[TopicTable],
+    filters: Mapping[str, Filter],
+    reads: Reads,
+    finder: LatchedFinder | None,
+) -> Iterator[tuple[int, StoredRow]]:
+    written = LatchedRecord()
+    notes = finder is not None and len(reads.parts) > 1 and finder.latches
+    for part in reads.parts:
+        low, high = part.time_range
+        before = [] if finder is None else written.changes(finder.of(part.whose), low, high)
+        for row in before:
+            yield low, row
+        for row in catalog.merged(tables, filters, part, received=True):
+            if notes and finder is not None and finder.is_latched(row):
+                written.note(row)
+            yield row.received, row
+
+
+def _events(catalog: Catalog, reads: Reads, times: TimeRange) -> Iterator[Event]:
+    """Yield the events that meet the time range of the messages, and one of the parts."""
+    if times.low > times.high:
+        return
+    starts = [part.time_range.low for part in reads.parts]
+    for event in catalog.keyspace.events.find(within=times, whose=reads.whole.whose):
+        n = bisect_right(starts, event.time_range.high) - 1
+        if n >= 0 and reads.parts[n].time_range.high >= event.start_ns:
+            yield event
 
 
 def why_empty(

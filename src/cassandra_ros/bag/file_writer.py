@@ -12,6 +12,7 @@ from typing import IO, TypeVar
 
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.tables.event_table import Event
 
 _BUFFER_BYTES = 1 << 16
 """Size of the write buffer, bytes. It is larger than the header of a bag, so writing the header
@@ -34,6 +35,10 @@ class FileWriter(ABC):
 
     keeps_publish_times = False
     """Whether the file format stores delay_ns and sequence, see write."""
+
+    def add_event(self, event: Event) -> bool:
+        """Write an event; return whether the file format can hold it: bags cannot."""
+        return False
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = os.fspath(path)

@@ -8,7 +8,7 @@ import logging
 import os
 import threading
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import AbstractSet, Iterable, Iterator, Mapping
 
@@ -16,6 +16,7 @@ from cassandra_ros.arguments import check_new_node, check_new_topic
 from cassandra_ros.bag import identity
 from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.identity import BagContent, source_of
+from cassandra_ros.bag.mcap_events import event_of
 from cassandra_ros.bag.message_file import (
     MessageBatch,
     MessageFile,
@@ -26,15 +27,23 @@ from cassandra_ros.bag.message_file import (
 from cassandra_ros.bag.publish_times import store_publish_times
 from cassandra_ros.blocks.block_builder import limits_for
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.errors import BagError, InvalidName, TopicExists
+from cassandra_ros.errors import (
+    BagError,
+    CassandraRosError,
+    EventNotFound,
+    InvalidName,
+    TopicExists,
+)
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import message_kind
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
+from cassandra_ros.tables.event_table import Event
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
+from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Asked, Handle, MessageWriter, usable_definition
 from cassandra_ros.topics.removal import delete_time_range
@@ -149,6 +158,8 @@ class ImportReport:
     warnings: list[str] = field(default_factory=list)
     lost: dict[str, int] = field(default_factory=dict)
     """Number of messages that cannot be stored, by topic. A warning gives the reason."""
+    events: int = 0
+    """Number of events in the file that are stored."""
     salvaged: SalvageReport = field(default_factory=SalvageReport)
     """The damage that was found with ``salvage``, if any."""
 
@@ -176,8 +187,9 @@ def import_bag(
     topic was converted to packed or removed after an earlier import, the rows of that import are
     deleted before the messages are stored again.
 
-    For an MCAP publish_time and sequence of each message are stored, too; an export into an MCAP
-    writes them back. Memory does not depend on the size of the bag, except for BagReader's index.
+    For an MCAP publish_time and sequence of each message are stored, too, and its events, which
+    become events of nodeID and of this run; an export into an MCAP writes them back. Memory does
+    not depend on the size of the bag, except for BagReader's index.
 
     Args:
         format: Storage format of all topics, as in addTopic.
@@ -242,7 +254,29 @@ def import_bag(
                 _remove_other_blocks(keyspace, handles, run)
             _write_messages(ahead, writer, handles, report, progress)
             writer.close(lost=report.lost)
+        _store_events(keyspace.events, reader, run, report)
     return report
+
+
+def _store_events(events: Events, reader: MessageFile, run: Run, report: ImportReport) -> None:
+    """Store the events of an MCAP for the robot and the run of the import, each once."""
+    for fields in reader.events:
+        try:
+            event = replace(event_of(fields, reader.path), node=run.node, writer=run.writer)
+            if not _is_stored(events, event):
+                events.put(event)
+            report.events += 1
+        except CassandraRosError as exc:
+            report.warnings.append(f"an event is not stored: {exc}")
+            _log.warning("%s", report.warnings[-1])
+
+
+def _is_stored(events: Events, event: Event) -> bool:
+    """Return whether an earlier import has stored an event, which may have been ended since."""
+    try:
+        return events.get(event).node == event.node
+    except EventNotFound:
+        return False
 
 
 def _connect(writer: MessageWriter, asked: Asked) -> Handle:

@@ -12,9 +12,10 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Schema, Statistics
+from mcap.records import Channel, Header, Metadata, Schema, Statistics
 from mcap.well_known import MessageEncoding, Profile
 
+from cassandra_ros.bag import mcap_events
 from cassandra_ros.bag import mcap_format as mcapformat
 from cassandra_ros.bag.format import ChunkMessages
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
@@ -81,7 +82,7 @@ class McapReader(MessageFile):
     Attributes:
         salvaged: The damage that was found when the file was opened with ``salvage``, if any.
         left_out: Messages of channels with other encodings, see MessageFile.
-        extras: Number of attachments and metadata records, see MessageFile.
+        extras: Number of attachments and metadata records that are no events, see MessageFile.
 
     Raises:
         BagUnindexed: The file was not closed properly, or is cut short.
@@ -273,8 +274,24 @@ class McapReader(MessageFile):
             mcapformat.check_summary(self._file, record, self.path)
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.HEADER):
             self._note_text(kind, self._text(record), self.path)
+        elif kind == Opcode.METADATA and self._note_event(record):
+            pass
         elif kind in _EXTRAS:
             self.extras[_EXTRAS[kind]] = self.extras.get(_EXTRAS[kind], 0) + 1
+
+    def _note_event(self, record: Record) -> bool:
+        """Take a record of metadata if it is an event; return whether it is."""
+        size, full = record.stop - record.start, len(self.events) >= mcap_events.MAX_EVENTS
+        if size > mcap_events.MAX_BYTES or full:
+            return False
+        try:
+            found = mcapformat.parse(Metadata, self._bytes(record), self.path)
+        except BagError:
+            return False  # it is counted with the records that are not stored
+        if found.name != mcap_events.NAME:
+            return False
+        self.events.append(found.metadata)
+        return True
 
     def _take(self, head: ChunkHead, place: Record, position: int) -> None:
         """Count the unpacked size of the chunk at a file offset.

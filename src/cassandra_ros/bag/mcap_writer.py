@@ -10,9 +10,11 @@ from typing import NamedTuple
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
+from cassandra_ros.bag import mcap_events
 from cassandra_ros.bag.file_writer import FileWriter
 from cassandra_ros.bag.mcap_channel import NUMBER, to_channel
 from cassandra_ros.errors import BagError
+from cassandra_ros.tables.event_table import Event
 
 CHUNK_BYTES = 1 << 20
 """Size of a chunk's content above which the chunk is closed, bytes; the default of mcap."""
@@ -75,6 +77,14 @@ class McapWriter(FileWriter):
             self._writer.add_message(channel, t_ns, data, t_ns + delay_ns, sequence)
         except OSError as exc:
             raise self._failure(exc) from exc
+
+    def add_event(self, event: Event) -> bool:
+        """Write an event as metadata, see FileWriter."""
+        try:
+            self._writer.add_metadata(mcap_events.NAME, mcap_events.fields_of(event))
+        except OSError as exc:
+            raise self._failure(exc) from exc
+        return True
 
     def _finish(self) -> None:
         self._writer.finish()  # type: ignore[no-untyped-call]  # of the library

@@ -14,7 +14,7 @@ from collections import Counter
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
-from typing import AbstractSet, Callable, Iterable, Iterator, NamedTuple, TypeVar
+from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -227,6 +227,11 @@ class MessageFile(ABC):
     def left_out(self) -> dict[str, tuple[int, str]]:
         """See the class; none unless its reader notes some."""
         return {}
+
+    @cached_property
+    def events(self) -> list[Mapping[str, str]]:
+        """Fields of the events in the file, see mcap_events; none unless its reader notes some."""
+        return []
 
     @cached_property
     def extras(self) -> dict[str, int]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from itertools import islice
 from typing import TYPE_CHECKING, Callable, Iterable
 
 from cassandra_ros.cli.options import open_store
@@ -19,6 +20,8 @@ from cassandra_ros.errors import CassandraRosError
 if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
+_MOST_EVENTS = 1000
+"""Maximum number of events that are read for the candidates of --event."""
 _ASKED = "_ARGCOMPLETE"
 """Environment variable that the shell sets to ask for candidates."""
 
@@ -108,10 +111,15 @@ def _keyspaces(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[
     return [keyspace.name for keyspace in ros_cas.getKeyspaces()]
 
 
+def _events(ros_cas: RosCassandra, _options: argparse.Namespace) -> Iterable[str]:
+    return {event.name for event in islice(ros_cas.events(), _MOST_EVENTS)}
+
+
 _OFFERED = {
     **dict.fromkeys(("topic", "topics", "more", "pause_topics", "odom", "store"), _topics),
     "field": _fields,
     **dict.fromkeys(("run", "name"), _runs),
+    "event": _events,
     "node_id": _nodes,
     "keyspace": _keyspaces,
 }

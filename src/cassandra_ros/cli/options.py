@@ -18,6 +18,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
 
+from cassandra_ros.cli.readers import seconds
 from cassandra_ros.connection.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
     from cassandra_ros.connection.outage import Outage
     from cassandra_ros.messages.stamps import Stamp
+    from cassandra_ros.topics.event_finder import EventRule
 
 DEFAULT_CONSISTENCY = "LOCAL_QUORUM"
 CONSISTENCY_LEVELS = ("ONE", "TWO", "QUORUM", DEFAULT_CONSISTENCY, "ALL")
@@ -44,6 +46,8 @@ RETRY_SEC = 1.0
 """Interval between two attempts to connect during --wait, s."""
 _MOST_TABLES = 5
 """Maximum number of tables of another program named in a warning."""
+_OWN_SIGNS = ("--map", "--where", "--around", "--keep", "--event")
+"""Options whose values may contain ``:=``."""
 _REMAPPING = re.compile(r"[A-Za-z0-9_~/]*:=")
 
 
@@ -324,6 +328,26 @@ def read_time(option: str, text: str | None) -> Stamp | None:
         raise InvalidOption(f"--{option} {exc}") from exc
 
 
+def add_event_options(parser: argparse._ActionsContainer, what: str = "") -> None:
+    """Add --event, --before and --after, with ``what`` before their help texts."""
+    add = parser.add_argument
+    text = f"{what}only messages of a robot during its events of this name (default: of all time)"
+    add("--event", metavar="NAME", type=lambda text: text or None, help=text)
+    text = f"{what}with --event: time before each event, as 5s or 2m (default: 0)"
+    add("--before", metavar="SEC", type=seconds, default=0.0, help=text)
+    text = f"{what}with --event: time after each event (default: 0)"
+    add("--after", metavar="SEC", type=seconds, default=0.0, help=text)
+
+
+def read_event(options: argparse.Namespace) -> EventRule:
+    """Return the events that --event, --before and --after choose; None = --event is missing."""
+    if options.event is None:
+        if options.before or options.after:
+            options.parser.error("--before and --after go with --event")
+        return None
+    return options.event, options.before, options.after
+
+
 def add_origin_options(parser: argparse.ArgumentParser) -> None:
     """Add --node-id and --run, which select messages by robot and by run."""
     add = parser.add_argument
@@ -338,8 +362,9 @@ def add_origin_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_message_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that select messages by time, robot, run and condition."""
+    """Add the options that select messages by time, event, robot, run and condition."""
     add_time_options(parser)
+    add_event_options(parser)
     add_origin_options(parser)
     add_where_option(parser)
 
@@ -395,7 +420,8 @@ def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     """Remove arguments that rosrun and roslaunch add: ``__name:=x``, ``_param:=y``, ``from:=to``.
 
     Like rospy.myargv, but without rospy. Two kinds of arguments with ``:=`` are kept: those whose
-    left side is not a name (a statement, say), and the values of --map, --where, --around, --keep.
+    left side is not a name (a statement, say), and the values of --map, --where, --around, --keep,
+    --event.
 
     Args:
         argv: Arguments without the program's name; None = the arguments of the process.
@@ -404,5 +430,5 @@ def strip_remappings(argv: Sequence[str] | None) -> list[str]:
     return [
         word
         for previous, word in zip(["", *words], words)
-        if not _REMAPPING.match(word) or previous in ("--map", "--where", "--around", "--keep")
+        if not _REMAPPING.match(word) or previous in _OWN_SIGNS
     ]

@@ -113,10 +113,12 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
         help="play all topics, but only around the times at which a message of TOPIC satisfies "
         "CONDITION (default: play everything)",
     )
-    text = "with --around: seconds to play before each of these messages (default: %(default)s)"
-    add("--before", metavar="SEC", type=seconds, default=5.0, help=text)
-    text = "with --around: seconds to play after each of these messages (default: %(default)s)"
-    add("--after", metavar="SEC", type=seconds, default=10.0, help=text)
+    text = "play only messages of a robot during its events of this name (default: of all time)"
+    add("--event", metavar="NAME", action=_Once, help=text)
+    text = "time to play before each of these messages (default: 5), or of the events (default: 0)"
+    add("--before", metavar="SEC", type=seconds, help=text)
+    text = "time to play after each of these messages (default: 10), or of the events (default: 0)"
+    add("--after", metavar="SEC", type=seconds, help=text)
     align = group.add_mutually_exclusive_group()
     text = "play all runs at once, as if their first messages had the same time"
     align.add_argument("--align-start", action="store_true", help=text)
@@ -175,10 +177,14 @@ def read_selection(options: argparse.Namespace) -> PlaySelection:
     from cassandra_ros.playing.play_selection import PlaySelection
 
     around, values = options.around, same_named(PlaySelection, options)
+    reach = {name: values.pop(name) for name in ("before", "after")}
+    event = (options.event, reach["before"] or 0.0, reach["after"] or 0.0)
+    values.update({name: length for name, length in reach.items() if length is not None})
     values.update(
         topics=[*options.topics, *options.more] or None,
         nodeID=options.node_id,
         where=read_where(options) or None,
+        event=event if options.event else None,
         around=around and read_pair(around, ":", "'TOPIC: CONDITION'"),
     )
     return PlaySelection(**values)

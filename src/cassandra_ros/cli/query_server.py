@@ -3,9 +3,9 @@
 """Provide services that read recorded topics.
 
 The services are ~getData, ~range, ~executeCQL, ~explainCQL, ~info and ~lookupTransform, and with
---allow-writes also ~addData and ~removeData. The node is called cassandra_ros. Its parameters
-~host, ~port, ~keyspace, ~cqlshrc, ~credentials and ~allow_writes set the options of the same names
-that are missing on the command line.
+--allow-writes also ~addData, ~removeData and ~mark. The node is called cassandra_ros. Its
+parameters ~host, ~port, ~keyspace, ~cqlshrc, ~credentials and ~allow_writes set the options of the
+same names that are missing on the command line.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def make_parser() -> argparse.ArgumentParser:
         "--allow-writes",
         action="store_true",
         help="allow DELETE, TRUNCATE, CREATE INDEX and DROP INDEX in executeCQL, and the services "
-        "addData and removeData (default: refuse what changes stored data)",
+        "addData, removeData and mark (default: refuse what changes stored data)",
     )
     return parser
 

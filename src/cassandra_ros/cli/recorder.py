@@ -6,8 +6,8 @@ Ctrl-C, SIGTERM and the shutdown of the node end the recording, after all receiv
 stored. The exit status is 1 if messages were lost, or if a topic that you named had no publisher.
 
 Each recording is a run; the option --run of other programs selects it. The services ~start, ~stop,
-~pause, ~resume, ~status and ~snapshot control the recorder. Every option can also be set as a
-private parameter of the node: its long name with _ for -, as in ~node_id; ~topics is a list.
+~pause, ~resume, ~status, ~snapshot and ~mark control the recorder. Every option can also be set as
+a private parameter of the node: its long name with _ for -, as in ~node_id; ~topics is a list.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import shutil
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Callable, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.cli.candidates import answer_shell
@@ -47,6 +47,7 @@ from cassandra_ros.recording.option_values import (
 )
 
 if TYPE_CHECKING:
+    from cassandra_ros.recording.event_marks import WatchedEvent
     from cassandra_ros.recording.recording_options import RecorderOptions
     from cassandra_ros.recording.topic_settings import Rule
 
@@ -156,11 +157,11 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     text = "record at most HZ messages a second of a topic, or of each topic; may be repeated"
     add("--rate-limit", metavar="[TOPIC:]HZ", type=checked(read_limit), action="append", help=text)
     text = (
-        "YAML file with format, ttl, rate_limit, where, key_part and index for patterns of topics; "
-        "see config/recorder.yaml. --where and --rate-limit override it, it overrides --format "
-        "(default: no file)"
+        "YAML file with format, ttl, rate_limit, where, key_part and index for patterns of topics, "
+        "and with events; see config/recorder.yaml. --where and --rate-limit override it, it "
+        "overrides --format (default: no file)"
     )
-    add("--config", metavar="FILE", type=checked(read_config), default=(), help=text)
+    add("--config", metavar="FILE", type=checked(read_config), default=_Config(), help=text)
     text = (
         "format packed: maximum time that a message waits until its block is stored (default: "
         "0.5 s)"
@@ -244,14 +245,22 @@ def read_limit(text: str) -> tuple[str, float]:
     return check_pattern(topic.strip() or ".*"), read_rate(rate.strip())
 
 
-def read_config(name: str) -> Sequence[Rule]:
+class _Config(NamedTuple):
+    """What a settings file says."""
+
+    rules: Sequence[Rule] = ()
+    events: Sequence[WatchedEvent] = ()
+
+
+def read_config(name: str) -> _Config:
     """Read a settings file. An empty name, which a launch file may pass, means no file."""
     if not name:
-        return ()
-    from cassandra_ros.recording.topic_settings import read_settings
+        return _Config()
+    from cassandra_ros.recording.topic_settings import read_events, read_settings
 
     try:
-        return read_settings(Path(name).read_text(encoding="utf-8"), name)
+        text = Path(name).read_text(encoding="utf-8")
+        return _Config(read_settings(text, name), read_events(text, name))
     except (OSError, UnicodeDecodeError) as exc:
         raise InvalidOption(f"the settings {name!r} cannot be read: {exc}") from exc
 
@@ -321,6 +330,7 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
         parser.error(str(exc))
     values = same_named(RecorderOptions, options)
     values["labels"] = dict(options.labels or ())
+    values.update(config=options.config.rules, events=options.config.events)
     values.update(where=options.where or (), rate_limit=options.rate_limit or ())
     hosts, port = store_place(options)
     values.update(free_space=local_space(hosts), address=f"{','.join(hosts)}:{port}")

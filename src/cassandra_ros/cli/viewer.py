@@ -81,6 +81,8 @@ def make_parser() -> argparse.ArgumentParser:
         help="allow pages of another site to read, for example https://app.foxglove.dev; may be "
         "repeated",
     )
+    text = "allow clients to add events (default: the viewer only reads)"
+    add("--allow-writes", action="store_true", help=text)
     text = "download Foxglove Studio for the page Look from npm's registry (37 MB), and end"
     add("--install-studio", action="store_true", help=text)
     add("--open", action="store_true", help="open it in the browser of this machine")
@@ -111,6 +113,7 @@ def read_settings(options: argparse.Namespace) -> ViewerSettings:
         port=options.listen_port,
         token=token,
         allow_origin=tuple(origin.rstrip("/") for origin in options.allow_origin),
+        allow_writes=options.allow_writes,
         cache=Path(options.cache) if options.cache else None,
         cache_bytes=options.cache_size,
     )

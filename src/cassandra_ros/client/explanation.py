@@ -11,13 +11,13 @@ from typing import Iterator
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.syntax import (
+    TIMED,
     All,
     Compare,
     Either,
     Expression,
     IsNull,
     Leaf,
-    Near,
     Negation,
     Path,
     Quantified,
@@ -69,7 +69,7 @@ class Explanation:
     counted: bool = False
     """Whether the directory of buckets had the answer, so that no row was read."""
     time_ranges: int | None = None
-    """Number of time ranges selected by NEAR; None: no NEAR, or it selects all time."""
+    """Number of time ranges selected by NEAR and EVENT; None: neither limits the time."""
 
     def __repr__(self) -> str:
         read = self.indexed + self.filtered + self.whole
@@ -84,7 +84,7 @@ class Explanation:
             f"{self.sifted} were sifted out; not read: those of {self.unread} messages"
         ]
         of = "of" if self.time_ranges is None else "reads, of"
-        near = [f"near:          read in {self.time_ranges} time ranges"]
+        times = [f"times:         read in {self.time_ranges} time ranges"]
         ways = [f"{count} {how}" for how, count in counts.items() if count]
         return "\n".join(
             [
@@ -95,7 +95,7 @@ class Explanation:
                 *(blocks if self.blocks or self.unread else ()),
                 f"server:        {'; '.join(self.server) or 'checks nothing'}",
                 f"client alone:  {'; '.join(self.client) or 'nothing'}",
-                *(near if self.time_ranges is not None else ()),
+                *(times if self.time_ranges is not None else ()),
                 f"rows read:     {self.rows_read}" + ", the directory counts" * self.counted,
                 f"rows returned: {self.rows_returned}",
             ]
@@ -150,7 +150,7 @@ def _shown(condition: Expression) -> str:
 
 
 def _leaf(leaf: Leaf) -> str:
-    if isinstance(leaf, (Relate, Quantified, Near)):
+    if isinstance(leaf, (Relate, Quantified, *TIMED)):
         return leaf.text
     if isinstance(leaf, IsNull):
         return f"{leaf.operand.text} IS NULL"

@@ -25,11 +25,14 @@ from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.printable import public_names
 from cassandra_ros.read import Read
 from cassandra_ros.tables.context_blob import RunContext
+from cassandra_ros.tables.event_table import Event
 from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog, Conditions, Pair, nearest_pairs
 from cassandra_ros.topics.descriptions import InfoList, RunList
+from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.keyspace_list import KeyspaceInfo, list_keyspaces
+from cassandra_ros.topics.message_adder import now_ns
 from cassandra_ros.topics.message_writer import MessageWriter, make_writer
 from cassandra_ros.topics.new_tables import wished_topic, with_key
 from cassandra_ros.topics.query_result import QueryResult, Rows
@@ -329,6 +332,81 @@ class RosCassandra:
         read = Read(range_between(key, to_key), catalog.whose(nodeID, run))
         return catalog.keyspace.runs.losses(names, read)
 
+    def addEvent(
+        self,
+        name: str,
+        start: Time,
+        end: Time | None = None,
+        *,
+        nodeID: str = "",
+        run: RunName = None,
+        labels: Mapping[str, str] | None = None,
+        values: Mapping[str, Any] | None = None,
+    ) -> Event:
+        """Give a time range of a robot a name; return the event. Two calls make two events.
+
+        Args:
+            name: Any text of 1 to 256 bytes.
+            start, end: First and last time, both included; end None = the event lasts.
+            nodeID: The robot; '' = the event is of all robots.
+            run: Run to which the event belongs, by name (the newest of that name) or writer id.
+            labels: Texts by name, as of a run.
+            values: Numbers, texts, lists and the like by name, which JSON gives back unchanged.
+
+        Raises:
+            InvalidKey: A time is not valid, or the end is before the start.
+            InvalidName: The name, nodeID, a label or a value cannot be stored.
+            RunNotFound: There is no such run.
+        """
+        return self.catalog.keyspace.events.add(name, start, end, nodeID, run, labels, values)
+
+    def endEvent(self, event: Event | str, end: Time | None = None) -> Event:
+        """Set the end of an event, given itself or by its key, and return it as it is then.
+
+        Args:
+            end: Last time, included; None = now, by the clock of messages without a key.
+
+        Raises:
+            EventNotFound: The event was removed.
+            InvalidKey: The end is not a time, or is before the start.
+        """
+        now = now_ns(self._clock) if end is None else end
+        return self.catalog.keyspace.events.end(event, now)
+
+    def events(
+        self,
+        name: str | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
+        *,
+        like: str | None = None,
+        nodeID: str | None = None,
+        run: RunName = None,
+    ) -> Iterator[Event]:
+        """Read events lazily, in order of their starts.
+
+        Args:
+            name: Name of the events; None = all names.
+            key, to_key: Time range that the events meet, both ends included; None = open.
+            like: Pattern of LIKE for the names, as 'bump%', instead of a name.
+            nodeID: Robot of the events; those of all robots are included; None = any.
+            run: Run of the events; those of no run are included; None = any.
+
+        Raises:
+            InvalidName, InvalidKey, RunNotFound: A name, a time or the run is not valid.
+        """
+        catalog = self.catalog
+        within, whose = range_between(key, to_key), catalog.whose(nodeID, run)
+        return catalog.keyspace.events.find(name, like, within, whose)
+
+    def removeEvent(self, event: Event | str) -> None:
+        """Delete an event, given itself or by its key; messages stay.
+
+        Raises:
+            EventNotFound: It is not stored (any more).
+        """
+        self.catalog.keyspace.events.remove(event)
+
     def readMessages(
         self,
         topics: Iterable[str] | None = None,
@@ -339,6 +417,7 @@ class RosCassandra:
         received: bool = False,
         where: Conditions = None,
         run: RunName = None,
+        event: EventRule = None,
     ) -> Iterator[StoredRow]:
         """Read the rows of several topics lazily, merged by time.
 
@@ -355,16 +434,19 @@ class RosCassandra:
             received: Use receive times, as in a bag, also for topics with another key time.
             where: Topic → condition, a text or (text, parameters), that the topic's messages must
                 satisfy.
+            event: Name of events, or (name, seconds before, seconds after): only messages of a
+                robot during its events, and in the time before and after each.
 
         Raises:
             TopicNotFound, RunNotFound: One of the topics is not stored, or there is no such run.
+            EventNotFound: There is no such event of that time, robot and run.
             InvalidOption: A condition is for a topic that is not read.
             InvalidQuery: A condition is not valid.
             InvalidName, InvalidKey: A name or time is not valid.
         """
         names, catalog = check_topics(topics), self.catalog
-        read = catalog.read_of(names, key, to_key, catalog.whose(nodeID, run))
-        return catalog.read(names, read, where, received=received)
+        reads = catalog.reads_of(names, key, to_key, catalog.whose(nodeID, run), event)
+        return catalog.read_parts(names, reads, where, received=received)
 
     def near(
         self,

@@ -9,7 +9,7 @@ import logging
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, Callable, Iterator, NamedTuple, Sequence
 
 import numpy as np
@@ -31,9 +31,10 @@ from cassandra_ros.mapping.sensor_poses import PoseChoice, SensorPoses
 from cassandra_ros.messages.stamps import Stamp, Time, to_ns
 from cassandra_ros.places.poses import Poses
 from cassandra_ros.places.rigid import Rigid
-from cassandra_ros.read import Writers
+from cassandra_ros.read import Read, Whose, Writers
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -124,6 +125,7 @@ def makeMap(
     options: MapOptions = _ALL,
     poses: PoseChoice = _BEST,
     progress: Progress | None = None,
+    event: EventRule = None,
 ) -> MadeMap:
     """Make an occupancy grid from stored sensor_msgs/LaserScan or PointCloud2.
 
@@ -144,8 +146,10 @@ def makeMap(
         options: Cells and beams.
         poses: Source of the poses.
         progress: Called with the number of processed messages.
+        event: Only messages of a robot during its events, as in readMessages.
 
     Raises:
+        EventNotFound: There is no such event of that time, robot and run.
         TopicNotFound, RunNotFound: The topic, the source of the poses, or the run is not stored.
         TypeMismatch: The topic has no scans, clouds or maps, or the topic ``odom`` has no poses.
         MessageNotFound: The topic has no message in the time range.
@@ -157,7 +161,12 @@ def makeMap(
     stored = rosCas.getTopic(topic)
     each = [nodeID] if nodeID is None or isinstance(nodeID, str) else nodeID
     nodes = [None if node is None else check_node(node) for node in each]
-    rows = _SelectedRows(stored, key, to_key, nodes, rosCas.catalog.keyspace.runs.writers(run))
+    writers = rosCas.catalog.keyspace.runs.writers(run)
+    rows = _SelectedRows(stored, key, to_key, nodes, writers)
+    if event is not None:
+        whose = Whose(tuple(node for node in nodes if node is not None) or None, writers)
+        reads = rosCas.catalog.reads_of([stored.name], key, to_key, whose, event)
+        rows = replace(rows, parts=reads.parts)
     types = {table.msg_type for table in stored.tables}
     if types == {OCCUPANCY_GRID}:
         return _stored_map(rows, name)
@@ -190,12 +199,20 @@ class _SelectedRows:
     nodes: Sequence[str | None]
     """nodeIDs of the robots; None = all robots."""
     writers: Writers
+    parts: Sequence[Read] | None = None
+    """Reads of the messages during events; None = all messages from key to to_key."""
 
     def count(self) -> int:
+        if self.parts is not None:
+            return sum(map(self.topic.count, self.parts))
         count = partial(self.topic.countTopicData, self.key, self.to_key, run=self.writers)
         return sum(count(node) for node in self.nodes)
 
     def read(self, reverse: bool = False, limit: int | None = None) -> Iterator[StoredRow]:
+        if self.parts is not None:
+            parts = reversed(self.parts) if reverse else self.parts
+            directed = (replace(part, reverse=reverse, wanted=limit) for part in parts)
+            return islice(chain.from_iterable(map(self.topic.read, directed)), limit)
         read = partial(self.topic.rows, self.key, self.to_key, run=self.writers, limit=limit)
         streams = [read(nodeID=node, reverse=reverse) for node in self.nodes]
         rows = heapq.merge(*streams, key=lambda row: row.position, reverse=reverse)
@@ -208,10 +225,17 @@ class _SelectedRows:
 
     def some_times(self, node: str) -> list[int]:
         """Return the row keys of the first, a middle and the last message of a robot, ns."""
-        mine = replace(self, nodes=[node])
+        parts = self.parts and [part for part in self.parts if _is_of(part, node)]
+        mine = replace(self, nodes=[node], parts=parts)
         first, last = (next((row.t for row in mine.read(way, 1)), 0) for way in (False, True))
         later = replace(mine, key=Stamp.from_ns((first + last) // 2), to_key=None)
+        if parts:
+            later = replace(mine, parts=parts[len(parts) // 2 :])
         return [first, next((row.t for row in later.read(limit=1)), last), last]
+
+
+def _is_of(part: Read, node: str) -> bool:
+    return part.whose.nodes is None or node in part.whose.nodes
 
 
 def _stored_map(wanted: _SelectedRows, name: str | None) -> MadeMap:

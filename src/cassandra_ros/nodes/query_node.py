@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import islice
@@ -12,10 +13,12 @@ from typing import Callable, Iterator, Mapping, Sequence, TypeVar
 
 import rospy
 
+from cassandra_ros.arguments import check_new_node
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
     AnswerTooLarge,
     CassandraRosError,
+    ClockNotSet,
     CorruptMessage,
     DefinitionError,
     InvalidKey,
@@ -33,6 +36,7 @@ from cassandra_ros.messages.classes import (
 from cassandra_ros.messages.definition import Definition, parse_definition
 from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage, StoredTopic
+from cassandra_ros.nodes.mark_answer import pack_event, read_values
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.ros_node import bound_master_calls, forward_logging, own_name
 from cassandra_ros.query.rows.answer_bound import AnswerBound
@@ -40,6 +44,8 @@ from cassandra_ros.query.tree.json_values import from_json
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
+from cassandra_ros.recording.event_marks import EventMarks
+from cassandra_ros.recording.option_values import read_label
 from cassandra_ros.srv import (
     AddData,
     AddDataRequest,
@@ -59,6 +65,9 @@ from cassandra_ros.srv import (
     LookupTransform,
     LookupTransformRequest,
     LookupTransformResponse,
+    Mark,
+    MarkRequest,
+    MarkResponse,
     Range,
     RangeRequest,
     RangeResponse,
@@ -67,6 +76,7 @@ from cassandra_ros.srv import (
     RemoveDataResponse,
 )
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.message_adder import now_ns
 from cassandra_ros.topics.query_result import Condition
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import TopicInfo
@@ -129,7 +139,8 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
         say: Prints a line for the user.
         allow_writes: Whether requests that change stored messages are allowed.
     """
-    services = Services(ros_cas, allow_writes)
+    marks = EventMarks(ros_cas.catalog.keyspace.events.put)
+    services = Services(ros_cas, allow_writes, marks)
     for name, (kind, response_class, method) in SERVICES.items():
         handler = getattr(services, method)
         rospy.Service(f"~{name}", kind, partial(_answer, handler, response_class))
@@ -141,6 +152,8 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
     how = "writes are allowed" if allow_writes else "read-only"
     say(f"serving keyspace {ros_cas.keyspace}, {how}")
     rospy.spin()
+    with suppress(ClockNotSet):  # then no event has begun
+        marks.end_all(now_ns(None))
 
 
 def _answer(
@@ -166,6 +179,8 @@ class Services:
     ros_cas: RosCassandra
     allow_writes: bool
     """Whether requests that change stored messages are allowed."""
+    marks: EventMarks
+    """The events that requests have begun and not ended."""
 
     def get_data(self, request: GetDataRequest) -> GetDataResponse:
         """Answer GetData."""
@@ -305,6 +320,17 @@ class Services:
         t_ns = key.t if isinstance(key, RowName) else to_ns(key)
         return AddDataResponse(True, "", _time(t_ns), clean(str(key)))
 
+    def mark(self, request: MarkRequest) -> MarkResponse:
+        """Answer Mark."""
+        if not self.allow_writes:
+            return MarkResponse(success=False, message=READ_ONLY)
+        labels, values = dict(map(read_label, request.labels)), read_values(request.values)
+        node = check_new_node(request.node_id)
+        event = self.marks.mark(request.name, now_ns(None), node, labels, values)
+        response = MarkResponse(success=True)
+        pack_event(event, response)
+        return response
+
     def remove_data(self, request: RemoveDataRequest) -> RemoveDataResponse:
         """Answer RemoveData."""
         if not self.allow_writes:
@@ -342,6 +368,7 @@ SERVICES: Mapping[str, tuple[type, Callable[..., Response], str]] = {
     "explainCQL": (ExplainCQL, ExplainCQLResponse, "explain_cql"),
     "info": (Info, InfoResponse, "info"),
     "addData": (AddData, AddDataResponse, "add_data"),
+    "mark": (Mark, MarkResponse, "mark"),
     "removeData": (RemoveData, RemoveDataResponse, "remove_data"),
     "lookupTransform": (LookupTransform, LookupTransformResponse, "lookup_transform"),
 }

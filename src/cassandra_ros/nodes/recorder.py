@@ -10,6 +10,7 @@ import struct
 import threading
 import time
 from concurrent.futures import Future
+from contextlib import suppress
 from dataclasses import replace
 from typing import Callable, Collection, Iterable, Mapping, Sequence
 
@@ -18,12 +19,13 @@ from std_msgs.msg import String
 
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.errors import CassandraRosError, InvalidName, InvalidOption
+from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidName, InvalidOption
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.run_context import keep_context
 from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, subscribed_topics
 from cassandra_ros.recording.backlog import OnDisk
+from cassandra_ros.recording.event_marks import EventMarks
 from cassandra_ros.recording.left_runs import LeftRuns
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
@@ -38,6 +40,7 @@ from cassandra_ros.recording.run_series import RunSeries
 from cassandra_ros.recording.snapshot import Snapshots
 from cassandra_ros.recording.store_future import Store, store_future, then
 from cassandra_ros.recording.topic_counts import TopicReport, merge_reports
+from cassandra_ros.tables.event_table import Event
 from cassandra_ros.tables.registry import LossKind
 
 _log = logging.getLogger(__name__)
@@ -91,6 +94,7 @@ class Recorder:
         self._left_runs: LeftRuns | None = None
         self._series = series = RunSeries(self._store, options, now_ns, self._begun)
         bound = options.snapshot
+        self._marks = EventMarks(series.events.put)
         self._snapshots = (
             None
             if bound is None
@@ -187,8 +191,35 @@ class Recorder:
             for thread in self._contexts:
                 thread.join(CONTEXT_SEC)
             self._contexts.clear()
+            self._series.filters.end_events()
             self._series.end(self._gives_up)
             return self.reports()
+
+    def mark(
+        self,
+        name: str,
+        *,
+        labels: Mapping[str, str] | None = None,
+        values: Mapping[str, object] | None = None,
+    ) -> Event:
+        """Begin an event of the robot now; the next call with the same name ends it.
+
+        The event belongs to the run that is being recorded. It is stored in the background. An
+        event that lasts is ended when the recorder is closed.
+
+        Args:
+            name: Name of the event.
+            labels, values: As in RosCassandra.addEvent.
+
+        Raises:
+            InvalidName: The name, a label or a value cannot be stored.
+            InvalidOption: The recorder was closed.
+            ClockNotSet: Simulated time is in use and has not come yet.
+        """
+        if self._closed:
+            raise InvalidOption("this recorder is being closed: it marks no events any more")
+        node, writer = self._options.node_id, self._series.writer
+        return self._marks.mark(name, now_ns(), node, labels, values, writer)
 
     def pause(self, topics: Topics = ()) -> None:
         """Leave out the messages of some topics (empty = all) but stay subscribed.
@@ -333,6 +364,9 @@ class Recorder:
                 if self._gives_up():
                     self._snapshots.abandon()
                     break
+        with suppress(ClockNotSet):  # then no event has begun
+            self._marks.end_all(now_ns())
+        self._series.events.close()
         if self._publisher is not None:
             self._publisher.unregister()
         return self.reports()

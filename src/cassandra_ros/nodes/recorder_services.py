@@ -10,13 +10,17 @@ from typing import Callable, Mapping, Sequence
 
 import rospy
 
-from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.msg import RecordedTopic
+from cassandra_ros.nodes.mark_answer import pack_event, read_values
 from cassandra_ros.nodes.recorder import Recorder
 from cassandra_ros.recording.option_values import read_label
 from cassandra_ros.recording.recording_status import RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
 from cassandra_ros.srv import (
+    Mark,
+    MarkRequest,
+    MarkResponse,
     RecorderStatus,
     RecorderStatusRequest,
     RecorderStatusResponse,
@@ -32,7 +36,11 @@ _log = logging.getLogger(__name__)
 
 TOPIC_SERVICES = ("start", "stop", "pause", "resume")
 """Services that take names of topics. Each is called as its handler."""
-OTHER_SERVICES: Mapping[str, type] = {"status": RecorderStatus, "snapshot": Snapshot}
+OTHER_SERVICES: Mapping[str, type] = {
+    "status": RecorderStatus,
+    "snapshot": Snapshot,
+    "mark": Mark,
+}
 """The other services with their classes."""
 
 
@@ -106,6 +114,24 @@ class _Services:
                 after=request.after,
                 topics=request.topics,
             )
+
+        response.message = _attempt(work)
+        response.success = not response.message
+        return response
+
+    def mark(self, request: MarkRequest) -> MarkResponse:
+        """Answer Mark."""
+        response = MarkResponse()
+
+        def work() -> None:
+            if request.node_id:
+                raise InvalidOption(
+                    "a recorder marks events of its own robot: leave node_id out, or ask the "
+                    "query_server"
+                )
+            labels, values = read_labels(request.labels), read_values(request.values)
+            event = self.recorder.mark(request.name, labels=labels, values=values)
+            pack_event(event, response)
 
         response.message = _attempt(work)
         response.success = not response.message

@@ -10,6 +10,7 @@ from before the range, of the runs that have messages in the range.
 from __future__ import annotations
 
 import logging
+from copy import copy
 from dataclasses import replace
 from functools import cached_property
 from typing import Callable, Dict, Iterable, Iterator, Sequence, Tuple
@@ -111,6 +112,13 @@ class LatchedFinder:
             if is_latched(connection):
                 connections.setdefault(table, set()).add(conn)
         return {table: frozenset(conns) for table, conns in connections.items()}
+
+    def of(self, whose: Whose) -> LatchedFinder:
+        """Return a finder for other robots and writers of the same tables."""
+        _ = self._latched  # both have it then
+        other = copy(self)
+        other._whose = whose
+        return other
 
     @property
     def latches(self) -> bool:
@@ -221,6 +229,35 @@ class LatchedFinder:
     def _wanted(self, row: StoredRow) -> bool:
         test = self._tests.get(row.topic)
         return test is None or test(row)
+
+
+class LatchedRecord:
+    """The latched messages of one source that were given already."""
+
+    def __init__(self) -> None:
+        self._last: dict[tuple[str, Publisher], tuple[int, str, int, str]] = {}
+        self._looked: dict[Source, int] = {}
+        """For each robot and writer the time up to which latched messages were searched for, ns."""
+
+    def changes(self, finder: LatchedFinder, low: int, high: int) -> list[StoredRow]:
+        """Return the messages latched before ``low`` and not given yet; record them as given."""
+        if not finder.latches:
+            return []
+        sources = finder.sources(low, high)
+        since = min((self._looked.get(source, 0) for source in sources), default=low)
+        rows = [row for row in finder.of_sources(sources, low, since) if self._is_new(row)]
+        for row in rows:
+            self.note(row)
+        self._looked.update(dict.fromkeys(sources, low))
+        return rows
+
+    def _is_new(self, row: StoredRow) -> bool:
+        last = self._last.get((row.table.name, publisher_of(row)))
+        return last is None or last < row.arrival
+
+    def note(self, row: StoredRow) -> None:
+        """Record a message as given."""
+        self._last[row.table.name, publisher_of(row)] = row.arrival
 
 
 def publisher_of(row: StoredRow) -> Publisher:

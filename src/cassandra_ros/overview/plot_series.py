@@ -126,7 +126,7 @@ def read_series(
     plain = analyse_select(select, tables)
     named, runs = any(t.named for t in tables), next((t.runs for t in tables), None)
     bounds = bounds_of(plain, Read(whose=asker.whose), named, runs)
-    settled = with_stays(plain, tables, bounds.read.whose)
+    settled = with_stays(plain, tables, bounds.read)
     drawn = drawn_columns(settled, tables)
     if named:
         return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))

@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from itertools import islice
+from dataclasses import dataclass, replace
+from itertools import chain, islice
 from typing import Iterable, Iterator, Sequence
 
 from cassandra_ros.errors import MessageNotFound
@@ -14,6 +14,7 @@ from cassandra_ros.messages.stamps import Stamp, Time
 from cassandra_ros.read import Writers
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.topics.stored_row import StoredRow
 
@@ -31,17 +32,21 @@ class MessageChoice:
     """Writer ids; None = all."""
     where: Where | None = None
     """Condition that the messages satisfy; None = all messages."""
+    event: EventRule = None
+    """Events during which the messages were received, as in readMessages; None = at any time."""
 
     def rows(self, catalog: Catalog, topic: CassandraTopic) -> Iterator[StoredRow]:
         """Yield the rows in order of time; their messages are read when they are accessed."""
-        if self.where is None:
+        if self.where is None and self.event is None:
             return topic.rows(
                 self.start, self.end, nodeID=self.node, run=self.writers, columns=lambda table: ()
             )
         names, whose = [topic.name], catalog.whose(self.node, self.writers)
-        filters = catalog.filters({topic.name: self.where}, names, whose)
-        read = catalog.read_of(names, self.start, self.end, whose)
-        return catalog.merged(topic.tables, filters, read)
+        reads = catalog.reads_of(names, self.start, self.end, whose, self.event)
+        if self.where is not None:
+            return catalog.read_parts(names, reads, {topic.name: self.where})
+        keys = (topic.read(replace(part, columns=lambda table: ())) for part in reads.parts)
+        return chain.from_iterable(keys)
 
     def last(self, topic: CassandraTopic) -> int:
         """Return the key time of the last message, ns; there must be one."""
@@ -64,8 +69,9 @@ def spaced_rows(
     """Choose messages of a topic that are evenly spaced between its first and last message.
 
     If there are at most ``count`` messages, all are chosen. Otherwise each is the nearest to one of
-    the times and is found by this time. With a condition all messages that satisfy it are read
-    once, and in topics with names the keys of all messages.
+    the times and is found by this time. With an event the messages are evenly spaced by their
+    numbers, so that none of the time between events counts. With a condition all messages that
+    satisfy it are read once, and in topics with names the keys of all messages.
 
     Args:
         name: Name of the topic.
@@ -85,17 +91,44 @@ def spaced_rows(
     few = [(row.t, row.key) for row in islice(chosen.rows(catalog, topic), count + 1)]
     if not few:
         raise MessageNotFound(
-            f"topic {topic.name} has no such message: none of that time, robot, run or condition"
+            f"topic {topic.name} has no such message: none of that time, event, robot, run or "
+            "condition"
         )
     if len(few) <= count and not every_ns:
         rows = (topic.getRow(key) for _, key in few)
         yield from (row for row in rows if row is not None)  # None if it was deleted meanwhile
+        return
+    if chosen.event is not None:
+        during = chosen.rows(catalog, topic)
+        if every_ns:
+            yield from islice(_apart(during, every_ns), count)
+        else:
+            total = sum(1 for _ in chosen.rows(catalog, topic))
+            yield from _share(during, total, count)
         return
     times = _times(few[0][0], chosen.last(topic), count, every_ns)
     if chosen.where is None and not isinstance(few[0][1], RowName):
         yield from _once(_looked_up(topic, chosen, times))
     else:
         yield from _once(nearest_rows(chosen.rows(catalog, topic), times))
+
+
+def _apart(rows: Iterable[StoredRow], every_ns: int) -> Iterator[StoredRow]:
+    """Yield the rows that are at least some ns after the one before."""
+    due = 0
+    for row in rows:
+        if row.t >= due:
+            yield row
+            due = row.t + every_ns
+
+
+def _share(rows: Iterable[StoredRow], total: int, count: int) -> Iterator[StoredRow]:
+    """Yield about ``count`` rows of ``total``, evenly spaced by their numbers."""
+    last = -1
+    for number, row in enumerate(rows):
+        if number * count // total != last:
+            last = number * count // total
+            yield row
 
 
 def _times(first: int, last: int, count: int, every_ns: int) -> Sequence[int]:

@@ -12,6 +12,7 @@ from cassandra_ros.arguments import check_ros_name, check_topics
 from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.playing.play_times import PlayTime
 from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.patterns import compiled, matching
 from cassandra_ros.topics.row_finder import Where
 
@@ -50,6 +51,8 @@ class PlaySelection:
             reception; other times, and around, are on the common time line.
         node_prefix: Publish as /<node>/topic, with the nodeID, or the run's name if there is no
             nodeID.
+        event: Name of events, or (name, seconds before, seconds after): only messages of a robot
+            during its events are played, without the time between; not together with around.
     """
 
     topics: Sequence[str] | None = None
@@ -68,6 +71,7 @@ class PlaySelection:
     after: float = 10.0
     align_start: AlignStart = False
     node_prefix: bool = False
+    event: EventRule = None
 
 
 def chosen_topics(catalog: Catalog, selection: PlaySelection) -> list[str]:

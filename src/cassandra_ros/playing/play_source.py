@@ -11,14 +11,13 @@ from typing import FrozenSet, Iterable, Iterator, Optional, Sequence
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.overview.latched_messages import (
     LatchedFinder,
-    Publisher,
-    Source,
-    publisher_of,
+    LatchedRecord,
     tests_of,
 )
 from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.event_times import EventTimes, Reads
 from cassandra_ros.topics.row_finder import Filter, Where
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -48,6 +47,8 @@ class PlaySource:
     """Time of reception of its first selected message, ns; set by ``with_first_times``."""
     shift: int = 0
     """Difference that is added to times of reception, ns."""
+    times: EventTimes | None = None
+    """Times of the events during which messages are selected; None = at any time."""
 
     @property
     def known(self) -> TimeRange:
@@ -61,7 +62,7 @@ class PlaySource:
     def first(self) -> int | None:
         """Return the time of reception of its first selected message, ns; None = no message."""
         first = min(stored_range.first for stored_range in self.stored_ranges)
-        if not self.where and self.chosen.low <= first <= self.chosen.high:
+        if not self.where and self.times is None and self.chosen.low <= first <= self.chosen.high:
             return first
         row = next(self._stored(self.chosen), None)
         return None if row is None else row.received
@@ -77,7 +78,7 @@ class PlaySource:
         """Yield the rows as ``rows`` does, and record in ``sent`` the latched ones."""
         for t, row in self.rows(time_range):
             if self._finder.is_latched(row):
-                sent.played(row)
+                sent.note(row)
             yield t, row
 
     def _received(self, time_range: TimeRange) -> TimeRange:
@@ -88,9 +89,15 @@ class PlaySource:
     def _stored(self, time_range: TimeRange) -> Iterator[StoredRow]:
         if time_range.low > time_range.high:
             return iter(())
-        return self.catalog.read(
-            self.topics, Read(time_range, self.whose), self.where, received=True
-        )
+        whole = Read(time_range, self.whose)
+        parts = [whole] if self.times is None else self.times.reads(whole)
+        return self.catalog.read_parts(self.topics, Reads(whole, parts), self.where, received=True)
+
+    def events(self, time_range: TimeRange) -> Iterator[TimeRange]:
+        """Yield the time ranges of its events in a time range, in order."""
+        low, high = self._received(time_range)
+        spans = () if self.times is None else self.times.spans(low, high)
+        return (TimeRange(a + self.shift, b + self.shift) for a, b in spans)
 
     def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
         """Yield the times of the messages of a topic that satisfy a condition, ns."""
@@ -131,32 +138,3 @@ def with_first_times(sources: Iterable[PlaySource]) -> list[PlaySource]:
     """Set the time of the first selected message of each source; leave out sources without one."""
     firsts = ((source, source.first()) for source in sources)
     return [replace(source, begin=first) for source, first in firsts if first is not None]
-
-
-class LatchedRecord:
-    """The latched messages of one source that were played already."""
-
-    def __init__(self) -> None:
-        self._last: dict[tuple[str, Publisher], tuple[int, str, int, str]] = {}
-        self._looked: dict[Source, int] = {}
-        """For each robot and writer the time up to which latched messages were searched for, ns."""
-
-    def changes(self, finder: LatchedFinder, low: int, high: int) -> list[StoredRow]:
-        """Return the messages latched before ``low`` and not played yet; record them as played."""
-        if not finder.latches:
-            return []
-        sources = finder.sources(low, high)
-        since = min((self._looked.get(source, 0) for source in sources), default=low)
-        rows = [row for row in finder.of_sources(sources, low, since) if self._is_new(row)]
-        for row in rows:
-            self.played(row)
-        self._looked.update(dict.fromkeys(sources, low))
-        return rows
-
-    def _is_new(self, row: StoredRow) -> bool:
-        last = self._last.get((row.table.name, publisher_of(row)))
-        return last is None or last < row.arrival
-
-    def played(self, row: StoredRow) -> None:
-        """Record a message as played."""
-        self._last[row.table.name, publisher_of(row)] = row.arrival

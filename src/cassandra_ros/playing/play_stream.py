@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """All messages of a selection as one stream, in the order of reception.
 
-With the option ``around`` only windows around certain messages are played.
+With the option ``around`` only windows around certain messages are played, with ``event`` only
+those of events.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from typing import Iterator, NamedTuple, Sequence, Tuple
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, SECOND_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
-from cassandra_ros.overview.latched_messages import Source, is_latched
+from cassandra_ros.overview.latched_messages import LatchedRecord, Source, is_latched
+from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
-from cassandra_ros.playing.play_source import LatchedRecord, PlaySource, with_first_times
+from cassandra_ros.playing.play_source import PlaySource, with_first_times
 from cassandra_ros.playing.play_times import check_length, read_when, resolve_times
 from cassandra_ros.playing.robot_alignment import (
     aligned,
@@ -26,8 +28,9 @@ from cassandra_ros.playing.robot_alignment import (
     valid_name,
 )
 from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
-from cassandra_ros.read import TimeRange
+from cassandra_ros.read import Read, TimeRange
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.event_finder import EventChoice
 from cassandra_ros.topics.hit_windows import WindowPart, joined, merge_windows
 from cassandra_ros.topics.row_finder import Where
 from cassandra_ros.topics.stored_row import StoredRow
@@ -137,6 +140,9 @@ class Stream:
             raise InvalidOption("an end and a duration were given: give one of them")
         length = check_length("duration", selection.duration)
         self._around = WindowRule.of(selection.around, selection.before, selection.after)
+        self._event = EventChoice.of(selection.event)
+        if self._event is not None and self._around is not None:
+            raise InvalidOption("an event and around were given: give one of them")
         self.topics = chosen_topics(catalog, selection)
         self._stored_ranges = self._find_stored_ranges()
         self._play_sources = self._find_sources(start, end)
@@ -145,8 +151,8 @@ class Stream:
             start, end = (when if when and when.relative else None for when in (start, end))
         self._time_range = resolve_times(_known(self._play_sources), start, end, length)
         self.start_ns, self.end_ns = self._time_range
-        if self._around is not None:
-            self.start_ns = self._first_window(self._around)
+        if self._windowed:
+            self.start_ns = self._first_window()
         self._robot_names = self._source_names() if selection.node_prefix else {}
 
     def _find_stored_ranges(self) -> list[StoredRange]:
@@ -166,8 +172,16 @@ class Stream:
 
     def _find_sources(self, start: When | None, end: When | None) -> list[PlaySource]:
         asked = self.selection
+        times = None
+        if self._event is not None:
+            times = self._catalog.keyspace.events.chosen(self._event, Read(whose=self._whose))
         whole = PlaySource(
-            self._catalog, self.topics, self._whose, asked.where, self._stored_ranges
+            self._catalog,
+            self.topics,
+            self._whose,
+            asked.where,
+            self._stored_ranges,
+            times=times,
         )
         if not self._align:
             return self._with_messages([whole])
@@ -187,7 +201,10 @@ class Stream:
         where = "; ".join(
             f"{topic}: {text}" for topic, text in (self.selection.where or {}).items()
         )
-        raise MessageNotFound(f"no message of the selection is left: no message satisfies {where}")
+        reasons = [f"satisfies {where}"] if where else []
+        reasons += [f"is of event {self._event.name!r:.80}"] if self._event is not None else []
+        text = " or ".join(reasons)
+        raise MessageNotFound(f"no message of the selection is left: no message {text}")
 
     def _source_names(self) -> dict[Source, str]:
         run_names = {run.writer: run.name for run in self._catalog.keyspace.registry.runs()}
@@ -212,6 +229,9 @@ class Stream:
         """Yield the pieces of the windows from a time on, cut off at that time."""
         bounds, around = self._time_range, self._around
         low = max(low, bounds.low)
+        if self._event is not None:
+            yield from self._event_pieces(TimeRange(low, bounds.high))
+            return
         if around is None:
             if low <= bounds.high:
                 yield WindowPart(low, low, bounds.high)
@@ -224,14 +244,25 @@ class Stream:
             if piece.high >= low:
                 yield WindowPart(max(piece.window, low), max(piece.low, low), piece.high)
 
-    def _first_window(self, around: WindowRule) -> int:
+    def _event_pieces(self, time_range: TimeRange) -> Iterator[WindowPart]:
+        """Yield the pieces of the windows of events in a time range."""
+        every = heapq.merge(*(source.events(time_range) for source in self._play_sources))
+        for window, end in merge_ranges(every):
+            for low in range(window, end + 1, PIECE_NS):
+                yield WindowPart(window, low, min(end, low + PIECE_NS - 1))
+
+    @property
+    def _windowed(self) -> bool:
+        return self._around is not None or self._event is not None
+
+    def _first_window(self) -> int:
         first = next(self._pieces(self._time_range.low), None)
         if first is None:
             low, high = map(iso_time, self._time_range)
-            raise MessageNotFound(
-                f"no message of {around.topic} satisfies {around.condition!r:.200} between {low} "
-                f"and {high}"
-            )
+            what = "event reaches into the time"
+            if self._around is not None:
+                what = f"message of {self._around.topic} satisfies {self._around.condition!r:.200}"
+            raise MessageNotFound(f"no {what} between {low} and {high}")
         return first.low
 
     def channels(self) -> list[Channel]:
@@ -275,7 +306,7 @@ class Stream:
         Memory: a few pages of rows for all topics of a run together.
         """
         low = self.start_ns if t is None else max(t, self.start_ns)
-        sent = [LatchedRecord() for _ in self._play_sources] if self._around else None
+        sent = [LatchedRecord() for _ in self._play_sources] if self._windowed else None
         last: int | None = None
         for piece in self._pieces(low):
             window = TimeRange(piece.window, piece.high)

@@ -13,6 +13,7 @@ from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.read import Read
 
 
 class Runs(Protocol):
@@ -74,6 +75,22 @@ class Places(Protocol):
         """
 
 
+class Events(Protocol):
+    """Events of a keyspace: named time ranges of robots."""
+
+    def times(self, name: str, like: bool, read: Read) -> Stays:
+        """Return when robots had events of a name.
+
+        Args:
+            name: The name, or (like) a pattern of LIKE.
+            like: Whether the name is a pattern.
+            read: The messages that are checked; other times and robots may be left out.
+
+        Raises:
+            InvalidName, InvalidOption: The name is empty, or there are too many events.
+        """
+
+
 class SizeGroup(Protocol):
     """Messages of a block that have the same size."""
 
@@ -124,6 +141,10 @@ class Table(Protocol):
     @property
     def places(self) -> Places:
         """Positions of the robots of its keyspace."""
+
+    @property
+    def events(self) -> Events:
+        """Events of its keyspace."""
 
     @property
     def by_field(self) -> bool:

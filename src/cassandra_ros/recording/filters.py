@@ -1,17 +1,22 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Filters that leave messages out on purpose: by a condition on fields, or by a maximum rate."""
+"""Filters that leave messages out on purpose: by a condition on fields, or by a maximum rate.
+
+The events that begin and end by themselves (see event_marks.py) see each message before its filter.
+"""
 
 from __future__ import annotations
 
 import logging
 import threading
-from typing import Callable, Mapping
+from typing import Callable, Mapping, Sequence
 
+from cassandra_ros.arguments import spellings
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.query.protocols import Row
+from cassandra_ros.recording.event_marks import EventWatch, Put
 from cassandra_ros.recording.live_row import LiveRow, LiveTable
 from cassandra_ros.recording.topic_settings import Settings
 from cassandra_ros.topics.query_result import Condition
@@ -28,10 +33,19 @@ class Filters:
     Args:
         settings: Conditions and rates by topic.
         node: nodeID of the recorded robot, NODE in conditions.
+        put: Stores an event without waiting; None = events are not watched.
+        writer: Returns the writer id of the present run; 0 = there is none.
     """
 
-    def __init__(self, settings: Settings, node: str = "") -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        node: str = "",
+        put: Put | None = None,
+        writer: Callable[[], int] = lambda: 0,
+    ) -> None:
         self._settings = settings
+        self._put, self._writer = put, writer
         self._node = node
         self._topics: dict[str, TopicFilter | None] = {}
         self._mutex = threading.Lock()
@@ -55,15 +69,33 @@ class Filters:
 
     def _make(self, topic: str) -> TopicFilter | None:
         settings = self._settings.of(topic)
+        watches = self._watches(topic)
         topic_filter = None
-        if settings.where or settings.rate_limit:
+        if settings.where or settings.rate_limit or watches:
             condition = _TopicCondition(topic, settings.where, self._node)
             topic_filter = TopicFilter(
                 condition if settings.where else None,
                 _Throttle(settings.rate_limit) if settings.rate_limit else None,
+                watches,
             )
         with self._mutex:
             return self._topics.setdefault(topic, topic_filter)
+
+    def _watches(self, topic: str) -> list[EventWatch]:
+        put, found = self._put, []
+        for rule in self._settings.events if put is not None else ():
+            if topic in spellings(rule.topic) and put is not None:
+                condition = _TopicCondition(topic, rule.where, self._node, event=rule.name)
+                found.append(EventWatch(rule, condition.holds, self._node, put, self._writer))
+        return found
+
+    def end_events(self) -> None:
+        """End the events that last, because no more messages come."""
+        with self._mutex:
+            filters = list(self._topics.values())
+        for topic_filter in filters:
+            if topic_filter is not None:
+                topic_filter.end_events()
 
 
 class _Throttle:
@@ -87,17 +119,31 @@ class _Throttle:
 class TopicFilter:
     """Says of each message of one topic whether it is recorded. Thread-safe."""
 
-    def __init__(self, condition: _TopicCondition | None, throttle: _Throttle | None) -> None:
+    def __init__(
+        self,
+        condition: _TopicCondition | None,
+        throttle: _Throttle | None,
+        watches: Sequence[EventWatch] = (),
+    ) -> None:
         self._condition = condition
         self._throttle = throttle
+        self._watches = watches
         self._mutex = threading.Lock()
 
     def passes(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
         """Say whether a message is recorded; see Filters.passes."""
         with self._mutex:
+            for watch in self._watches:
+                watch.see(header, t, wire)
             if self._condition is not None and not self._condition.holds(header, t, wire):
                 return False
             return self._throttle is None or self._throttle.passes(t)
+
+    def end_events(self) -> None:
+        """End the events of the topic that last."""
+        with self._mutex:
+            for watch in self._watches:
+                watch.end()
 
 
 Test = Callable[[Row], bool]
@@ -105,10 +151,14 @@ Test = Callable[[Row], bool]
 
 
 class _TopicCondition:
-    """A condition on the messages of one topic, of one or several types."""
+    """A condition on the messages of one topic, of one or several types.
 
-    def __init__(self, topic: str, where: str, node: str) -> None:
-        self._topic, self._where, self._node = topic, where, node
+    Args:
+        event: Name of the event that lasts while it holds; '' = it decides what is recorded.
+    """
+
+    def __init__(self, topic: str, where: str, node: str, event: str = "") -> None:
+        self._topic, self._where, self._node, self._event = topic, where, node, event
         self._by_header: dict[int, tuple[Mapping[str, str], LiveTable, Test | None]] = {}
 
     def holds(self, header: Mapping[str, str], t: int, wire: bytes) -> bool:
@@ -118,7 +168,9 @@ class _TopicCondition:
                 self._by_header.pop(next(iter(self._by_header)))
             entry = self._by_header[id(header)] = (header, *self._compile(header))
         _, table, test = entry
-        return test is None or test(LiveRow(table, self._topic, self._node, t, wire, len(wire)))
+        if test is None:  # then all is recorded, and no event begins
+            return not self._event
+        return test(LiveRow(table, self._topic, self._node, t, wire, len(wire)))
 
     def _compile(self, header: Mapping[str, str]) -> tuple[LiveTable, Test | None]:
         connection = live_connection(self._topic, header)
@@ -130,10 +182,8 @@ class _TopicCondition:
                 problem = str(exc)
         else:
             problem = "its definition cannot be used"
-        _log.error(
-            "topic %s is recorded whole, because its condition %r cannot be checked: %s",
-            self._topic,
-            self._where,
-            problem,
-        )
+        what = f"topic {self._topic} is recorded whole"
+        if self._event:
+            what = f"event {self._event} does not begin by topic {self._topic}"
+        _log.error("%s, because its condition %r cannot be checked: %s", what, self._where, problem)
         return table, None

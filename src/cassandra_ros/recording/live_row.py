@@ -15,6 +15,7 @@ from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Disk, Stays
+from cassandra_ros.read import Read
 from cassandra_ros.topics.message_writer import usable_definition
 
 
@@ -39,6 +40,17 @@ class _NoPlaces:
         )
 
 
+class _NoEvents:
+    """A source of events that refuses, as that of places does."""
+
+    def times(self, name: str, like: bool, read: Read) -> Stays:
+        """Raise InvalidOption."""
+        raise InvalidOption(
+            "EVENT asks for events of a robot, which are known for stored messages only: record "
+            "the messages, then query them with EVENT"
+        )
+
+
 class LiveTable:
     """The attributes of a table that a condition needs, for messages that are not stored yet."""
 
@@ -49,6 +61,7 @@ class LiveTable:
     longest_text = 0
     runs = _NoRuns()
     places = _NoPlaces()
+    events = _NoEvents()
 
     def __init__(self, connection: Connection) -> None:
         self.definition: Definition | None = None

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Callable, Mapping, Sequence
 
 from cassandra_ros.recording.backlog import SpoolPlan
+from cassandra_ros.recording.event_marks import WatchedEvent
 from cassandra_ros.recording.option_values import (
     BLOCK_SEC,
     DEFAULT_BUFFER_BYTES,
@@ -97,6 +98,8 @@ class RecorderOptions:
     """Keyspace of the store, for files of the spool; '' = that of the connected store."""
     address: str = ""
     """Hosts and port of the store, as 'HOST[,HOST]:PORT', for files of the spool."""
+    events: Sequence[WatchedEvent] = ()
+    """Events that last while a condition holds, as read_events reads them."""
 
     @property
     def spool_plan(self) -> SpoolPlan | None:
@@ -113,7 +116,7 @@ class RecorderOptions:
         conditions: Sequence[Rule] = [(p, {"where": text}) for p, text in self.where]
         rates: Sequence[Rule] = [(p, {"rate_limit": rate}) for p, rate in self.rate_limit]
         default = TopicSettings(format=self.format, ttl=self.ttl)
-        return Settings(default, [self.config, conditions, rates])
+        return Settings(default, [self.config, conditions, rates], self.events)
 
     @property
     def discovers(self) -> bool:

@@ -15,6 +15,7 @@ from typing import Callable, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.arguments import check_run_name
 from cassandra_ros.errors import CassandraRosError, TopicNotFound
+from cassandra_ros.recording.event_writer import EventWriter
 from cassandra_ros.recording.filters import Filters
 from cassandra_ros.recording.free_space import SpaceGuard
 from cassandra_ros.recording.recording import Recording
@@ -108,7 +109,10 @@ class RunSeries:
         self._settings = options.settings
         self._space = SpaceGuard(options.free_space, options.min_space)
         self._look = 0.0
-        self.filters = Filters(self._settings, options.node_id)
+        self.events = EventWriter(self._store)
+        self.filters = Filters(
+            self._settings, options.node_id, self.events.put, lambda: self.writer
+        )
         self.current: Recording | None = None
         """The run that is being recorded."""
         self._topics: set[str] = set()
@@ -195,6 +199,12 @@ class RunSeries:
         current = self.current
         if current is not None:
             current.expect(topic)
+
+    @property
+    def writer(self) -> int:
+        """Writer id of the run that is being recorded; 0 = there is none."""
+        current = self.current
+        return 0 if current is None else current.writer_id
 
     @property
     def problem(self) -> str:

@@ -11,12 +11,25 @@ from typing import Any, Callable, Mapping, Sequence, Tuple
 
 import yaml
 
-from cassandra_ros.arguments import check_fields, check_text
+from cassandra_ros.arguments import (
+    check_event_name,
+    check_fields,
+    check_labels,
+    check_ros_name,
+    check_text,
+)
 from cassandra_ros.errors import CassandraRosError, InvalidOption, InvalidQuery
 from cassandra_ros.formats.table import format_class
+from cassandra_ros.messages.stamps import seconds_to_ns
 from cassandra_ros.query.tree.parse import parse_condition, terms_of_condition
-from cassandra_ros.query.tree.syntax import Literal, Near, TimeNs, inside, leaves
-from cassandra_ros.recording.option_values import check_pattern, read_rate, read_ttl
+from cassandra_ros.query.tree.syntax import TIMED, InEvent, Literal, TimeNs, inside, leaves
+from cassandra_ros.recording.event_marks import WatchedEvent
+from cassandra_ros.recording.option_values import (
+    check_pattern,
+    read_duration,
+    read_rate,
+    read_ttl,
+)
 
 MAX_CONFIG_BYTES = 1 << 20
 """Maximum length of a settings file, characters."""
@@ -54,6 +67,8 @@ class Settings:
 
     default: TopicSettings = field(default_factory=TopicSettings)
     rules: Sequence[Sequence[Rule]] = ()
+    events: Sequence[WatchedEvent] = ()
+    """Events that last while a condition holds."""
 
     def of(self, topic: str) -> TopicSettings:
         """Return the settings of a topic."""
@@ -92,30 +107,70 @@ def read_settings(text: str, source: str = "settings") -> list[Rule]:
         InvalidOption: The text cannot be read; the error has ``source``, entry and remedy.
     """
     try:
-        if len(text) > MAX_CONFIG_BYTES:
-            raise InvalidOption(f"it is longer than {MAX_CONFIG_BYTES} characters")
-        content = yaml.safe_load(text)
-        if content is None:
-            return []
-        if not isinstance(content, dict) or set(content) != {"topics"}:
-            raise InvalidOption("it must be a mapping with one key, topics, a list")
-        entries = content["topics"] or []
-        if not isinstance(entries, list):
-            raise InvalidOption("topics must be a list of mappings, each with a pattern")
+        entries = _entries(text, "topics", "each with a pattern")
         return [_rule(number, entry) for number, entry in enumerate(entries, 1)]
     except (yaml.YAMLError, CassandraRosError, RecursionError) as exc:
         raise InvalidOption(f"{source} cannot be used: {exc}") from exc
 
 
-def _rule(number: int, entry: object) -> Rule:
-    keys = {"pattern", *_READERS}
-    if not isinstance(entry, dict) or "pattern" not in entry:
-        raise InvalidOption(f"entry {number} of topics is no mapping with a pattern: {entry!r:.80}")
+def read_events(text: str, source: str = "settings") -> list[WatchedEvent]:
+    """Read the events of a YAML text, which may have settings of topics, too.
+
+    Raises:
+        InvalidOption: As read_settings.
+    """
+    try:
+        entries = _entries(text, "events", "each with name, topic and where")
+        return [_event(number, entry) for number, entry in enumerate(entries, 1)]
+    except (yaml.YAMLError, CassandraRosError, RecursionError) as exc:
+        raise InvalidOption(f"{source} cannot be used: {exc}") from exc
+
+
+def _entries(text: str, key: str, form: str) -> list[object]:
+    """Return the list under a key of a settings file."""
+    if len(text) > MAX_CONFIG_BYTES:
+        raise InvalidOption(f"it is longer than {MAX_CONFIG_BYTES} characters")
+    content = yaml.safe_load(text)
+    if content is None:
+        return []
+    if not isinstance(content, dict) or not set(content) <= {"topics", "events"}:
+        raise InvalidOption("it must be a mapping with the keys topics and events, each a list")
+    entries = content.get(key) or []
+    if not isinstance(entries, list):
+        raise InvalidOption(f"{key} must be a list of mappings, {form}")
+    return entries
+
+
+def _event(number: int, entry: object) -> WatchedEvent:
+    if not isinstance(entry, dict) or not {"name", "topic", "where"} <= set(entry):
+        reason = f"entry {number} of events is no mapping with name, topic and where"
+        raise InvalidOption(f"{reason}: {entry!r:.80}")
+    _check_keys(number, entry, {"name", "topic", "where", "hold", "labels"})
+    try:
+        hold = entry.get("hold", 0)
+        return WatchedEvent(
+            check_event_name(entry["name"]),
+            check_ros_name(check_text("topic", entry["topic"], wanted="a topic, as /imu"), "topic"),
+            check_condition(entry["where"]),
+            0 if hold == 0 else seconds_to_ns(read_duration(hold)),
+            check_labels(entry.get("labels") or {}),
+        )
+    except CassandraRosError as exc:
+        raise InvalidOption(f"entry {number}, event {entry['name']!r:.80}: {exc}") from exc
+
+
+def _check_keys(number: int, entry: Mapping[object, object], keys: set[str]) -> None:
     for name in entry:
         if name not in keys:
             near = difflib.get_close_matches(str(name), keys, n=1)
             hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(sorted(keys))}"
             raise InvalidOption(f"entry {number} has an unknown key {name!r:.80}; {hint}")
+
+
+def _rule(number: int, entry: object) -> Rule:
+    if not isinstance(entry, dict) or "pattern" not in entry:
+        raise InvalidOption(f"entry {number} of topics is no mapping with a pattern: {entry!r:.80}")
+    _check_keys(number, entry, {"pattern", *_READERS})
     try:
         values = {name: _READERS[name](entry[name]) for name in entry if name != "pattern"}
         return check_pattern(entry["pattern"]), values
@@ -128,10 +183,9 @@ def check_condition(value: object) -> str:
     text = check_text("where", value, wanted="a condition, as 'linear.x > 0.5'")
     parsed = parse_condition(text)
     for leaf in leaves(parsed):
-        if isinstance(leaf, Near):
-            reason = (
-                "NEAR asks where a robot was, which is known for stored messages only: query those"
-            )
+        if isinstance(leaf, TIMED):
+            what = "EVENT asks for events" if isinstance(leaf, InEvent) else "NEAR asks for places"
+            reason = f"{what} of a robot, which are known for stored messages only: query those"
             raise InvalidQuery(text, leaf.position, reason)
     for term in terms_of_condition(parsed):
         for part in inside(term):

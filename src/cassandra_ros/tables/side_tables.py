@@ -99,6 +99,17 @@ LATER_TABLES = {
         "frames frozen<set<text>>, above frozen<map<text, text>>, "
         "PRIMARY KEY ((tbl), node, writer, robot)"
     ),
+    # Named time ranges of robots, and the slots in which those of a name, or of any name, begin;
+    # see tables/event_table.py.
+    "cr_event": (
+        "slot bigint, name text, t_start bigint, node text, id text, t_end bigint, writer bigint, "
+        "labels frozen<map<text, text>>, vals text, "
+        "PRIMARY KEY ((slot), name, t_start, node, id)"
+    ),
+    "cr_event_slot": (
+        "named boolean, name text, slot bigint, reach bigint, "
+        "PRIMARY KEY ((named, name), slot, reach)"
+    ),
 }
 _COMMENT = "cassandra_ros side table, schema version 1"
 

@@ -11,6 +11,7 @@ import re
 import threading
 from contextlib import suppress
 from dataclasses import replace
+from itertools import chain
 from operator import attrgetter
 from typing import Iterable, Iterator, Mapping, Optional, Sequence, Tuple
 
@@ -34,6 +35,8 @@ from cassandra_ros.places.whereabouts import Whereabouts
 from cassandra_ros.read import EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.directory import STALE_SEC
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.event_finder import EventChoice, EventRule
+from cassandra_ros.topics.event_times import Reads
 from cassandra_ros.topics.indexes import check_unnamed, no_index_in_blocks
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_adder import MessageAdder
@@ -274,6 +277,25 @@ class Catalog:
         """Return the read of some topics between two times, None = open; see time_range."""
         return Read(self.time_range(topics, key, to_key), whose)
 
+    def reads_of(
+        self,
+        topics: Iterable[str] | None,
+        key: Time | None,
+        to_key: Time | None,
+        whose: Whose,
+        event: EventRule = None,
+    ) -> Reads:
+        """Return the reads of some topics between two times, with an event only during its events.
+
+        Raises:
+            EventNotFound: There is no such event of that time, robot and run.
+            InvalidName, InvalidKey, InvalidOption: The event, or a time, is not valid.
+        """
+        whole, choice = self.read_of(topics, key, to_key, whose), EventChoice.of(event)
+        if choice is None:
+            return Reads(whole, [whole])
+        return Reads(whole, self.keyspace.events.chosen(choice, whole).reads(whole))
+
     def whose(self, node: str | None, run: RunName) -> Whose:
         """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
         writers = None if run is None else self.keyspace.runs.writers(run)
@@ -323,8 +345,23 @@ class Catalog:
         received: bool = False,
     ) -> Iterator[StoredRow]:
         """Yield the rows of several topics lazily; see RosCassandra.readMessages."""
-        filters = self.filters(where, topics, read.whose)
-        return self.merged(self.tables(topics), filters, read, received=received)
+        return self.read_parts(topics, Reads(read, [read]), where, received=received)
+
+    def read_parts(
+        self,
+        topics: Iterable[str] | None,
+        reads: Reads,
+        where: Conditions = None,
+        *,
+        received: bool = False,
+    ) -> Iterator[StoredRow]:
+        """Yield the rows of several topics lazily, part after part."""
+        filters, tables = self.filters(where, topics, reads.whole.whose), self.tables(topics)
+        if len(reads.parts) == 1:
+            return self.merged(tables, filters, reads.parts[0], received=received)
+        return chain.from_iterable(
+            self.merged(tables, filters, part, received=received) for part in reads.parts
+        )
 
     def merged(
         self,

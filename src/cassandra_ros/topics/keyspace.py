@@ -10,11 +10,13 @@ from cassandra_ros.connection.cassandra import Cassandra
 from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.read import Whose
 from cassandra_ros.tables.directory import Directory
+from cassandra_ros.tables.event_table import EventTable
 from cassandra_ros.tables.index_changes import IndexChanges
 from cassandra_ros.tables.place_index import PlaceIndex
 from cassandra_ros.tables.registry import Registry
 from cassandra_ros.tables.schema import Schema
 from cassandra_ros.tables.side_tables import SideTables
+from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.new_tables import NewTables
 from cassandra_ros.topics.row_reader import FollowingReader, RowReader
 from cassandra_ros.topics.run_finder import Runs
@@ -43,7 +45,10 @@ class Keyspace:
         self.place_index = PlaceIndex(self.side_tables)
         self.connections = ConnectionCache(self.registry)
         self.runs = Runs(name, self.registry, self._has_written)
-        self.tables = TopicTables(cassandra, self.schema, self.connections, self.runs, robots)
+        self.events = Events(name, EventTable(self.side_tables), self.runs)
+        self.tables = TopicTables(
+            cassandra, self.schema, self.connections, self.runs, robots, self.events
+        )
         self.new_tables = NewTables(self.schema, self.tables)
         self.rows = FollowingReader(RowReader(cassandra, self.directory))
 

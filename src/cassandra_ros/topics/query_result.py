@@ -92,7 +92,7 @@ class Condition:
                 compares a field with a value of another kind.
         """
         bounds = self.bounds(tables, Read(whose=whose))
-        select = with_stays(self._select, tables, bounds.read.whose)
+        select = with_stays(self._select, tables, bounds.read)
         return Projections(select, tables).hit
 
     def rows(
@@ -107,7 +107,7 @@ class Condition:
         """
         tables = source.tables
         bounds = self.bounds(tables, read)
-        select = with_stays(self._select, tables, bounds.read.whose)
+        select = with_stays(self._select, tables, bounds.read)
         projections = Projections(select, tables)
         columns, chooser = projections.columns if bare else None, Pushdown(select.condition)
         read = replace(bounds.read, columns=columns, chooser=chooser)
@@ -176,7 +176,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         select: The statement.
         pushdown: Choice of what the server checks.
         read: Number of rows received from the server.
-        time_ranges: Number of time ranges that NEAR has selected so far.
+        time_ranges: Number of time ranges that NEAR and EVENT have selected so far.
         counted: Whether the directory had the answer.
 
     Raises:
@@ -202,7 +202,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         named = any(table.named for table in tables)
         runs = next((table.runs for table in tables), None)
         bounds = bounds_of(select, Read(whose=whose), named, runs)
-        self.select = select = with_stays(select, tables, bounds.read.whose)
+        self.select = select = with_stays(select, tables, bounds.read)
         if not named:
             _warn_of_seconds(select)
         self._place = place = read_place(after)
@@ -241,7 +241,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     @property
     def bounded_by_place(self) -> bool:
-        """Whether NEAR selects only some time ranges."""
+        """Whether NEAR or EVENT selects only some time ranges."""
         return self._spans is not None
 
     @property
@@ -323,7 +323,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             yield row
 
     def _spanned(self, bounds: Bounds) -> Bounds:
-        """Return bounds restricted to the time ranges that NEAR selects, and count these ranges."""
+        """Return bounds restricted to the time ranges of NEAR and EVENT, and count these ranges."""
         self._spans, self.time_ranges = spans_of(self.select.condition), 0
         return replace(bounds, spans=None if self._spans is None else self._counted_spans)
 

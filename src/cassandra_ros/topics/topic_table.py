@@ -26,6 +26,7 @@ from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.tables.row_encoder import Indexed, Shadows
 from cassandra_ros.tables.row_table import NewRow, RowTable, encode_long
 from cassandra_ros.tables.schema import Listing, Schema
+from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
 
@@ -55,6 +56,7 @@ class TopicTable(RowTable):
         runs: Runs,
         heir: Callable[[str, bool], TopicTable | None],
         robots: Callable[[], RobotPlaces],
+        events: Events,
     ) -> None:
         self.definition = definition = definition_in(metadata)
         """Checked definition; None = the stored one is not usable, and rows are bytes then."""
@@ -82,6 +84,7 @@ class TopicTable(RowTable):
         self.by_field = self.format.BY_FIELD
         self.connections = connections
         self.runs = runs
+        self.events = events
         self._heir = heir
         self._robots = robots
         self.message_class: Callable[[int], Any] = lru_cache(MAX_CLASSES)(self._message_class)
@@ -211,12 +214,14 @@ class TopicTables:
         connections: ConnectionCache,
         runs: Runs,
         robots: Callable[[], RobotPlaces],
+        events: Events,
     ) -> None:
         self._cassandra = cassandra
         self._schema = schema
         self._connections = connections
         self._runs = runs
         self._robots = robots
+        self._events = events
         self._made: dict[str, TopicTable] = {}
         self._mutex = threading.Lock()
 
@@ -234,6 +239,7 @@ class TopicTables:
                     self._runs,
                     self._heir,
                     self._robots,
+                    self._events,
                 )
             elif table.metadata is not metadata:
                 table.follow(metadata)

@@ -4,21 +4,25 @@
 
 A message is dropped if it is older than the maximum age, or if it and all newer ones exceed the
 maximum size. Of the others the first one of each period is kept, for each publisher. Messages in a
-window around a message that matches a condition of ``keep`` are not touched. To make such a window,
-and what is left, playable, neither are the latched messages before it of runs with messages in it.
+window around a message that matches a condition of ``keep``, or around an event, are not touched.
+To make such a window, and what is left, playable, neither are the latched messages before it of
+runs with messages in it.
 """
 
 from __future__ import annotations
 
 import heapq
+import logging
 from dataclasses import dataclass, field, replace
 from typing import Dict, Iterable, Iterator, Sequence, Tuple
 
-from cassandra_ros.errors import InvalidOption
+from cassandra_ros.errors import EventNotFound, InvalidOption
 from cassandra_ros.overview.latched_messages import LatchedFinder
+from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.event_finder import EventChoice
 from cassandra_ros.topics.hit_windows import joined, merge_windows
 from cassandra_ros.topics.removal import thin_rows
 from cassandra_ros.topics.stored_row import StoredRow
@@ -26,6 +30,8 @@ from cassandra_ros.topics.stored_totals import buckets_of, count_rows
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.upkeep.deletion import delete_of_table
 from cassandra_ros.upkeep.table_copy import Progress
+
+_log = logging.getLogger(__name__)
 
 _Periods = Dict[Tuple[str, int], int]
 """nodeID and connection of a publisher → the last period with a message."""
@@ -44,8 +50,10 @@ class Rules:
     first."""
     keep: Conditions = None
     """Topic → condition; what lies around matching messages is kept."""
+    events: Sequence[str] = ()
+    """Names of events; what lies around them is kept."""
     before: int = 0
-    """Time range before a matching message that is kept."""
+    """Time range before a matching message or an event that is kept."""
     after: int = 0
     period: int = 0
     """Length of a period, of which one message of each publisher is kept; 0 = keep all."""
@@ -214,11 +222,23 @@ class _Retention:
             hits = heapq.merge(*(_times(each.rows(reach, bare=True)) for each in filters.values()))
             pieces = merge_windows(hits, rules.before, rules.after, TimeRange(), LAST_NS)
             pins.windows = list(joined(pieces))
+        for name in rules.events:
+            pins.windows = list(_united([*pins.windows, *self._around_events(name, end)]))
         if self.cutoff and self._finder.latches:
             for low, high in [*pins.windows, TimeRange(self.cutoff, LAST_NS)]:
                 for row in self._finder.before(low, high):
                     pins.latched.setdefault(row.table.name, set()).add(row.t)
         return pins
+
+    def _around_events(self, name: str, end: int) -> Sequence[TimeRange]:
+        """Return the time ranges around the events of a name that may reach to before ``end``."""
+        rules, reach = self._rules, Read(TimeRange(0, end))
+        choice = EventChoice(name, rules.before, rules.after)
+        try:
+            return self._space.events.chosen(choice, reach).ranges
+        except EventNotFound as exc:
+            _log.warning("nothing is kept for an event: %s", exc)
+            return ()
 
     def _rated(
         self, table: TopicTable, gap: TimeRange, last: _Periods
@@ -238,6 +258,10 @@ class _Retention:
 
 def _times(rows: Iterable[StoredRow]) -> Iterator[int]:
     return (row.t for row in rows)
+
+
+def _united(ranges: Iterable[TimeRange]) -> Iterator[TimeRange]:
+    return (TimeRange(*each) for each in merge_ranges(sorted(ranges)))
 
 
 def _gaps(pins: Iterable[TimeRange], low: int, high: int) -> Iterator[TimeRange]:

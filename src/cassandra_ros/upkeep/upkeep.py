@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Iterable
 
-from cassandra_ros.arguments import check_integer, check_topics
+from cassandra_ros.arguments import check_event_name, check_integer, check_list, check_topics
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import Length, Time, duration_ns, to_ns
 from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.upkeep.deletion import delete_messages
 from cassandra_ros.upkeep.retention_rules import Retained, Rules, retain
@@ -40,6 +42,7 @@ class Upkeep:
         nodeID: str | None = None,
         where: Conditions = None,
         run: RunName = None,
+        event: EventRule = None,
         dry_run: bool = False,
     ) -> dict[str, int]:
         """Delete messages of several topics; return topic → number. Topics stay, even if empty.
@@ -54,12 +57,15 @@ class Upkeep:
         Raises:
             InvalidOption: Only topics are given (see removeTopic, truncateTopic), a topic has no
                 condition while others do, or the run goes on.
-            TopicNotFound, RunNotFound, InvalidName, InvalidQuery: As readMessages.
+            TopicNotFound, RunNotFound, EventNotFound, InvalidName, InvalidQuery: As readMessages.
         """
         names = check_topics(topics)
         whose = self._catalog.whose(nodeID, run)
-        read = self._catalog.read_of(names, key, to_key, whose)
-        return delete_messages(self._catalog, names, read, where, dry_run)
+        reads = self._catalog.reads_of(names, key, to_key, whose, event)
+        counts: Counter[str] = Counter()
+        for part in reads.parts:
+            counts.update(delete_messages(self._catalog, names, part, where, dry_run))
+        return dict(counts)
 
     def isWritten(self, topic: str) -> bool:
         """Return whether a client, such as a recorder, is writing messages of a topic now.
@@ -116,6 +122,7 @@ class Upkeep:
         max_age: Length | None = None,
         max_bytes: int | None = None,
         keep: Conditions = None,
+        event: str | Iterable[str] = (),
         before: Length = 30.0,
         after: Length = 30.0,
         thin: float | None = None,
@@ -139,6 +146,8 @@ class Upkeep:
             keep: Topic → condition, a text or (text, parameters); may contain other topics.
                 Messages from ``before`` before to ``after`` after a message that matches are not
                 touched.
+            event: Names of events. Messages of all robots from ``before`` before to ``after`` after
+                each event are not touched either. If there is no event of a name, this is logged.
             thin: Maximum number of messages a second that are kept, for each publisher.
             thin_after: Minimum age of messages that are thinned; like max_age.
             now: Time from which ages are counted back; None = the server's present time.
@@ -161,6 +170,7 @@ class Upkeep:
             if max_bytes is None
             else check_integer("max_bytes", max_bytes, 0, 2**63),
             keep=keep,
+            events=[check_event_name(name) for name in check_list("event", event, "['bump']")],
             before=duration_ns(before),
             after=duration_ns(after),
             period=0 if thin is None else max(1, int(SECOND_NS / thin)),

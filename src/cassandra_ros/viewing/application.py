@@ -58,7 +58,8 @@ def make_application(
     application.on_shutdown.append(handling.stop)
     application.on_cleanup.append(handling.close)
     for route in routes:
-        application.router.add_get(route.path, handling.handler(route))
+        add = application.router.add_post if route.writes else application.router.add_get
+        add(route.path, handling.handler(route))
     _add_pages(application.router, settings)
     return application
 

@@ -40,6 +40,7 @@ def _keyspace(call: ApiCall) -> Json:
         "exists": not absence,
         "text": absence,
         "keyspaces": keyspaces,
+        "allow_writes": call.settings.allow_writes,
     }
 
 

@@ -28,9 +28,9 @@ _ERROR: dict[str, Json] = {
     },
 }
 _INTRODUCTION = (
-    "ROS topics that are stored in Apache Cassandra, read only. Times in answers are decimal texts "
-    "of nanoseconds since 1970, because JavaScript's numbers cannot hold them; both ends of a time "
-    "range are included. Errors are JSON: error (its name) and text."
+    "ROS topics that are stored in Apache Cassandra. Only POST changes what is stored. Times in "
+    "answers are decimal texts of nanoseconds since 1970, because JavaScript's numbers cannot hold "
+    "them; both ends of a time range are included. Errors are JSON: error (its name) and text."
 )
 
 
@@ -38,7 +38,7 @@ def describe(routes: Iterable[Route]) -> Json:
     """Return the document, which has each route with all its parameters."""
     paths: dict[str, dict[str, Json]] = {}
     for route in routes:
-        paths[route.path] = {"get": _operation(route)}
+        paths[route.path] = {"post" if route.writes else "get": _operation(route)}
     return {
         "openapi": "3.0.3",
         "info": {"title": "cassandra_ros viewer", "version": "1", "description": _INTRODUCTION},

@@ -47,7 +47,7 @@ KEYSPACE = Parameter(
 
 @dataclass(frozen=True)
 class Route:
-    """A path and its handler for GET and HEAD, which is called on a thread."""
+    """A path and its handler, which is called on a thread: for GET and HEAD, or for POST."""
 
     path: str
     answer: Callable[[ApiCall], Answer]
@@ -58,3 +58,5 @@ class Route:
     """Parameters in addition to KEYSPACE."""
     kind: str = "json"
     """Type of the answer: json, or a content type like image/jpeg."""
+    writes: bool = False
+    """Whether it changes what is stored; then it answers POST only."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 from cassandra_ros.viewing import (
     ask_routes,
     catalog_routes,
+    event_routes,
     image_routes,
     look_routes,
     map_routes,
@@ -28,6 +29,7 @@ def _describe(call: ApiCall) -> Json:
 ROUTES: tuple[Route, ...] = (
     *catalog_routes.ROUTES,
     *mark_routes.ROUTES,
+    *event_routes.ROUTES,
     *timeline_routes.ROUTES,
     *ask_routes.ROUTES,
     *look_routes.ROUTES,

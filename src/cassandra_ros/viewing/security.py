@@ -157,6 +157,8 @@ class Guard:
     def _check_site(self, request: web.Request) -> None:
         """Refuse requests that a page of another site makes without its reader's knowledge.
 
+        Pages of other sites never write, also if they are allowed to read.
+
         A link on such a page may lead to the viewer's pages, but not to an answer: the page could
         have many expensive answers made by opening them. Clients that do not send their origin
         (curl, old browsers) are accepted.
@@ -165,6 +167,11 @@ class Guard:
         origin = headers.get("Origin", "")
         foreign = bool(origin) and urlsplit(origin).netloc != request.host
         cross = headers.get("Sec-Fetch-Site") in ("cross-site", "same-site")
+        if request.method == "POST" and (foreign or cross):
+            raise web.HTTPForbidden(
+                text=f"a page of {origin or 'another site'} may not change what is stored: "
+                "--allow-origin only lets it read\n"
+            )
         navigates = request.method == "GET" and headers.get("Sec-Fetch-Mode") == "navigate"
         follows_link = navigates and not request.path.startswith(_ANSWERS)
         if not foreign and (not cross or follows_link):

@@ -53,6 +53,8 @@ class ViewerSettings:
     """Secret that each client must send; '' = none."""
     allow_origin: tuple[str, ...] = ()
     """Other sites whose pages may read the answers, as 'https://app.foxglove.dev'."""
+    allow_writes: bool = False
+    """Whether clients may add events, with the rights of the viewer's user in the store."""
     cache: Path | None = None
     """Folder for files that are being sent; None = a new one in the temporary folder. The viewer
     deletes its files when it ends."""

@@ -25,6 +25,7 @@ from cassandra_ros.cli.options import (
     add_message_options,
     add_store_options,
     open_store,
+    read_event,
     read_times,
     read_where,
 )
@@ -53,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Print the messages one by one while they are read."""
     where, (start, end) = read_where(options), read_times(options)
+    event = read_event(options)
     with open_store(options) as ros_cas:
         rows = ros_cas.readMessages(
             stored_topics(ros_cas.catalog, options),
@@ -61,6 +63,7 @@ def run(options: argparse.Namespace) -> int:
             nodeID=options.node_id,
             where=where or None,
             run=options.run,
+            event=event,
         )
         printer = _Printer(options)
         damaged, opening = 0, "[\n"

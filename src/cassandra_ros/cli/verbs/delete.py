@@ -7,11 +7,11 @@
   cassandra_bag delete -e '/camera/.*' --end 2013-05-08T14:06:30Z
   cassandra_bag delete --where '/cmd_vel: linear.x = 0' --start 1368021980
 
-Without --start, --end, --node-id, --run and --where the topics themselves are deleted, including
-their metadata; with any of these options only messages. With --where only messages of topics that
-have a condition are deleted. A run without messages is not listed any more. The command prints how
-much it will delete, and asks first; --dry-run only prints it. You cannot undo it, but importing the
-same bag stores its messages again.
+Without --start, --end, --event, --node-id, --run and --where the topics themselves are deleted,
+including their metadata; with any of these options only messages. Events stay. With --where only
+messages of topics that have a condition are deleted. A run without messages is not listed any more.
+The command prints how much it will delete, and asks first; --dry-run only prints it. You cannot
+undo it, but importing the same bag stores its messages again.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from cassandra_ros.cli.options import (
     add_message_options,
     add_store_options,
     open_store,
+    read_event,
     read_times,
     read_where,
 )
@@ -58,10 +59,11 @@ def run(options: argparse.Namespace) -> int:
         "nodeID": options.node_id,
         "run": options.run,
         "where": read_where(options) or None,
+        "event": read_event(options),
     }
     whole = not any(value is not None for value in selected.values())
     if whole and not options.topics:
-        options.parser.error("name topics, times, a node, a run or a condition")
+        options.parser.error("name topics, times, an event, a node, a run or a condition")
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas.catalog, options)
 

@@ -7,10 +7,15 @@ the messages of an imported bag keep their order. Times are seconds (1368021980 
 ISO 8601 (UTC unless a zone is given), or nanoseconds (13 digits or more). If there are no messages,
 no bag is written, and an existing one is kept.
 
+With --event NAME only the time ranges of these events are exported, each event's robot alone.
+
 With --start the bag begins with the messages that were latched before it (/tf_static, say): the
 last message of each latching publisher in the exported recordings. Their time in the bag is the
-start. Each has a connection of its own, whose header field latched_from holds its receive time in
-nanoseconds; --no-latched leaves them out.
+start. So does each time range of --event, as far as they have changed since. Each has a connection
+of its own, whose header field latched_from holds its receive time in nanoseconds; --no-latched
+leaves them out.
+
+Events that meet the time of the messages go into an MCAP as metadata; a bag cannot hold them.
 
 An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. Each publisher of a topic
 is a channel, whose metadata hold the connection header. cassandra_bag import restores all of it.
@@ -27,6 +32,7 @@ from cassandra_ros.cli.options import (
     add_message_options,
     add_store_options,
     open_store,
+    read_event,
     read_times,
     read_where,
 )
@@ -82,6 +88,7 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.bag.exporter import export_bag
 
     where, (start, end) = read_where(options), read_times(options)
+    event = read_event(options)
     path, begun = _path(options), time.monotonic()
     with open_store(options) as ros_cas, MessageBar(f"exporting {path}") as bar:
         report = export_bag(
@@ -97,11 +104,13 @@ def run(options: argparse.Namespace) -> int:
             where=where,
             latched=options.latched,
             run=options.run,
+            event=event,
         )
     if options.json:
         print_json(report)
     elif not options.quiet:
-        _print_report(report, options.start, time.monotonic() - begun)
+        since = None if options.event else options.start
+        _print_report(report, since, time.monotonic() - begun)
     return 0
 
 
@@ -122,9 +131,12 @@ def _print_report(report: ExportReport, start: str | None, seconds: float) -> No
         print(format_table(("topic", "messages"), rows, right=("messages",)))
     early = sum(report.latched.values())
     if early:
-        print(f"{early} of these were latched before {start}; their time in the file is {start}")
+        begin = start or "the time ranges of the events"
+        place = start or "the start of a time range"
+        print(f"{early} of these were latched before {begin}; their time in the file is {place}")
     print(
         f"{report.path}: {counted(sum(report.messages.values()), 'message')} of "
         f"{counted(len(rows), 'topic')}, "
         f"{format_bytes(report.bytes)} ({seconds:.1f} s)"
+        + (f", {counted(report.events, 'event')}" if report.events else "")
     )

@@ -221,6 +221,7 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
     print(
         f"{shown(report.path)}: {what} {'is' if report.messages == 1 else 'are'} in keyspace "
         f"{keyspace} ({seconds:.1f} s)"
+        + (f", with {counted(report.events, 'event')}" if report.events else "")
     )
 
 
@@ -254,6 +255,7 @@ def _answer(outcome: _Outcome) -> dict[str, object]:
         answer.update(
             run=report.writer_id,
             messages=report.messages,
+            events=report.events,
             topics=report.topics,
             lost=report.lost,
             lost_bytes=report.salvaged.lost_bytes,

@@ -36,10 +36,12 @@ from typing import TYPE_CHECKING, Any
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
+    add_event_options,
     add_origin_options,
     add_store_options,
     add_time_options,
     open_store,
+    read_event,
     read_times,
 )
 from cassandra_ros.cli.readers import factor, whole_number
@@ -64,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_beams(parser.add_argument_group("what comes into it"))
     _add_poses(parser.add_argument_group("where the sensor was"))
     add_time_options(parser)
+    add_event_options(parser)
     add_origin_options(parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="print errors only")
     add_json_option(parser)
@@ -119,6 +122,7 @@ def run(options: argparse.Namespace) -> int:
 
     output = _output(options)
     (start, end), choice = read_times(options), _choice(options)
+    event = read_event(options)
     map_options = MapOptions(
         **_given(
             resolution=options.resolution,
@@ -139,6 +143,7 @@ def run(options: argparse.Namespace) -> int:
             name=None if options.store else options.map_name,
             options=map_options,
             poses=choice,
+            event=event,
             progress=bar.reach,
         )
         files = [] if output is None else _save(made.map, output)

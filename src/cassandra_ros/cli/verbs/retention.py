@@ -4,11 +4,13 @@
 
   cassandra_bag retention --max-age 90d
   cassandra_bag retention -e '/camera/.*' --max-size 200G
+  cassandra_bag retention --keep 'event: bump' --max-age 30d
   cassandra_bag retention --keep '/battery: voltage < 11' --thin 1 --thin-after 7d --max-age 90d
 
 The last line keeps all messages of a week, then one message per second of each publisher, and
 deletes messages older than 90 days. It keeps all messages of all topics from 30 s before to 30 s
-after each time at which the battery was low. The command works once, on the messages that are
+after each time at which the battery was low. 'event: NAME' keeps those around the events of a name;
+a topic that is called event is written /event. The command works once, on the messages that are
 stored then; for a permanent rule run it by cron, with --yes. A message's age follows from its time:
 a message that was recorded last year and imported today is a year old. Do not thin /tf: each of its
 messages holds other frames.
@@ -42,6 +44,8 @@ if TYPE_CHECKING:
     from cassandra_ros.upkeep.retention_rules import Retained
 
 _FORM = "'TOPIC: CONDITION'"
+_EVENT = "event"
+"""Word before the colon of --keep that stands for events."""
 _NUMBERS = ("messages", "dropped", "thinned", "left")
 
 
@@ -71,7 +75,7 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
     add("--thin-after", metavar="AGE", type=age, default=0.0, help=text)
     text = (
         "keep all messages of all topics around the times at which a message of TOPIC satisfies "
-        "CONDITION, as in CQL; may be repeated, for other topics"
+        "CONDITION, as in CQL, or around the events of a name ('event: NAME'); may be repeated"
     )
     add(
         "--keep",
@@ -81,9 +85,9 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
         default=[],
         help=text,
     )
-    text = "with --keep: time before each of these messages, seconds or 5m, 1h (default: 30)"
+    text = "with --keep: time before each message or event, seconds or 5m, 1h (default: 30)"
     add("--before", metavar="SEC", type=seconds, default=30.0, help=text)
-    text = "with --keep: time after each of these messages (default: 30)"
+    text = "with --keep: time after each message or event (default: 30)"
     add("--after", metavar="SEC", type=seconds, default=30.0, help=text)
     text = "time from which ages are counted, as --start of other verbs (default: server's time)"
     add("--now", metavar="T", help=text)
@@ -93,7 +97,10 @@ def run(options: argparse.Namespace) -> int:
     """Print how much will be deleted, ask, and delete it."""
     if options.max_age is None and options.max_size is None and options.thin is None:
         options.parser.error("say what is to be dropped: --max-age, --max-size or --thin")
-    keep, now = read_conditions(options, "keep"), read_time("now", options.now)
+    now = read_time("now", options.now)
+    events = [name for topic, name in options.keep if topic == _EVENT]
+    options.keep = [(topic, text) for topic, text in options.keep if topic != _EVENT]
+    keep = read_conditions(options, "keep")
     with open_store(options) as ros_cas:
         topics = stored_topics(ros_cas.catalog, options)
 
@@ -104,6 +111,7 @@ def run(options: argparse.Namespace) -> int:
                     max_age=options.max_age,
                     max_bytes=options.max_size,
                     keep=keep or None,
+                    event=events,
                     before=options.before,
                     after=options.after,
                     thin=options.thin,

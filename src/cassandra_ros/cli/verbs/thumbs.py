@@ -24,6 +24,7 @@ from cassandra_ros.cli.options import (
     add_message_options,
     add_store_options,
     open_store,
+    read_event,
     read_times,
     read_where,
 )
@@ -161,7 +162,8 @@ def _chosen(catalog: Catalog, topic: str, options: argparse.Namespace) -> Messag
     if set(where) - {topic}:
         raise InvalidOption(f"--where is for {topic}, which is drawn, and for no other topic")
     writers = catalog.keyspace.runs.writers(options.run)
-    return MessageChoice(start, end, options.node_id, writers, where.get(topic))
+    event = read_event(options)
+    return MessageChoice(start, end, options.node_id, writers, where.get(topic), event)
 
 
 def _tell_problems(drawn: list[_Thumbnail]) -> None:

@@ -19,11 +19,13 @@ from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
+    add_event_options,
     add_large_chunks_option,
     add_origin_options,
     add_store_options,
     add_time_options,
     open_store,
+    read_event,
     read_pair,
     read_times,
 )
@@ -57,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --content: topic FROM of the bag was recorded as TO; may be repeated",
     )
     add_time_options(parser, "with --content: ")
+    add_event_options(parser, "with --content: ")
     add("-q", "--quiet", action="store_true", help="print differences only")
     add_json_option(parser)
     add_store_options(parser)
@@ -64,8 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Compare, and print the first differences."""
-    if not options.content and (options.map or options.start or options.end):
-        options.parser.error("--map, --start and --end go with --content")
+    if not options.content and (options.map or options.start or options.end or options.event):
+        options.parser.error("--map, --start, --end and --event go with --content")
     report = _compare(options)
     if options.json:
         print_json({"keyspace": options.keyspace, "equal": report.equal, **vars(report)})
@@ -90,7 +93,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.comparison import verify_bag, verify_content
     from cassandra_ros.bag.file_formats import open_file
 
-    start, end = read_times(options)
+    (start, end), event = read_times(options), read_event(options)
     with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:
         count = reader.message_count
         names = {connection.topic for connection in reader.connections.values()}
@@ -122,6 +125,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             run=options.run,
             salvage=options.salvage,
             large_chunks=options.allow_large_chunks,
+            event=event,
         )
 
 

@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Bounds of a condition on KEY, NODE, RUN and NEAR, which leave out rows before they are read.
+"""Bounds of a condition on KEY, NODE, RUN, NEAR and EVENT: which rows need not be read.
 
 Only conditions joined by AND narrow the bounds. So the bounds may be weaker than the condition, but
 are never stronger.
 
 ``NEAR(x, y, radius, 'frame', 'robot')`` is true for a message if its robot was on the disk at that
 time, false if it was elsewhere, and unknown if no pose of it is known. ``Table.places`` gives
-access to the robots of the table's keyspace.
+access to the robots of the table's keyspace. ``EVENT 'name'`` is true for a message if its robot
+had an event of this name at that time, else false; ``Table.events`` finds these.
 """
 
 from __future__ import annotations
@@ -23,14 +24,16 @@ from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW
-from cassandra_ros.query.protocols import Disk, Runs, Table
+from cassandra_ros.query.protocols import Disk, Runs, Stays, Table
 from cassandra_ros.query.tree.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.tree.syntax import (
+    TIMED,
     All,
     Compare,
     DurationNs,
     Either,
     Expression,
+    InEvent,
     KeyOperand,
     Literal,
     Near,
@@ -40,12 +43,13 @@ from cassandra_ros.query.tree.syntax import (
     RunOperand,
     Select,
     StatementError,
+    Timed,
     TimeNs,
     conjuncts,
     given,
     leaves,
 )
-from cassandra_ros.read import EVERYBODY, EVERYTHING, Named, Read, TimeRange, Whose
+from cassandra_ros.read import EVERYTHING, Named, Read, TimeRange, Whose
 
 _ORDERED = ("<", "<=", ">", ">=")
 
@@ -138,7 +142,7 @@ def bounds_of(
 
 def meant_as_seconds(condition: Expression | None) -> Iterator[Literal]:
     """Yield the integers compared with KEY that look like seconds; integers mean ns."""
-    compared = (leaf for leaf in leaves(condition) if not isinstance(leaf, Near))
+    compared = (leaf for leaf in leaves(condition) if not isinstance(leaf, TIMED))
     keys = (leaf for leaf in compared if isinstance(leaf.operand, KeyOperand))
     for literal in chain.from_iterable(map(given, keys)):
         if type(literal.value) is int and 0 < literal.value < SECONDS_BELOW:
@@ -172,23 +176,23 @@ def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Runs | None) 
 def with_stays(
     select: Select,
     tables: Sequence[Table],
-    whose: Whose = EVERYBODY,
+    read: Read = EVERYTHING,
 ) -> Select:
-    """Return the statement with the stays of each NEAR filled in.
+    """Return the statement with the times of each NEAR and EVENT filled in.
 
     Args:
         select: The statement.
         tables: Tables of its topic.
-        whose: Robot and runs whose messages are read.
+        read: Time range, robot and runs of the messages that are read.
 
     Raises:
-        InvalidQuery: An argument of NEAR is invalid, or no poses are stored for it.
+        InvalidQuery: An argument of NEAR or EVENT is invalid, or no poses are stored for NEAR.
     """
     condition = select.condition
-    if condition is None or not any(isinstance(leaf, Near) for leaf in leaves(condition)):
+    if condition is None or not any(isinstance(leaf, TIMED) for leaf in leaves(condition)):
         return select
     try:
-        return replace(select, condition=_with_stays(condition, _ReadScope(tables, whose)))
+        return replace(select, condition=_with_stays(condition, _ReadScope(tables, read)))
     except StatementError as exc:
         raise InvalidQuery(select.text, exc.position, exc.reason) from None
 
@@ -197,11 +201,11 @@ class _ReadScope(NamedTuple):
     """The messages that a statement reads."""
 
     tables: Sequence[Table]
-    whose: Whose
+    read: Read
 
 
 def _with_stays(item: Expression, asked: _ReadScope) -> Expression:
-    if isinstance(item, Near):
+    if isinstance(item, TIMED):
         return _with_stays_of(item, asked)
     if isinstance(item, Negation):
         return Negation(_with_stays(item.item, asked))
@@ -210,15 +214,27 @@ def _with_stays(item: Expression, asked: _ReadScope) -> Expression:
     return item
 
 
-def _with_stays_of(near: Near, asked: _ReadScope) -> Near:
-    disk = disk_of(near)
+def _with_stays_of(leaf: Timed, asked: _ReadScope) -> Timed:
+    find = _events_of(leaf, asked) if isinstance(leaf, InEvent) else _places_of(leaf, asked)
     if not asked.tables:
-        return near
+        return leaf
     try:
-        places, whose = asked.tables[0].places, asked.whose
-        return replace(near, stays=places.stays(disk, whose.node, whose.writers))
-    except InvalidOption as exc:
-        raise StatementError(near.position, str(exc)) from exc
+        return replace(leaf, stays=find(asked.tables[0]))
+    except (InvalidName, InvalidOption) as exc:
+        raise StatementError(leaf.position, str(exc)) from exc
+
+
+def _places_of(near: Near, asked: _ReadScope) -> Callable[[Table], Stays]:
+    disk, whose = disk_of(near), asked.read.whose
+    return lambda table: table.places.stays(disk, whose.node, whose.writers)
+
+
+def _events_of(leaf: InEvent, asked: _ReadScope) -> Callable[[Table], Stays]:
+    name = leaf.name.value
+    if not isinstance(name, str):
+        reason = f"the name of an event is a text in quotes, as 'bump', not {leaf.name.text}"
+        raise StatementError(leaf.name.position, reason)
+    return lambda table: table.events.times(name, leaf.like, asked.read)
 
 
 def disk_of(near: Near) -> Disk:
@@ -255,7 +271,7 @@ def spans_of(condition: Expression | None) -> RangeSource | None:
 
     The ranges may be too long, never too short.
     """
-    if isinstance(condition, Near) and condition.stays is not None:
+    if isinstance(condition, TIMED) and condition.stays is not None:
         return condition.stays.spans
     if isinstance(condition, (All, Either)):
         found = [spans_of(item) for item in condition.items]

@@ -26,7 +26,7 @@ Computed values (see ``tree/expressions``) and fields of the same message compar
 ``ANY(array) < x`` is true if the comparison is true for one element, ``ALL`` if it is true for
 every element, also of an empty array. NOT, IN and BETWEEN after them apply to the element.
 
-``NEAR`` is unknown if no pose of the robot is known at the time.
+``NEAR`` is unknown if no pose of the robot is known at the time. ``EVENT`` is true or false.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ from cassandra_ros.query.tree.literals import (
     fit_to_time,
 )
 from cassandra_ros.query.tree.syntax import (
+    TIMED,
     Aggregate,
     All,
     Call,
@@ -75,7 +76,6 @@ from cassandra_ros.query.tree.syntax import (
     IsNull,
     KeyOperand,
     Literal,
-    Near,
     Negation,
     NodeOperand,
     OneOf,
@@ -87,6 +87,7 @@ from cassandra_ros.query.tree.syntax import (
     Selected,
     StatementError,
     Term,
+    Timed,
     given,
     inside,
     wants_array,
@@ -117,8 +118,8 @@ def compile_condition(expression: Expression | None, fields: NameResolver) -> Ch
     if isinstance(expression, (All, Either)):
         checks = [compile_condition(item, fields) for item in expression.items]
         return _joined(checks, isinstance(expression, Either))
-    if isinstance(expression, Near):
-        return _near(expression, *fields.whereabouts())
+    if isinstance(expression, TIMED):
+        return _timed(expression, *fields.whereabouts())
     if isinstance(expression, Relate):
         left, right = fields.compute(expression)
         return _related(expression.operator, left, right)
@@ -144,7 +145,7 @@ def _leaf(leaf: Compare | OneOf | IsNull, place: int | None, fields: NameResolve
     return _membership(place, listed)
 
 
-def _near(leaf: Near, node: int, run: int, time: int) -> Check:
+def _timed(leaf: Timed, node: int, run: int, time: int) -> Check:
     if leaf.stays is None:  # the topic has no tables, and therefore no rows
         return lambda values: None
     holds = leaf.stays.holds
@@ -199,7 +200,7 @@ def _element_test(
 
 
 def _test(sign: str, wanted: Any) -> Callable[[Any], bool]:
-    return _like(wanted) if sign == "LIKE" else partial(_SWAPPED[sign], wanted)
+    return like_test(wanted) if sign == "LIKE" else partial(_SWAPPED[sign], wanted)
 
 
 def _comparison(place: int, sign: str, wanted: Comparable | None) -> Check:
@@ -231,7 +232,7 @@ def _tested(place: int, test: Callable[[Any], bool]) -> Check:
     return check
 
 
-def _like(pattern: str) -> Callable[[str], bool]:
+def like_test(pattern: str) -> Callable[[str], bool]:
     """Return the function that matches a whole text with a pattern of LIKE.
 
     Its time is at most proportional to text times pattern. One regular expression with several

@@ -41,6 +41,7 @@ from cassandra_ros.query.tree.syntax import (
     Expression,
     Indexed,
     IndexName,
+    InEvent,
     IsNull,
     KeyOperand,
     Literal,
@@ -263,6 +264,12 @@ class _Builder(Transformer):  # type: ignore[type-arg]
             reason += "('map' where none is given) and a robot, as NEAR(2.5, 0, 1.5, 'odom')"
             raise StatementError(_at(word), reason)
         return Near(given, _at(word))
+
+    def event(self, word: Token, name: Term) -> InEvent:
+        return InEvent(_value(name), False, _at(word))
+
+    def event_like(self, word: Token, negated: _Not, _like: Token, pattern: Term) -> Expression:
+        return _unless(negated, InEvent(_value(pattern), True, _at(word)))
 
     def is_null(self, operand: Term, negated: _Not) -> Expression:
         return _unless(negated, IsNull(_part(operand)))

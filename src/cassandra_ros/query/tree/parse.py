@@ -35,6 +35,7 @@ from cassandra_ros.query.tree.syntax import (
     Compare,
     Delete,
     Expression,
+    InEvent,
     IsNull,
     Leaf,
     Literal,
@@ -82,7 +83,7 @@ _WORDS = {
 }
 _KEPT_KEYWORDS = {"ASC", "DESC", "NOT", "LIKE", "CONTAINS"}
 """Keywords that stay in the tree; the grammar's names of all other keywords begin with '_'."""
-_UNSAID = {"QUOTED", "_END", "FUNCTION", "NEAR", "TRUE", "FALSE"}
+_UNSAID = {"QUOTED", "_END", "FUNCTION", "NEAR", "EVENT", "TRUE", "FALSE"}
 _NEVER_CHANGED = (
     "messages are never changed: addData and the recorder store new ones, DELETE removes them"
 )
@@ -296,6 +297,8 @@ class Binding:
     def _leaf(self, leaf: Leaf) -> Expression:
         if isinstance(leaf, Near):
             return replace(leaf, values=tuple(map(self.value, leaf.values)))
+        if isinstance(leaf, InEvent):
+            return replace(leaf, name=self.value(leaf.name))
         if isinstance(leaf, Quantified):
             tests = tuple((sign, self._term(term)) for sign, term in leaf.tests)
             return replace(leaf, tests=tests)

@@ -43,6 +43,7 @@ _KEYWORDS = {
     "CONTAINS": "CONTAINS",
     "_IS": "IS NULL",
     "NEAR": "NEAR(",
+    "EVENT": "EVENT '",
     "_NULL": "NULL",
     "_AS": "AS",
     "ASC": "ASC",

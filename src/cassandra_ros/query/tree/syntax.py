@@ -313,6 +313,22 @@ class Near:
 
 
 @dataclass(frozen=True)
+class InEvent:
+    """``EVENT 'name'`` or ``EVENT LIKE 'pattern'``: whether the robot had such an event then."""
+
+    name: Literal
+    like: bool
+    position: int
+    stays: Stays | None = field(default=None, compare=False)
+    """Times of the events; None until they are looked up."""
+
+    @property
+    def text(self) -> str:
+        """Condition as in a statement."""
+        return f"EVENT {'LIKE ' * self.like}{self.name.text}"
+
+
+@dataclass(frozen=True)
 class All:
     """Conditions joined by AND."""
 
@@ -335,8 +351,11 @@ class Negation:
 
 Comparison = Union[Compare, OneOf, IsNull, Relate, Quantified]
 """Any condition with an operand."""
-Leaf = Union[Comparison, Near]
-LEAVES = (Compare, OneOf, IsNull, Relate, Quantified, Near)
+Timed = Union[Near, InEvent]
+"""Any condition on the time and the robot of a message."""
+TIMED = (Near, InEvent)
+Leaf = Union[Comparison, Timed]
+LEAVES = (Compare, OneOf, IsNull, Relate, Quantified, *TIMED)
 Expression = Union[Leaf, All, Either, Negation]
 
 
@@ -358,6 +377,8 @@ def terms_of(leaf: Leaf) -> tuple[Term, ...]:
     """Return all terms in a comparison."""
     if isinstance(leaf, Near):
         return leaf.values
+    if isinstance(leaf, InEvent):
+        return (leaf.name,)
     if isinstance(leaf, Relate):
         return (leaf.operand, leaf.other)
     tests = leaf.tests if isinstance(leaf, Quantified) else ()

@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Events that one call begins and the next call ends, and the conditions that do so by themselves.
+
+A watched event lasts while a condition holds for the messages of a topic: from the first message
+that satisfies it to the last one before it has not held for the hold time.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+from typing import Any, Callable, Mapping
+
+from cassandra_ros.arguments import check_event_name, check_event_values, check_labels
+from cassandra_ros.tables.event_table import Event
+
+Put = Callable[[Event], object]
+"""Function that stores an event, which may have been stored without its end before."""
+
+
+class EventMarks:
+    """The events that this process has begun and not ended. Thread-safe.
+
+    Args:
+        put: Stores an event.
+    """
+
+    def __init__(self, put: Put) -> None:
+        self._put = put
+        self._lasting: dict[tuple[str, str], Event] = {}
+        self._mutex = threading.Lock()
+
+    def mark(
+        self,
+        name: str,
+        t: int,
+        node: str = "",
+        labels: Mapping[str, str] | None = None,
+        values: Mapping[str, Any] | None = None,
+        writer: int = 0,
+    ) -> Event:
+        """Begin an event at a time, ns, or end the one of this name and robot; return it.
+
+        Labels and values of the call that ends it are added to those of the first.
+
+        Raises:
+            InvalidName: The name, a label or a value cannot be stored.
+            InvalidKey: The end is before the start: the clock went back.
+            CassandraRosError: It cannot be stored, and is as before.
+        """
+        key = check_event_name(name), node
+        more = check_labels(labels or {}), check_event_values(values or {})
+        with self._mutex:
+            begun = self._lasting.get(key)
+            if begun is None:
+                event = Event(name, t, None, node, writer, *more)
+            else:
+                both = {**begun.labels, **more[0]}, {**begun.values, **more[1]}
+                event = replace(begun, end_ns=t, labels=both[0], values=both[1])
+            self._put(event)
+            if begun is None:
+                self._lasting[key] = event
+            else:
+                del self._lasting[key]
+            return event
+
+    def end_all(self, t: int) -> None:
+        """End all events at a time, ns; those that cannot be stored go on lasting in the store."""
+        with self._mutex:
+            for event in self._lasting.values():
+                self._put(replace(event, end_ns=max(t, event.start_ns)))
+            self._lasting.clear()
+
+
+@dataclass(frozen=True)
+class WatchedEvent:
+    """An event that lasts while a condition holds for the messages of a topic."""
+
+    name: str
+    topic: str
+    where: str
+    """Condition, as after WHERE in CQL."""
+    hold_ns: int = 0
+    """How long the condition must not hold until the event ends, ns."""
+    labels: Mapping[str, str] | None = None
+
+
+class EventWatch:
+    """Begins and ends one event by the messages of its topic. Not thread-safe.
+
+    Args:
+        rule: The event.
+        holds: Returns whether a message satisfies the condition: header, time of reception, bytes.
+        node: nodeID of the robot.
+        put: Stores an event without waiting.
+        writer: Returns the writer id of the present run; 0 = there is none.
+    """
+
+    def __init__(
+        self,
+        rule: WatchedEvent,
+        holds: Callable[[Mapping[str, str], int, bytes], bool],
+        node: str,
+        put: Put,
+        writer: Callable[[], int],
+    ) -> None:
+        self._rule, self._holds, self._node = rule, holds, node
+        self._put, self._writer = put, writer
+        self._event: Event | None = None
+        self._last = 0
+        """Time of the last message that satisfied the condition, ns."""
+
+    def see(self, header: Mapping[str, str], t: int, wire: bytes) -> None:
+        """Take a message that was received at a time, ns."""
+        if self._holds(header, t, wire):
+            if self._event is None:
+                rule = self._rule
+                self._event = Event(
+                    rule.name, t, None, self._node, self._writer(), dict(rule.labels or {})
+                )
+                self._put(self._event)
+                self._last = t
+            self._last = max(self._last, t)
+        elif self._event is not None and t >= self._last + self._rule.hold_ns:
+            self.end()
+
+    def end(self) -> None:
+        """End the event, if it lasts, at the last message that satisfied the condition."""
+        if self._event is not None:
+            self._put(replace(self._event, end_ns=self._last))
+            self._event = None

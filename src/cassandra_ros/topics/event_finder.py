@@ -1,0 +1,210 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The events of a keyspace: added, found by name, robot, run and time, ended, removed."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import replace
+from itertools import islice
+from numbers import Integral
+from typing import Any, Iterator, Mapping, NamedTuple, Tuple, Union
+
+from cassandra_ros.arguments import (
+    check_event_name,
+    check_event_values,
+    check_labels,
+    check_new_node,
+    check_text,
+)
+from cassandra_ros.errors import EventNotFound, InvalidKey, InvalidName, InvalidOption
+from cassandra_ros.messages.stamps import SECONDS_BELOW, Length, Time, duration_ns, iso_time, to_ns
+from cassandra_ros.query.rows.name_resolution import like_test
+from cassandra_ros.read import ALWAYS, EVERYBODY, LAST_NS, Read, TimeRange, Whose
+from cassandra_ros.tables.event_table import ALL_NAMES, Event, EventTable, Names
+from cassandra_ros.topics.event_times import EventTimes
+from cassandra_ros.topics.run_finder import RunName, Runs
+
+EventRule = Union[None, str, Tuple[str, Length, Length]]
+"""Messages during the events of a name: the name, or (name, before, after) with the time before
+and after each event, seconds or a Duration. None = messages of all time."""
+MOST_EVENTS = 100_000
+"""Maximum number of events whose time ranges are read together."""
+_MOST_LOOKED_AT = 10_000
+"""Maximum number of events among which similar names are searched."""
+
+
+class EventChoice(NamedTuple):
+    """A checked EventRule."""
+
+    name: str
+    before: int = 0
+    after: int = 0
+    """Time before and after each event, ns."""
+
+    @classmethod
+    def of(cls, rule: EventRule) -> EventChoice | None:
+        """Check a rule; None if it is None.
+
+        Raises:
+            InvalidName, InvalidKey: The name or a length of time cannot be used.
+        """
+        if rule is None:
+            return None
+        if isinstance(rule, (tuple, list)) and len(rule) == 3:
+            return cls(check_event_name(rule[0]), duration_ns(rule[1]), duration_ns(rule[2]))
+        return cls(check_event_name(rule))
+
+
+class Events:
+    """Reads and writes the events of one keyspace. Thread-safe.
+
+    Args:
+        keyspace: Name of the keyspace.
+    """
+
+    def __init__(self, keyspace: str, table: EventTable, runs: Runs) -> None:
+        self._keyspace = keyspace
+        self._table = table
+        self._runs = runs
+
+    def add(
+        self,
+        name: str,
+        start: Time,
+        end: Time | None = None,
+        node: str = "",
+        run: RunName = None,
+        labels: Mapping[str, str] | None = None,
+        values: Mapping[str, Any] | None = None,
+    ) -> Event:
+        """Store an event and return it; see RosCassandra.addEvent."""
+        first, last = _time(start), None if end is None else _time(end)
+        event = Event(
+            check_event_name(name),
+            first,
+            last,
+            check_new_node(node),
+            0 if run is None or isinstance(run, frozenset) else self._runs.find(run)[0].writer,
+            check_labels(labels or {}),
+            check_event_values(values or {}),
+        )
+        return self.put(event)
+
+    def put(self, event: Event) -> Event:
+        """Store an event as it is, after a check of its times; it replaces one with its key."""
+        if event.end_ns is not None and event.end_ns < event.start_ns:
+            start, end = iso_time(event.start_ns), iso_time(event.end_ns)
+            reason = f"its end, {end}, is before its start, {start}: exchange them"
+            raise InvalidKey(f"event {event.name!r:.80} is not stored: {reason}")
+        self._table.put(event)
+        return event
+
+    def end(self, event: Event | str, end: Time) -> Event:
+        """Set the end of an event, and return it; raises like ``get`` and ``put``."""
+        return self.put(replace(self.get(event), end_ns=_time(end)))
+
+    def remove(self, event: Event | str) -> None:
+        """Delete an event; raises like ``get``."""
+        self._table.remove(self.get(event))
+
+    def get(self, event: Event | str) -> Event:
+        """Return a stored event by itself or by its key.
+
+        Raises:
+            EventNotFound: It is not stored (any more), or the text is not a key.
+            InvalidOption: It is neither an event nor a text.
+        """
+        key = event.key if isinstance(event, Event) else event
+        found = self._table.with_key(check_text("event", key, wanted="an event, or its key"))
+        if found is None:
+            raise EventNotFound(
+                f"there is no event {key!r:.80} in keyspace {self._keyspace}; cassandra_bag event "
+                "list prints the names and keys"
+            )
+        return found
+
+    def find(
+        self,
+        name: str | None = None,
+        like: str | None = None,
+        within: TimeRange = ALWAYS,
+        whose: Whose = EVERYBODY,
+    ) -> Iterator[Event]:
+        """Yield events in order of their starts, lazily.
+
+        Args:
+            name: Their name; None = all names.
+            like: Pattern of LIKE for their names, instead of a name.
+            within: Time range that they meet.
+            whose: Their robots and runs; events of no robot, or of no run, count for all.
+        """
+        if name is not None and like is not None:
+            raise InvalidName("an event is found by a name or by a pattern of LIKE: give one")
+        names, test = ALL_NAMES, None
+        if name is not None:
+            names = Names(check_event_name(name), exact=True)
+        elif like is not None:
+            pattern = check_text("like", like, error=InvalidName, wanted="a pattern, as 'bump%'")
+            names, test = Names(pattern.split("%")[0].split("_")[0]), like_test(pattern)
+        events = self._table.read(names, within)
+        mine = (event for event in events if _counts(event, whose))
+        return mine if test is None else (event for event in mine if test(event.name))
+
+    def times(self, name: str, like: bool, read: Read) -> EventTimes:
+        """Return the times of the events of a name, for EVENT; see query.protocols.Events."""
+        within = read.time_range
+        found = self.find(like=name, within=within) if like else self.find(name, within=within)
+        return EventTimes(self._bounded(found, name))
+
+    def chosen(self, choice: EventChoice, read: Read) -> EventTimes:
+        """Return the times of the events of a choice that meet a read.
+
+        Raises:
+            EventNotFound: There is no such event; the text has similar names.
+            InvalidOption: There are too many.
+        """
+        name, before, after = choice
+        low, high = read.time_range
+        within = TimeRange(max(0, low - after), min(LAST_NS, high + before))
+        found = self.find(name, within=within, whose=read.whose)
+        times = EventTimes(self._bounded(found, name), before, after)
+        if not times.ranges:
+            raise EventNotFound(self._absent(name))
+        return times
+
+    def _bounded(self, events: Iterator[Event], name: str) -> Iterator[Event]:
+        yield from islice(events, MOST_EVENTS)
+        if next(events, None) is not None:
+            raise InvalidOption(
+                f"there are more than {MOST_EVENTS} events {name!r:.80}: give a shorter time range"
+            )
+
+    def _absent(self, name: str) -> str:
+        """Return the reason why a name has no event in a time range, of a robot or run."""
+        if next(self.find(name), None) is not None:
+            return (
+                f"no event {name!r:.80} is of this time, robot and run; 'cassandra_bag event list' "
+                "prints those that there are"
+            )
+        known = sorted({event.name for event in islice(self.find(), _MOST_LOOKED_AT)})
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(known)} names"
+        return f"there is no event {name!r:.80} in keyspace {self._keyspace}; {hint}"
+
+
+def _counts(event: Event, whose: Whose) -> bool:
+    if whose.nodes is not None and event.node and event.node not in whose.nodes:
+        return False
+    return whose.writers is None or not event.writer or event.writer in whose.writers
+
+
+def _time(value: Time) -> int:
+    """Return the ns of a time of an event; refuse integers that were meant as seconds."""
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if whole and 0 < int(value) < SECONDS_BELOW:  # type: ignore[arg-type]
+        raise InvalidKey(
+            f"{value} means nanoseconds, soon after 1970; seconds are written {value}.0, and a "
+            "time of a simulation is a genpy.Time"
+        )
+    return to_ns(value)

@@ -1,0 +1,89 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The time ranges of events, with the time before and after them, by robot."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import replace
+from typing import Iterable, Iterator, NamedTuple, Sequence
+
+from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
+from cassandra_ros.tables.event_table import Event
+
+
+class Reads(NamedTuple):
+    """What a caller asks for, as one read or, with events, in parts."""
+
+    whole: Read
+    """The read without regard to events."""
+    parts: Sequence[Read]
+    """Reads in the order of time that do not overlap; without an event only ``whole``."""
+
+
+class EventTimes:
+    """The times of some events; see query.protocols.Stays.
+
+    An event without a nodeID counts for every robot.
+
+    Args:
+        events: The events, in order of their starts.
+        before, after: Time that is added before and after each event, ns.
+    """
+
+    def __init__(self, events: Iterable[Event], before: int = 0, after: int = 0) -> None:
+        self._by_node: dict[str, list[TimeRange]] = {}
+        for event in events:
+            low, high = event.time_range
+            wider = TimeRange(max(0, low - before), min(LAST_NS, high + after))
+            _add(self._by_node.setdefault(event.node, []), wider)
+        self.ranges: list[TimeRange] = []
+        """The time ranges of all robots together, in order, not overlapping."""
+        for time_range in sorted(each for every in self._by_node.values() for each in every):
+            _add(self.ranges, time_range)
+
+    def holds(self, node: str, run: str, t: int) -> bool:
+        """Return whether the robot of a message had an event at a time; ``run`` is not used."""
+        return any(_has(self._by_node.get(name, ()), t) for name in {node, ""})
+
+    def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[tuple[int, int]]:
+        """Yield the time ranges in [low, high], ns, ascending or (reverse) descending."""
+        found = [(max(low, a), min(high, b)) for a, b in self.ranges if a <= high and b >= low]
+        return reversed(found) if reverse else iter(found)
+
+    def reads(self, whole: Read) -> list[Read]:
+        """Return the reads of the robots' messages during their events, inside of a read.
+
+        They are in the order of time and do not overlap, so their rows can follow one another.
+        """
+        low, high = whole.time_range
+        changes: list[tuple[int, str, bool]] = []
+        for node, ranges in self._by_node.items():
+            for first, last in ranges:
+                if first <= high and last >= low:
+                    changes += [(max(first, low), node, True), (min(last, high) + 1, node, False)]
+        changes.sort()
+        active: set[str] = set()  # the time ranges of one robot do not overlap
+        found: list[Read] = []
+        for (t, node, begins), following in zip(changes, [*changes[1:], None]):
+            (active.add if begins else active.discard)(node)
+            if active and following is not None and following[0] > t:
+                nodes = None if "" in active else tuple(sorted(active))
+                whose = whole.whose.both(Whose(nodes))
+                if not whose.empty:
+                    time_range = TimeRange(t, following[0] - 1)
+                    found.append(replace(whole, time_range=time_range, whose=whose))
+        return found
+
+
+def _add(ranges: list[TimeRange], later: TimeRange) -> None:
+    """Add a time range that begins no earlier than the last; join it if they touch."""
+    if ranges and later.low <= ranges[-1].high + 1:
+        ranges[-1] = TimeRange(ranges[-1].low, max(ranges[-1].high, later.high))
+    else:
+        ranges.append(later)
+
+
+def _has(ranges: Sequence[TimeRange], t: int) -> bool:
+    n = bisect_right(ranges, (t, LAST_NS)) - 1
+    return n >= 0 and ranges[n].high >= t

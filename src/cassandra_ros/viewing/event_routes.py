@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Routes of events: those of a time range, or with a text in their name; and one that adds one."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+from cassandra_ros.errors import AccessDenied
+from cassandra_ros.read import LAST_NS, TimeRange
+from cassandra_ros.tables.event_table import Event
+from cassandra_ros.viewing.answers import Json
+from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most, shown_ns
+from cassandra_ros.viewing.route import Parameter, Route
+from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, whose_of
+
+_USUAL_EVENTS = 1000
+_MAX_SEARCHED = 100_000
+"""Maximum number of events whose names are compared with a searched text."""
+
+
+def _events(call: ApiCall) -> Json:
+    start, end = call.time_ns("start"), call.time_ns("end")
+    within = TimeRange(start or 0, LAST_NS if end is None else end)
+    name, text, limit = call.text("name"), call.text("text"), listed_at_most(call)
+    found = call.catalog.keyspace.events.find(name, within=within, whose=whose_of(call))
+    if text:
+        part = text.casefold()
+        searched = islice(found, _MAX_SEARCHED)
+        found = (event for event in searched if part in event.name.casefold())
+    listed: list[Json] = [_answer(event) for event in islice(found, limit)]
+    return {"events": listed, "more": next(found, None) is not None}
+
+
+def _add(call: ApiCall) -> Json:
+    if not call.settings.allow_writes:
+        raise AccessDenied(
+            "this viewer only reads: start it with --allow-writes to add events here, or add them "
+            "with cassandra_bag event add"
+        )
+    name, start, end = call.text("name"), call.time_ns("start"), call.time_ns("end")
+    # Stamps are checked as times; None is refused, for the parameters are required.
+    node = call.text("node") or ""
+    event = call.catalog.keyspace.events.add(name or "", str(start), str(end), node)
+    return _answer(event)
+
+
+def _answer(event: Event) -> dict[str, Json]:
+    return {
+        "key": event.key,
+        "name": event.name,
+        "start": str(event.start_ns),
+        "end": shown_ns(event.end_ns),
+        "node": event.node,
+        "labels": dict(event.labels),
+        "values": dict(event.values),
+    }
+
+
+ROUTES: tuple[Route, ...] = (
+    Route(
+        "/api/events",
+        _events,
+        "Events that meet a time range, in order of their starts; end null: the event lasts.",
+        (
+            START,
+            END,
+            Parameter("name", "text", "Name of the events; missing: all names."),
+            Parameter("text", "text", "Text in the name, in capitals or not; missing: all names."),
+            NODES,
+            RUNS,
+            Parameter(
+                "limit",
+                "count",
+                f"Maximum number of events, to {MAX_LISTED}.",
+                default=_USUAL_EVENTS,
+            ),
+        ),
+    ),
+    Route(
+        "/api/events/add",
+        _add,
+        "Add an event, and answer it; only with --allow-writes.",
+        (
+            Parameter("name", "text", "Name of the event, 1 to 256 bytes.", required=True),
+            Parameter("start", "time", "First time, included.", required=True),
+            Parameter("end", "time", "Last time, included.", required=True),
+            Parameter("node", "text", "nodeID of the robot; missing: of all robots."),
+        ),
+        writes=True,
+    ),
+)
