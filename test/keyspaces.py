@@ -22,6 +22,8 @@ KEYS = {
     "cr_sent": ("writer", "node"),
     "cr_place": ("frame", "robot", "size", "x", "y"),
     "cr_placed": ("tbl",),
+    "cr_copy": ("target",),
+    "cr_copied": ("target", "tbl", "node", "slot"),
     "cr_lock": ("name",),
 }
 """Partition keys of the side tables."""
