@@ -41,7 +41,8 @@ def add_target_options(parser: argparse.ArgumentParser, option: str, help: str) 
         "--to-credentials",
         metavar="FILE",
         type=lambda text: text or None,
-        help="file with user name and password for the other store, as --credentials",
+        help="file with user name and password for the other store, as --credentials (default: "
+        "likewise)",
     )
 
 

@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=FORMATS,
         help="format there (default: the one that a topic has there, for new topics that of here)",
     )
-    add("--rules", metavar="FILE", help="rules by topic, as config/replicator.yaml")
+    add("--rules", metavar="FILE", help="rules by topic, as config/replicator.yaml (default: none)")
     add(
         "--with-deletions",
         action="store_true",

@@ -46,7 +46,12 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, what is compared, and the store."""
     add = parser.add_argument
-    add("bag", metavar="FILE.bag", nargs="?", help="a bag of format 2.0, or an MCAP of ROS 1")
+    add(
+        "bag",
+        metavar="FILE.bag",
+        nargs="?",
+        help="a bag of format 2.0, or an MCAP of ROS 1 (default: the store of --with)",
+    )
     add_topics_option(parser, "FILE.bag")
     add_origin_options(parser)
     add("--content", action="store_true", help="compare only the content, see above")
