@@ -69,7 +69,8 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
         "--copied",
         choices=("first", "only"),
         help="with --max-size alone: delete what another store has acknowledged, as 'copies' says, "
-        "bucket by bucket, oldest first; first: then the rest too, as losses; only: nothing else (default: the oldest, copied or not)",
+        "bucket by bucket, oldest first; first: then the rest too, as losses; only: nothing else "
+        "(default: the oldest, copied or not)",
     )
     text = "keep at most HZ messages per second of each publisher (default: keep all)"
     add("--thin", metavar="HZ", type=factor, help=text)
