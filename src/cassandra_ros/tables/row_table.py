@@ -245,15 +245,15 @@ class RowTable:
 
         Expires: the last parameter is the time to live, s.
         """
-        names = ["_node", self.partition, *names]
-        marks = ", ".join("?" * len(names))
+        every = ("_node", self.partition, *names)
+        marks = ", ".join("?" * len(every))
         ends = " USING TTL ?" if expires else ""
-        cql = f"INSERT INTO {self.qualified} ({_listed(names)}) VALUES ({marks}){ends}"
+        cql = f"INSERT INTO {self.qualified} ({_listed(every)}) VALUES ({marks}){ends}"
         return self._prepare(cql)
 
     def insert_stored_chunk(self) -> PreparedStatement:
         """INSERT of one chunk of a large message, with its time to live, s."""
-        names = _listed(["_node", self.partition, "_t", "_seq", "_chunk", "_data"])
+        names = _listed(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
         values = "VALUES (?, ?, ?, ?, ?, ?) USING TTL ?"
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) {values}")
 
