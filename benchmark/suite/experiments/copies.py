@@ -39,7 +39,7 @@ class _Rounds:
     def run(self) -> None:
         """Run them all, and note the samples."""
         server, form = self.context.server, self.form
-        keyspace = f"{server.keyspace}_robot"
+        keyspace = f"{server.keyspace}_robot_{self.batch.kind}_{form}"
         with RosCassandra(server.host, server.port, keyspace=keyspace) as robot:
             import_bag(robot, folder_bag(self.batch, self.folder), format=form)
             for number in range(-self.context.size.warm_ups, self.context.size.rounds):

@@ -52,7 +52,7 @@ class TablePair:
                 return
         header = self.here.registry.get_header(self.source.name, conn)
         if header is not None:
-            self.there.registry.put_header(self.target.name, conn, header)
+            self.there.registry.put_headers([(self.target.name, conn, header)])
         with self._mutex:
             self._connections.add(conn)
 
