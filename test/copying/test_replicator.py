@@ -97,7 +97,7 @@ def test_nothing_is_decoded(rosCas, home, monkeypatch, cql):
         raise AssertionError("a message was decoded or encoded")
 
     for table in rosCas.catalog.tables(None):
-        for name in ("encode_wire", "encode_together", "decode_together", "zones", "decode"):
+        for name in ("encode_wire", "encode_together", "decode_together", "decode_wire", "decode"):
             monkeypatch.setattr(type(table.format), name, refuse)
     monkeypatch.setattr("cassandra_ros.blocks.block_row.unpack_block", refuse)
     monkeypatch.setattr("cassandra_ros.blocks.block_builder.pack_block", refuse)
