@@ -36,8 +36,8 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_time
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
+from cassandra_ros.keys import MAX_NS
 from cassandra_ros.printable import shown
-from cassandra_ros.read import LAST_NS
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.comparison import VerifyReport
@@ -165,7 +165,7 @@ def _compare_stores(options: argparse.Namespace) -> int:
     for each in result.differences:
         whose = f" of {shown(each.node)}" if each.node else ""
         when = "under names"
-        if each.last_ns < LAST_NS:
+        if each.last_ns <= MAX_NS:
             when = f"{format_time(each.first_ns)} to {format_time(each.last_ns)}"
         numbers = f"{each.here.messages} messages here, {each.there.messages} there"
         print(f"different: {shown(each.topic)}{whose} {when}: {numbers}")
