@@ -246,11 +246,12 @@ class Trial:
             return False
 
     def outlast_lock(self) -> None:
-        """After a kill: in the short form, let the schema lock run out at once, not after 120 s."""
+        """After a kill: in the short form, let the locks run out at once, not after 120 s."""
         if self.short:
             with contextlib.suppress(DriverException), self.store() as store:
-                cql = f"DELETE FROM {self.keyspace}.cr_lock WHERE name = 'schema' IF EXISTS"
-                list(store.select(cql))
+                for (name,) in list(store.select(f"SELECT name FROM {self.keyspace}.cr_lock")):
+                    cql = f"DELETE FROM {self.keyspace}.cr_lock WHERE name = '{name}' IF EXISTS"
+                    list(store.select(cql))
 
     def note(self, text: str) -> None:
         """Add a note to the line of the fault."""
@@ -268,7 +269,7 @@ class Trial:
         self.result.sums = run_account(self._case(), self.folder, self.world.env)
         self.result.check = self._findings()
         self.result.seconds = round(time.monotonic() - self._began, 1)
-        self._drop()
+        self.drop(self.keyspace)
         return self.result
 
     def _case(self) -> dict:
@@ -291,9 +292,10 @@ class Trial:
         status = program.process.wait(VERB_SEC)
         return "" if not status else program.output.strip()[-2000:] or f"exit status {status}"
 
-    def _drop(self) -> None:
+    def drop(self, keyspace: str) -> None:
+        """Drop a keyspace."""
         with contextlib.suppress(DriverException), self.store() as store:
-            list(store.select(f"DROP KEYSPACE IF EXISTS {self.keyspace}"))
+            list(store.select(f"DROP KEYSPACE IF EXISTS {keyspace}"))
 
     def _store_options(self, place: Place) -> list[object]:
         return ["--host", place.host, "--port", place.port, "--keyspace", self.keyspace]

@@ -11,7 +11,7 @@ import time
 import psutil
 
 from faults.trial import START_NS, TOPIC, Trial
-from faults.world import Failed, Program
+from faults.world import Failed, Program, Server
 
 KILLS = 4, 20
 """Number of kills in the short and in the long form."""
@@ -78,6 +78,94 @@ def index_killed(trial: Trial) -> None:
     _killed_and_completed(trial, "index", f"{TOPIC}_0", "data")
 
 
+def copy_killed(trial: Trial) -> None:
+    """A copy into another keyspace is killed at random moments, and completed."""
+    _copy_killed(trial, "ros")
+
+
+def copy_killed_packed(trial: Trial) -> None:
+    """The same in format packed."""
+    _copy_killed(trial, "packed")
+
+
+def copy_killed_converting(trial: Trial) -> None:
+    """The same from ros to packed on the way."""
+    _copy_killed(trial, "ros", "--format", "packed")
+
+
+def _copy_killed(trial: Trial, form: str, *options: str) -> None:
+    source, words = _source(trial, form)
+    _killed_and_completed(trial, "copy", *words, *options)
+    trial.done("verify", "--keyspace", source, "--with", words[-1])
+
+
+def copies_at_once(trial: Trial) -> None:
+    """Two copies of one keyspace run at the same time, and one of them is killed."""
+    source, words = _source(trial, "ros")
+    programs = [trial.verb("copy", *words) for _ in range(2)]
+    _await_cpu(programs[0], 1.0 + 0.5 * trial.messages / PACE_HZ)
+    if programs[0].runs:
+        programs[0].kill()
+        trial.note("one was killed while it worked")
+    programs[1].process.wait()
+    trial.outlast_lock()
+    trial.done("copy", *words)
+    trial.done("verify", "--keyspace", source, "--with", words[-1])
+
+
+def copy_store_killed(trial: Trial) -> None:
+    """The Cassandra that holds both keyspaces is killed while one is copied; the copy goes on."""
+    source, words = _source(trial, "ros")
+    copy = trial.verb("copy", *words)
+    _await_cpu(copy, 0.5 + trial.random.random() * trial.messages / PACE_HZ)
+    if copy.runs:
+        trial.server.kill()
+        trial.note("killed while the copy ran")
+        trial.server.start()
+    copy.process.wait()
+    trial.done("copy", *words)
+    trial.done("verify", "--keyspace", source, "--with", words[-1])
+
+
+def copy_target_killed(trial: Trial) -> None:
+    """Two Cassandras: the one to which is copied is killed while a copy runs, and started again."""
+    _copy_of_two_servers(trial, kill_target=True)
+
+
+def copy_source_killed(trial: Trial) -> None:
+    """The same with the one from which is copied."""
+    _copy_of_two_servers(trial, kill_target=False)
+
+
+def _copy_of_two_servers(trial: Trial, *, kill_target: bool) -> None:
+    source, _ = _source(trial, "ros")
+    robot, place = trial.server, trial.place
+    trial.server = Server(trial.folder / "home")
+    trial.open.callback(trial.server.stop)
+    trial.server.start()
+    target = f"{trial.place.host}:{trial.place.port}/{trial.keyspace}"
+    words = ["--keyspace", source, "--host", place.host, "--port", place.port, "--to", target]
+    copy = trial.verb("copy", *words)
+    _await_cpu(copy, 0.5 + trial.random.random() * trial.messages / PACE_HZ)
+    if copy.runs:
+        victim = trial.server if kill_target else robot
+        victim.kill()
+        trial.note("killed while the copy ran")
+        victim.start()
+    copy.process.wait()
+    trial.done("copy", *words)
+    trial.done("verify", *words[:-2], "--with", target)
+
+
+def _source(trial: Trial, form: str) -> tuple[str, list[object]]:
+    """Import the messages into another keyspace; return its name, and the words of a copy of it."""
+    source = f"{trial.keyspace}_robot"
+    trial.done("import", trial.bag(), "--format", form, "--keyspace", source)
+    trial.open.callback(trial.drop, source)
+    target = f"{trial.place.host}:{trial.place.port}/{trial.keyspace}"
+    return source, ["--keyspace", source, "--to", target]
+
+
 def _killed_and_completed(trial: Trial, *words: object) -> None:
     """Kill a verb at random moments, early ones first; each process goes on with what is left.
 
@@ -132,4 +220,11 @@ FAULTS = (
     deletion_killed_packed,
     retention_killed,
     index_killed,
+    copy_killed,
+    copy_killed_packed,
+    copy_killed_converting,
+    copies_at_once,
+    copy_store_killed,
+    copy_target_killed,
+    copy_source_killed,
 )

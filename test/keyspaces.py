@@ -24,6 +24,8 @@ KEYS = {
     "cr_placed": ("tbl",),
     "cr_event": ("slot",),
     "cr_event_slot": ("named", "name"),
+    "cr_copy": ("target",),
+    "cr_copied": ("target", "tbl", "node", "slot"),
     "cr_lock": ("name",),
 }
 """Partition keys of the side tables."""

@@ -15,6 +15,7 @@ import pytest
 from conftest import ROOT
 
 MD5SUMS = {
+    "cassandra_ros/CopiedTopic": "7aa424b63b7a4afe1d09aff4047df4c4",
     "cassandra_ros/PlayedTopic": "ce6323de8761e5b7f36c5039474e6afe",
     "cassandra_ros/RecordedTopic": "478d25362ebf194d2392402a73a6e34c",
     "cassandra_ros/Row": "b574a4a611cba2b6cf401af98173eb55",
@@ -32,6 +33,7 @@ MD5SUMS = {
     "cassandra_ros/RecordTopics": "371374c54b468eb912924b0e26b813c9",
     "cassandra_ros/RecorderStatus": "b7655945020ddda00c759c328a6026db",
     "cassandra_ros/RemoveData": "ecacfc566f81eeaae45249273bafc76f",
+    "cassandra_ros/ReplicatorStatus": "c17ccf54849a132aa442ab0bc486c8d3",
     "cassandra_ros/Seek": "be7a08abb32779874183a69929082eff",
     "cassandra_ros/SetRate": "b32a3c75ca7f14c8fb463ac9ca4f174c",
     "cassandra_ros/Snapshot": "36642b074fd8ba5e875c1c83ef53e514",

@@ -41,19 +41,20 @@ BELOW = {
     "overview": TOPICS,
     "upkeep": {*TOPICS, "overview"},
     "client": {*TOPICS, "overview", "upkeep"},
+    "copying": {*TOPICS, "overview", "upkeep", "client"},
     "spool": {"bag", "tables", "messages"},
     "recording": {"spool", *TOPICS},
     "playing": {*TOPICS, "overview"},
     "history": {"recording", *TOPICS},
     "bag": {*TOPICS, "overview", "client"},
     "local_server": set(),
-    "nodes": {"recording", "playing", "history", "client", "overview", *TOPICS},
+    "nodes": {"recording", "playing", "history", "copying", "client", "overview", *TOPICS},
     "mapping": {*TOPICS, "overview", "client"},
     "drawing": {"mapping", "overview", "client", *TOPICS},
     "viewing": {"drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", *TOPICS},
     "cli": {
         *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),
-        *("client", "upkeep", "overview", "spool"),
+        *("copying", "client", "upkeep", "overview", "spool"),
         *TOPICS,
     },
 }
@@ -187,6 +188,7 @@ SAME_KIND = {
     "__init__.py": "each room has one",
     "player.py": "the program in cli/, and the class in nodes/ that it starts",
     "recorder.py": "the program in cli/, and the class in nodes/ that it starts",
+    "replicator.py": "the program in cli/, and the class in copying/ that it starts",
 }
 
 

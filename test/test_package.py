@@ -55,6 +55,7 @@ def test_the_scripts_are_those_of_the_build_file():
         "player",
         "query_server",
         "recorder",
+        "replicator",
         "viewer",
     ]
 

@@ -22,6 +22,7 @@ _PUBLIC = {
     "PoseChoice": "cassandra_ros.mapping.sensor_poses",
     "Recorder": "cassandra_ros.nodes.recorder",
     "RecorderOptions": "cassandra_ros.recording.recording_options",
+    "Replicator": "cassandra_ros.copying.replicator",
     "RosCassandra": "cassandra_ros.client.ros_cassandra",
     "CassandraTopic_": "cassandra_ros.formats.cassandra_topic_",
     "CassandraTopic_binary": "cassandra_ros.formats.binary",

@@ -18,11 +18,12 @@ from cassandra_ros.cli import (
     player,
     query_server,
     recorder,
+    replicator,
     viewer,
 )
 from cassandra_ros.metadata import SCHEMA_VERSION
 
-PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder, viewer)
+PROGRAMS = (cassandra_bag, local_cassandra, player, query_server, recorder, replicator, viewer)
 UNITS = re.compile(
     r"\b(seconds?|SECONDS|ns|SEC|MB|KB|Hz|bytes|percent|T|hours?|days?|metres|radians)\b|[0-9][smhdGM]\b"
 )

@@ -120,6 +120,13 @@ class Fleet:
                 writer.write(number, T0 + n * SEC, message(String(str(n))))
         return path
 
+    def copied_to(self):
+        """Let the administrator copy /a; return the place, and the options of its own login."""
+        place = f"{self.admin.cassandra.hosts[0]}:{self.admin.cassandra.port}/home"
+        words = [place, "--to-cqlshrc", self.cqlshrc]
+        assert cassandra_bag.main(["copy", "-q", "/a", "--to", *words, *self.login(None)]) == 0
+        return words
+
     def spool(self):
         """Leave a run in a spool; return the folder."""
         number = next(_numbers)
@@ -292,6 +299,9 @@ VERBS = {
     ),
     "export": lambda user: user.verb("export", "-q", user.file("bag"), "--topics", "/a"),
     "verify": lambda user: user.verb("verify", user.fleet.bag),
+    "verify --with": lambda user: user.verb(
+        "verify", "--topics", "/a", "--with", *user.fleet.copied_to()
+    ),
     "check": lambda user: user.verb("check", "/a"),
     "check --repair": lambda user: user.verb("check", "/a", "--repair"),
     "query SELECT": lambda user: user.verb("query", "select data from a"),
@@ -311,6 +321,8 @@ VERBS = {
     "convert, of another's topic": lambda user: user.verb(
         "convert", "-q", user.left_topic(), "--format", "binary"
     ),
+    "copy": lambda user: user.verb("copy", "-q", user.topic(), "--to", *user.fleet.copied_to()),
+    "copies": lambda user: user.fleet.copied_to() and user.verb("copies", "/a"),
     "spool list": lambda user: spool(user, "list"),
     "spool drain": lambda user: spool(user, "drain"),
     "spool export": lambda user: spool(user, "export"),

@@ -7,11 +7,22 @@ from __future__ import annotations
 from typing import Callable
 
 from suite.context import Context
-from suite.experiments import bags, conditions, growth, live, lookups, start, writers, writing
+from suite.experiments import (
+    bags,
+    conditions,
+    copies,
+    growth,
+    live,
+    lookups,
+    start,
+    writers,
+    writing,
+)
 
 EXPERIMENTS: dict[str, Callable[[Context], None]] = {
     "writing": writing.run,
     "bags": bags.run,
+    "copies": copies.run,
     "growth": growth.run,
     "lookups": lookups.run,
     "clauses": conditions.run_clauses,

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Sequence
 
 from cassandra_ros.errors import InvalidOption
@@ -51,3 +52,29 @@ def port_number(port: int | str | None, usual: str = "", source: str = "") -> in
     if not (text.isascii() and text.isdigit() and len(text) < 6 and 0 < int(text) < 65536):
         raise InvalidOption(f"{given!r}{told} is not a port: a number from 1 to 65535")
     return int(text)
+
+
+_PLACE = re.compile(
+    r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^:/\[\]\s]+)(?::(?P<port>[0-9]+))?(?:/(?P<keyspace>[A-Za-z0-9_]+))?"
+)
+
+
+def read_place(text: str, keyspace: str) -> tuple[str, int, str]:
+    """Return host, port and keyspace of another store.
+
+    Args:
+        text: ``HOST[:PORT][/KEYSPACE]``; several hosts are divided by commas, an IPv6 address
+            stands in brackets. Without a port it is 9042.
+        keyspace: Keyspace if the text has none.
+
+    Raises:
+        InvalidOption: The text is not of this form.
+    """
+    match = _PLACE.fullmatch(text)
+    if match is None:
+        raise InvalidOption(
+            f"{text!r} is not the place of a store: give HOST, HOST:PORT, HOST/KEYSPACE or "
+            "HOST:PORT/KEYSPACE"
+        )
+    port = port_number(match["port"] or DEFAULT_PORT)
+    return match["host"].strip("[]"), port, match["keyspace"] or keyspace

@@ -97,6 +97,7 @@ class LossKind(str, Enum):
     SPOOL_FULL = "spool full"
     SPOOL_DAMAGED = "spool damaged"
     KILLED = "recorder killed"
+    NO_ROOM = "deleted for room before it was copied"
     MISTAKE = "internal error"
 
 

@@ -233,6 +233,30 @@ class RowTable:
         names = _listed(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
         return self._prepare(f"INSERT INTO {self._chunks} ({names}) VALUES (?, ?, ?, ?, ?, ?)")
 
+    @property
+    def stored_columns(self) -> tuple[str, ...]:
+        """Names of the columns of a row after its partition key, without those of indexes."""
+        if self.packed:
+            return (*_OWN[:4], *_BLOCK, *self.zone_columns)
+        return (*_OWN, *self.columns, *self._received)
+
+    def insert_stored(self, names: Sequence[str], *, expires: bool) -> PreparedStatement:
+        """INSERT of a row with these columns after its partition key.
+
+        Expires: the last parameter is the time to live, s.
+        """
+        every = ("_node", self.partition, *names)
+        marks = ", ".join("?" * len(every))
+        ends = " USING TTL ?" if expires else ""
+        cql = f"INSERT INTO {self.qualified} ({_listed(every)}) VALUES ({marks}){ends}"
+        return self._prepare(cql)
+
+    def insert_stored_chunk(self) -> PreparedStatement:
+        """INSERT of one chunk of a large message, with its time to live, s."""
+        names = _listed(("_node", self.partition, "_t", "_seq", "_chunk", "_data"))
+        values = "VALUES (?, ?, ?, ?, ?, ?) USING TTL ?"
+        return self._prepare(f"INSERT INTO {self._chunks} ({names}) {values}")
+
     def select_chunks(self) -> PreparedStatement:
         """Return the SELECT of all chunks of one large message, in order."""
         return self._prepare(f'SELECT "_chunk", "_data" FROM {self._chunks} {self._where} {_ROW}')

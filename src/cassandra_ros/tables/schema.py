@@ -102,7 +102,7 @@ OWN_COLUMNS = {
 KEY_TYPES = {"_bucket": "bigint", "_key": "text"}
 """Type of the second part of the partition key: the bucket, or the name of a message."""
 _WINDOWS = 25
-_CHUNK_TTL_MARGIN_SEC = 86_400
+CHUNK_TTL_MARGIN_SEC = 86_400
 _ROWS = "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 16}"
 _PACKED = (  # compressed data stay as they are, with a checksum
     "compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, 'min_compress_ratio': 1.1}"
@@ -393,7 +393,7 @@ class Schema:
             f'{KEY_TYPES[partition]}, "_t" bigint, "_seq" bigint, "_chunk" int, "_data" blob, '
             f'PRIMARY KEY (("_node", "{partition}", "_t", "_seq"), "_chunk")) '
             f"WITH comment = {quote_text(f'cassandra_ros chunks of {table}')} "
-            f"AND {_storage(metadata.ttl, _CHUNK_TTL_MARGIN_SEC)} "
+            f"AND {_storage(metadata.ttl, CHUNK_TTL_MARGIN_SEC)} "
             "AND compression = {'class': 'LZ4Compressor', 'chunk_length_in_kb': 64, "
             "'min_compress_ratio': 1.1} AND speculative_retry = 'NEVER'",
             f"making the table for large messages {name}",

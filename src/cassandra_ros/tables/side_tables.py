@@ -110,16 +110,39 @@ LATER_TABLES = {
         "named boolean, name text, slot bigint, reach bigint, "
         "PRIMARY KEY ((named, name), slot, reach)"
     ),
+    # Books of copies to other stores: tables and their counterparts, and what is confirmed of each
+    # bucket; see tables/copy_books.py.
+    "cr_copy": (
+        "target uuid, tbl text, place text, topic text, there text, refused text, "
+        "PRIMARY KEY ((target), tbl)"
+    ),
+    "cr_copied": (
+        "target uuid, tbl text, node text, slot bigint, bucket bigint, writer bigint, there text, "
+        "heartbeat timestamp, seen bigint, final boolean, rule text, released boolean, "
+        "rows bigint, n bigint, bytes bigint, t_max bigint, "
+        "PRIMARY KEY ((target, tbl, node, slot), bucket, writer)"
+    ),
 }
 _COMMENT = "cassandra_ros side table, schema version 1"
+_COLUMN = re.compile(r"(?:^|, )([a-z0-9_]+) (?:frozen<|[a-z]+)")
+
+
+def column_names(columns: str) -> set[str]:
+    """Return the names of the columns in the definition of a side table."""
+    return set(_COLUMN.findall(columns.partition("PRIMARY KEY")[0]))
 
 
 class SchemaLock:
-    """Context manager that holds the schema lock; raises SchemaConflict after waiting for 150 s."""
+    """Context manager that holds the schema lock; raises SchemaConflict after waiting for 150 s.
 
-    def __init__(self, cassandra: Cassandra, keyspace: str) -> None:
+    Args:
+        name: Name of the lock, for another one in the same table.
+    """
+
+    def __init__(self, cassandra: Cassandra, keyspace: str, name: str = _SCHEMA) -> None:
         self._cassandra = cassandra
         self._table = qualified(keyspace, _LOCK)
+        self._name = name
         self._owner = uuid.uuid4()
         self._held_since = -math.inf
         """Monotonic time before which the lock was taken or renewed last, s."""
@@ -144,7 +167,7 @@ class SchemaLock:
     def __exit__(self, failure: object, *exc_info: object) -> None:
         try:
             self._lwt(
-                f"DELETE FROM {self._table} WHERE name = ? IF owner = ?", (_SCHEMA, self._owner)
+                f"DELETE FROM {self._table} WHERE name = ? IF owner = ?", (self._name, self._owner)
             )
         except CassandraRosError as exc:
             if failure is None:
@@ -157,7 +180,7 @@ class SchemaLock:
         applied, owner = self._lwt(
             f"INSERT INTO {self._table} (name, owner) VALUES (?, ?) IF NOT EXISTS "
             f"USING TTL {LOCK_TTL_SEC}",
-            (_SCHEMA, self._owner),
+            (self._name, self._owner),
         )
         # An earlier try whose answer was lost may have taken the lock.
         return applied or owner == self._owner
@@ -165,7 +188,7 @@ class SchemaLock:
     def _held(self) -> str:
         """Return a text that says what is waited for, and until when at most."""
         cql = f"SELECT TTL(owner) FROM {self._table} WHERE name = ?"
-        rows = self._cassandra.execute(cql, (_SCHEMA,), what="reading the schema lock")
+        rows = self._cassandra.execute(cql, (self._name,), what="reading the schema lock")
         left = (rows[0][0] if rows else None) or LOCK_TTL_SEC
         return (
             f"waiting for the schema lock in {self._table}: another program makes or changes a "
@@ -199,7 +222,7 @@ class SchemaLock:
         applied, _ = self._lwt(
             f"UPDATE {self._table} USING TTL {LOCK_TTL_SEC} SET owner = ? WHERE name = ? "
             "IF owner = ?",
-            (self._owner, _SCHEMA, self._owner),
+            (self._owner, self._name, self._owner),
         )
         if not applied:
             raise SchemaConflict(

@@ -216,6 +216,24 @@ def _forget_left(space: Keyspace, topic: str) -> None:
                 space.forget_table(old)
 
 
+def block_span(space: Keyspace, tables: Sequence[TopicTable], connections: int) -> int:
+    """Return the maximum time range of a block with the messages of some tables, ns; 0 = unknown.
+
+    Args:
+        connections: Number of their connections.
+    """
+    span_ns = max(table.metadata.span_ns for table in tables)
+    if span_ns:
+        return span_ns
+    rows = [r for table in tables for r in buckets_of(space.directory, table) if r.rows]
+    # As if each writer had the same number of connections: only the magnitude matters.
+    each = max(1.0, connections / max(1, len({row.writer for row in rows})))
+    seconds = [max(1.0, (row.t_max - row.t_min) / SECOND_NS) * each for row in rows]
+    rate_hz = max((row.rows / lasted for row, lasted in zip(rows, seconds)), default=0.0)
+    rate = max((row.bytes / lasted for row, lasted in zip(rows, seconds)), default=0.0)
+    return span_for(rate_hz, rate)
+
+
 class Conversion:
     """Conversion of the tables of one definition of a topic."""
 
@@ -281,24 +299,12 @@ class Conversion:
         """
         time.sleep(replacement.SETTLE_SEC)
 
-    def _span(self, connections: int) -> int:
-        """Return the maximum time range of a block, ns; 0 = rate unknown, or rows are no blocks."""
-        if not format_class(self._plan.format).PACKED:
-            return 0
-        span_ns = max(old.metadata.span_ns for old in self._olds)
-        if span_ns:
-            return span_ns
-        rows = [r for old in self._olds for r in buckets_of(self._space.directory, old) if r.rows]
-        # As if each writer had the same number of connections: only the magnitude matters.
-        each = max(1.0, connections / max(1, len({row.writer for row in rows})))
-        seconds = [max(1.0, (row.t_max - row.t_min) / SECOND_NS) * each for row in rows]
-        rate_hz = max((row.rows / lasted for row, lasted in zip(rows, seconds)), default=0.0)
-        rate = max((row.bytes / lasted for row, lasted in zip(rows, seconds)), default=0.0)
-        return span_for(rate_hz, rate)
-
     def _begin(self) -> TopicTable:
         headers = list(self._space.registry.headers(self._names))
-        metadata_of_new = self._plan.metadata.with_(span_ns=self._span(len(headers)))
+        span_ns = 0
+        if format_class(self._plan.format).PACKED:
+            span_ns = block_span(self._space, self._olds, len(headers))
+        metadata_of_new = self._plan.metadata.with_(span_ns=span_ns)
 
         def planned(olds: Sequence[TopicMetadata]) -> TablePlan:
             # The plan already contains what the metadata of the other tables say.

@@ -69,6 +69,13 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
         "messages are deleted first (default: no maximum)"
     )
     add("--max-size", metavar="SIZE", type=byte_size, help=text)
+    add(
+        "--copied",
+        choices=("first", "only"),
+        help="with --max-size alone: delete what another store has acknowledged, as 'copies' says, "
+        "bucket by bucket, oldest first; first: then the rest too, as losses; only: nothing else "
+        "(default: the oldest, copied or not)",
+    )
     text = "keep at most HZ messages per second of each publisher (default: keep all)"
     add("--thin", metavar="HZ", type=factor, help=text)
     text = "with --thin: thin only older messages, as 12h or 7d (default: 0, thin all)"
@@ -97,6 +104,8 @@ def run(options: argparse.Namespace) -> int:
     """Print how much will be deleted, ask, and delete it."""
     if options.max_age is None and options.max_size is None and options.thin is None:
         options.parser.error("say what is to be dropped: --max-age, --max-size or --thin")
+    if options.copied:
+        return _keep_under(options)
     now = read_time("now", options.now)
     events = [name for topic, name in options.keep if topic == _EVENT]
     options.keep = [(topic, text) for topic, text in options.keep if topic != _EVENT]
@@ -128,6 +137,11 @@ def run(options: argparse.Namespace) -> int:
             if not options.yes and _gone(results):
                 confirm(f"Drop {counted(_gone(results), 'message')}?", _table(results))
             results = retain("dropping", dry_run=False)
+    _print(options, results)
+    return 0
+
+
+def _print(options: argparse.Namespace, results: Sequence[Retained]) -> None:
     if options.json:
         answer = [{"topic": e.topic, **{n: getattr(e, n) for n in _NUMBERS}} for e in results]
         print_json({"topics": answer, "dry_run": options.dry_run})
@@ -136,6 +150,32 @@ def run(options: argparse.Namespace) -> int:
         gone = _gone(results)
         ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
         print(f"{counted(gone, 'message')} {ends} dropped")
+
+
+def _keep_under(options: argparse.Namespace) -> int:
+    """Delete what another store has first."""
+    other = (options.max_age, options.thin, options.now, *options.keep, *options.topics)
+    if options.max_size is None or any(value is not None for value in other):
+        options.parser.error("--copied goes with --max-size, and with no topics or other rules")
+    from cassandra_ros.copying.quota import keep_under
+
+    with open_store(options) as ros_cas:
+        uncopied = options.copied == "first"
+
+        def keep(dry_run: bool) -> list[Retained]:
+            report = keep_under(
+                ros_cas.catalog, options.max_size, uncopied=uncopied, dry_run=dry_run
+            )
+            return [report.topics[topic] for topic in sorted(report.topics)]
+
+        results: list[Retained] = []
+        if options.dry_run or not options.yes:
+            results = keep(dry_run=True)
+        if not options.dry_run:
+            if not options.yes and _gone(results):
+                confirm(f"Drop {counted(_gone(results), 'message')}?", _table(results))
+            results = keep(dry_run=False)
+    _print(options, results)
     return 0
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Compare a bag or an MCAP with the store, message by message; exit status 0 only if equal.
+"""Compare a file or another store with the store, by message; exit status 0 only if equal.
 
 Topic, time, type, md5sum, bytes, connection header and order are compared, as rosbag reads them. If
 the store holds an import of this bag, only the messages of that import are compared, so other bags
@@ -10,6 +10,12 @@ are compared.
 With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
 a recording of a bag that was played: its times and connections differ from the bag. --start and
 --end are times in the store: seconds (1368021980.25), ISO 8601 or nanoseconds (13 digits or more).
+
+With --with HOST[:PORT][/KEYSPACE] in place of a file, all messages of the store are compared with
+those that another store has of the same robots and runs, bucket by bucket, and the buckets that
+differ are named. Both stores are read from here; of blocks that are stored alike only the headers,
+which have checksums. --repair copies the topics again, whatever the books say. What is only in the
+other store stays there.
 """
 
 from __future__ import annotations
@@ -29,8 +35,10 @@ from cassandra_ros.cli.options import (
     read_pair,
     read_times,
 )
-from cassandra_ros.cli.terminal_text import MessageBar, counted
+from cassandra_ros.cli.target_options import add_target_options, open_target
+from cassandra_ros.cli.terminal_text import MessageBar, counted, format_time
 from cassandra_ros.cli.topic_options import add_topics_option, topics_among
+from cassandra_ros.keys import MAX_NS
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -40,7 +48,12 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, what is compared, and the store."""
     add = parser.add_argument
-    add("bag", metavar="FILE.bag", help="a bag of format 2.0, or an MCAP of ROS 1")
+    add(
+        "bag",
+        metavar="FILE.bag",
+        nargs="?",
+        help="a bag of format 2.0, or an MCAP of ROS 1 (default: the store of --with)",
+    )
     add_topics_option(parser, "FILE.bag")
     add_origin_options(parser)
     add("--content", action="store_true", help="compare only the content, see above")
@@ -60,13 +73,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_time_options(parser, "with --content: ")
     add_event_options(parser, "with --content: ")
+    add("--repair", action="store_true", help="with --with: copy what differs again")
     add("-q", "--quiet", action="store_true", help="print differences only")
     add_json_option(parser)
+    add_target_options(parser, "--with", "compare with this store")
     add_store_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Compare, and print the first differences."""
+    if (options.bag is None) == (options.target is None):
+        options.parser.error("give FILE.bag, or --with another store")
+    if options.target is not None:
+        return _compare_stores(options)
+    if options.repair:
+        options.parser.error("--repair goes with --with")
     if not options.content and (options.map or options.start or options.end or options.event):
         options.parser.error("--map, --start, --end and --event go with --content")
     report = _compare(options)
@@ -127,6 +148,35 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             large_chunks=options.allow_large_chunks,
             event=event,
         )
+
+
+def _compare_stores(options: argparse.Namespace) -> int:
+    from cassandra_ros.copying.replicator import Replicator
+
+    if options.content or options.map or options.start or options.end:
+        options.parser.error("--content, --map, --start and --end go with FILE.bag")
+    with open_store(options) as ros_cas, open_target(options, make=False) as other:
+        names = {topic.name for topic in ros_cas.catalog.all(None)}
+        topics = topics_among(options, names, f"keyspace {options.keyspace}")
+        replicator = Replicator(ros_cas, other, topics, nodeID=options.node_id, run=options.run)
+        with MessageBar(f"comparing with {shown(replicator.place)}", unit=" buckets") as bar:
+            result = replicator.compare(bar.reach, repair=options.repair)
+    if options.json:
+        print_json({"equal": result.equal, **vars(result)})
+        return 0 if result.equal else 1
+    for topic, reason in sorted(result.refused.items()):
+        print(f"refused: {shown(topic)}: {shown(' '.join(reason.split()), None)}")
+    for each in result.differences:
+        whose = f" of {shown(each.node)}" if each.node else ""
+        when = "under names"
+        if each.last_ns <= MAX_NS:
+            when = f"{format_time(each.first_ns)} to {format_time(each.last_ns)}"
+        numbers = f"{each.here.messages} messages here, {each.there.messages} there"
+        print(f"different: {shown(each.topic)}{whose} {when}: {numbers}")
+    if result.equal and not options.quiet:
+        what = f"{counted(result.messages, 'message')} in {counted(result.buckets, 'bucket')}"
+        print(f"equal: keyspace {options.keyspace} and {shown(result.place)}, {what}")
+    return 0 if result.equal else 1
 
 
 def _print_left_out(report: VerifyReport) -> None:

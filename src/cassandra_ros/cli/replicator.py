@@ -1,0 +1,96 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Copy topics into another store all the time, as a robot's into that at home.
+
+  rosrun cassandra_ros replicator --to home --rules ~/replicator.yaml
+
+What is recorded is copied within 10 s. While the other store is away, messages wait in the store of
+the robot; afterwards the copy goes on where it was, small topics first, or in the order of the
+rules. 'cassandra_bag copy --help' says what is copied, and 'cassandra_bag copies' shows what the
+other store has. The node is called replicator, with services ~status, ~pause and ~resume, and says
+how it is on /diagnostics. Its parameters ~to, ~rules, ~rate, ~max_size, ~to_cqlshrc,
+~to_credentials, ~host, ~port, ~keyspace, ~cqlshrc and ~credentials set the options of the same
+names that are missing on the command line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from cassandra_ros.cli.candidates import answer_shell
+from cassandra_ros.cli.options import add_store_options, open_store, strip_remappings
+from cassandra_ros.cli.parsers import program_parser
+from cassandra_ros.cli.readers import byte_size
+from cassandra_ros.cli.target_options import add_target_options, open_target
+from cassandra_ros.printable import shown_lines
+
+PROGRAM = "replicator"
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = program_parser(PROGRAM, __doc__)
+    add = parser.add_argument
+    add("--rules", metavar="FILE", help="rules by topic, as config/replicator.yaml (default: all)")
+    text = "maximum number of bytes sent in a second: 2M, 500k (default: that of the rules)"
+    add("--rate", metavar="SIZE", type=byte_size, help=text)
+    add(
+        "--with-deletions",
+        action="store_true",
+        help="delete there what is deleted here after it was copied",
+    )
+    add(
+        "--max-size",
+        metavar="SIZE",
+        type=byte_size,
+        help="keep the topics here under this size, as 20G: what is copied is deleted, oldest "
+        "first; above 80 %% of what is not copied /diagnostics warns (default: no maximum)",
+    )
+    add(
+        "--drop-uncopied",
+        action="store_true",
+        help="with --max-size: also delete what is not copied, as a loss, if there is no other way",
+    )
+    add("--no-diagnostics", dest="diagnostics", action="store_false", help="not on /diagnostics")
+    add_target_options(parser, "--to", "the store to which topics are copied")
+    add_store_options(parser)
+    return parser
+
+
+def main() -> int:
+    """Run the replicator until the node is shut down; return the exit status."""
+    parser = make_parser()
+    answer_shell(parser)
+    words = strip_remappings(None)
+    parser.parse_args(words)  # wrong usage and --help need no master
+    from cassandra_ros.copying.follower import Follower
+    from cassandra_ros.copying.replicator import Replicator
+    from cassandra_ros.copying.rules import read_rules_file
+    from cassandra_ros.nodes.replicator_node import follow, start_node
+
+    options = parser.parse_args([*start_node(sys.argv), *words])
+    if options.target is None:
+        parser.error("say where to copy: --to HOST[:PORT][/KEYSPACE], or the parameter ~to")
+    rules = read_rules_file(options.rules)
+
+    def say(text: str) -> None:
+        print(shown_lines(text), flush=True)
+
+    follower = Follower(
+        lambda: open_store(options, make=True),
+        lambda: open_target(options, make=True),
+        lambda source, target: Replicator(
+            source,
+            target,
+            with_deletions=options.with_deletions,
+            rules=rules,
+            rate=options.rate or None,
+        ),
+        max_bytes=options.max_size,
+        drop_uncopied=options.drop_uncopied,
+    )
+    problem = follow(follower, say, options.diagnostics)
+    if problem:
+        print(f"{PROGRAM}: {shown_lines(problem)}", file=sys.stderr)
+    return 1 if problem else 0

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Deletions made here, repeated in the target: of what the books say that it was copied."""
+
+from __future__ import annotations
+
+from typing import Iterator
+from uuid import UUID
+
+from cassandra_ros.copying.table_pair import TablePair
+from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.store.fetch import list_names
+from cassandra_ros.store.row_counts import scan_keys
+from cassandra_ros.tables.copy_books import CopiedTable, CopyBooks
+from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.removal import delete_rows
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.upkeep.deletion import delete_of_table
+
+
+def delete_missing(pair: TablePair, node: str, bucket: int, writer: int) -> int:
+    """Delete the messages of a writer there that its bucket here does not have any more.
+
+    Returns:
+        Their number.
+    """
+    length = pair.source.bucket_ns
+    low, high = bucket * length, (bucket + 1) * length - 1
+    whose = Whose((node,), frozenset([writer]))
+    keys = {
+        (t, seq)
+        for t, seq, *_ in scan_keys(pair.source, node, bucket, low, high)
+        if whose.wrote(seq)
+    }
+    rows = _rows_there(pair, Read(TimeRange(low, high), whose))
+    return delete_rows(pair.there, (row for row in rows if (row.t, row.seq) not in keys))
+
+
+def delete_missing_names(pair: TablePair, writers: frozenset[int]) -> int:
+    """Delete the messages with names of some writers there that are not here any more."""
+    keys = {key.position._replace(table="") for key in list_names(pair.source, None)}
+    rows = _rows_there(pair, Read(whose=Whose(None, writers)))
+    gone = (row for row in rows if row.position._replace(table="") not in keys)
+    return delete_rows(pair.there, gone)
+
+
+def _rows_there(pair: TablePair, read: Read) -> Iterator[StoredRow]:
+    bare = Read(read.time_range, read.whose, columns=lambda table: ())
+    return pair.there.rows.read([pair.target], bare)
+
+
+def delete_removed(
+    here: Keyspace, there: Keyspace, books: CopyBooks, target: UUID, entry: CopiedTable
+) -> int:
+    """Delete there what was copied of a table that was removed here; return the number.
+
+    The books forget the table afterwards.
+    """
+    table = there.tables.holding(entry.there)
+    deleted = 0
+    if table is not None:
+        for book in books.buckets(target, entry.table, books.slots(target, entry.table)):
+            if book.released:
+                continue
+            whose = Whose((book.node,), frozenset([book.writer]))
+            time_range = TimeRange()
+            if not table.named:
+                # The bucket is one of our table, whose length is not known any more.
+                time_range = TimeRange(0, book.t_max)
+            deleted += delete_of_table(there, table, Read(time_range, whose))
+    books.forget_table(target, entry.table)
+    return deleted

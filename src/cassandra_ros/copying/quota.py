@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Keeps a store under a size: what another store has acknowledged is deleted first, oldest first.
+
+Whole buckets of one writer are deleted, and none that a client is writing. What no store has is
+deleted only if that is asked for, and is then a loss.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+from uuid import UUID
+
+from cassandra_ros.copying.bucket_copy import is_settled
+from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.store.row_counts import settle
+from cassandra_ros.tables.copy_books import CopiedBucket, CopyBooks
+from cassandra_ros.tables.directory import BucketRow, slot_of
+from cassandra_ros.tables.registry import Loss, LossKind
+from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.removal import delete_time_range
+from cassandra_ros.topics.stored_totals import buckets_of
+from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.upkeep.retention_rules import Retained
+
+
+@dataclass
+class QuotaReport:
+    """What was deleted, or would be, to keep a store under a size."""
+
+    max_bytes: int
+    bytes: int = 0
+    """Serialised bytes of all messages with a time key afterwards."""
+    uncopied_bytes: int = 0
+    """Those of them that no other store has acknowledged."""
+    topics: dict[str, Retained] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """Share of the maximum size in use by messages that no other store has."""
+        return self.uncopied_bytes / self.max_bytes if self.max_bytes else 1.0
+
+
+class _Entry(NamedTuple):
+    table: TopicTable
+    row: BucketRow
+    books: list[tuple[UUID, CopiedBucket]]
+    """Books that confirm all its messages."""
+
+
+def keep_under(
+    catalog: Catalog, max_bytes: int, *, uncopied: bool = False, dry_run: bool = False
+) -> QuotaReport:
+    """Delete messages until the topics with a time key take at most a number of bytes.
+
+    Args:
+        uncopied: Also delete messages that no other store has, if there is no other way.
+        dry_run: Only count the messages.
+    """
+    catalog.adder.close()
+    books = CopyBooks(catalog.keyspace.side_tables)
+    report, entries = QuotaReport(max_bytes), _entries(catalog, books)
+    for table, row, _ in entries:
+        topic = table.metadata.topic
+        report.topics.setdefault(topic, Retained(topic)).messages += row.rows
+    report.bytes = sum(entry.row.bytes for entry in entries)
+    report.uncopied_bytes = sum(entry.row.bytes for entry in entries if not entry.books)
+    entries.sort(key=lambda entry: (not entry.books, entry.row.t_max))
+    for entry in entries:
+        if report.bytes <= max_bytes:
+            break
+        if not is_settled(entry.row) or not (entry.books or uncopied):
+            continue
+        if not dry_run:
+            _delete(catalog, books, entry)
+        report.topics[entry.table.metadata.topic].dropped += entry.row.rows
+        report.bytes -= entry.row.bytes
+        if not entry.books:
+            report.uncopied_bytes -= entry.row.bytes
+    return report
+
+
+def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
+    directory = catalog.keyspace.directory
+    targets = sorted({entry.target for entry in books.tables()})
+    found = []
+    for table in catalog.tables(None):
+        if table.named:
+            continue
+        rows = [row for row in settle(directory, table, buckets_of(directory, table)) if row.rows]
+        slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
+        known: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
+        for target in targets:
+            for book in books.buckets(target, table.name, slots):
+                key = (book.node, book.bucket, book.writer)
+                known.setdefault(key, []).append((target, book))
+        for row in rows:
+            mine = known.get((row.node, row.bucket, row.writer), [])
+            confirming = [(t, book) for t, book in mine if book.confirms(row, [book.there])]
+            found.append(_Entry(table, row, confirming))
+    return found
+
+
+def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> None:
+    table, row, confirming = entry
+    for target, book in confirming:
+        # Before the deletion, which must not be repeated there.
+        books.put_bucket(target, table.name, book._replace(released=True))
+    low = row.bucket * table.bucket_ns
+    time_range = TimeRange(low, low + table.bucket_ns - 1)
+    whose = Whose((row.node,), frozenset([row.writer]))
+    count = delete_time_range(catalog.keyspace, [table], Read(time_range, whose))
+    if count and not confirming:
+        place = (table.metadata.topic, row.node, row.writer, LossKind.NO_ROOM)
+        catalog.keyspace.registry.put_loss(Loss(*place, row.t_min, row.t_max, count))

@@ -1,0 +1,223 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Node replicator: name, parameters, signals, services, diagnostics; Follower does the work."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+import time
+from types import FrameType
+from typing import Callable, Mapping, Sequence
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
+
+from cassandra_ros.copying.copy_status import TopicStatus
+from cassandra_ros.copying.follower import (
+    AWAY,
+    NEARLY_FULL,
+    PAUSED,
+    Follower,
+    FollowerStatus,
+)
+from cassandra_ros.copying.quota import QuotaReport
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.msg import CopiedTopic
+from cassandra_ros.nodes.ros_node import REMAP, bound_master_calls, forward_logging, own_name
+from cassandra_ros.srv import (
+    ReplicatorStatus,
+    ReplicatorStatusRequest,
+    ReplicatorStatusResponse,
+)
+
+_log = logging.getLogger(__name__)
+
+PARAMETERS = (
+    *("to", "rules", "rate", "max_size", "to_cqlshrc", "to_credentials"),
+    *("host", "port", "keyspace", "cqlshrc", "credentials"),
+)
+"""Private parameters, which are called like options."""
+SERVICES: Mapping[str, type] = {"status": ReplicatorStatus, "pause": Trigger, "resume": Trigger}
+"""The services with their classes."""
+TICK_SEC = 0.2
+PUBLISH_SEC = 5.0
+"""Interval at which the status is published, s."""
+LATE_SEC = 60.0
+"""Recorded time that waits, from which the level of a topic is WARN, s."""
+Say = Callable[[str], object]
+
+
+def start_node(argv: Sequence[str]) -> list[str]:
+    """Start the node /replicator, or an anonymous one if the name is taken.
+
+    Returns:
+        Its private parameters as words of a command line.
+
+    Raises:
+        InvalidOption: There is no such parameter.
+    """
+    name, full_name, taken = own_name("replicator", argv)
+    words = [word for word in argv if not (taken and word.startswith(REMAP))]
+    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
+    forward_logging()
+    bound_master_calls()
+    if taken:
+        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
+    given = rospy.get_param("~", {})
+    found = given if isinstance(given, dict) else {}
+    unknown = sorted(set(found).difference(PARAMETERS))
+    if unknown:
+        raise InvalidOption(
+            f"there is no parameter ~{unknown[0]}: there are {', '.join(PARAMETERS)}"
+        )
+    return [f"--{n.replace('_', '-')}={text}" for n, text in found.items() if str(text) != ""]
+
+
+def follow(follower: Follower, say: Say, diagnostics: bool) -> str:
+    """Copy until a signal, the master or a problem ends it; return the problem, '' = none."""
+    ending = threading.Event()
+
+    def signalled(number: int, frame: FrameType | None) -> None:
+        ending.set()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signalled)
+    try:
+        with follower:
+            handlers = _Handlers(follower)
+            for name, kind in SERVICES.items():
+                rospy.Service(f"~{name}", kind, getattr(handlers, name))
+            say(f"services under {rospy.get_name()}")
+            _tick(follower, ending, _Diagnostics() if diagnostics else None, say)
+        return follower.problem
+    finally:
+        rospy.signal_shutdown("the replicator has ended")
+
+
+def _tick(
+    follower: Follower, ending: threading.Event, diagnostics: _Diagnostics | None, say: Say
+) -> None:
+    state, due = "", 0.0
+    while not (ending.wait(TICK_SEC) or rospy.is_shutdown() or follower.ended):
+        status = follower.status
+        if status.state != state:
+            state = status.state
+            say(f"{state} {status.place}".rstrip() + (f": {status.reason}" * bool(status.reason)))
+        if diagnostics is not None and time.monotonic() >= due:
+            due = time.monotonic() + PUBLISH_SEC
+            diagnostics.publish(status)
+
+
+class _Handlers:
+    """The handlers of the services."""
+
+    def __init__(self, follower: Follower) -> None:
+        self._follower = follower
+
+    def pause(self, request: TriggerRequest) -> TriggerResponse:
+        """Answer ~pause."""
+        self._follower.pause()
+        return TriggerResponse(success=True)
+
+    def resume(self, request: TriggerRequest) -> TriggerResponse:
+        """Answer ~resume."""
+        self._follower.resume()
+        return TriggerResponse(success=True)
+
+    def status(self, request: ReplicatorStatusRequest) -> ReplicatorStatusResponse:
+        """Answer ReplicatorStatus."""
+        status = self._follower.status
+        left = status.left_sec
+        return ReplicatorStatusResponse(
+            success=True,
+            state=status.state,
+            target=status.place,
+            reason=status.reason,
+            topics=list(map(_packed, status.topics)),
+            bytes_per_second=status.bytes_per_sec,
+            seconds_left=-1.0 if left is None else left,
+            unused_patterns=list(status.unused),
+        )
+
+
+def _packed(topic: TopicStatus) -> CopiedTopic:
+    return CopiedTopic(
+        topic=topic.topic,
+        copied=topic.copied,
+        left_out=topic.left_out,
+        waiting=topic.waiting,
+        waiting_bytes=topic.waiting_bytes,
+        waiting_seconds=topic.waiting_sec,
+        refused=topic.refused,
+    )
+
+
+class _Diagnostics:
+    """Publishes the status on /diagnostics: one entry for the target, one for each topic."""
+
+    def __init__(self) -> None:
+        self._name = rospy.get_name().lstrip("/")
+        self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)
+
+    def publish(self, status: FollowerStatus) -> None:
+        """Publish a status."""
+        array = DiagnosticArray()
+        array.header.stamp = rospy.Time.from_sec(time.time())
+        array.status = [self._of_target(status), *map(self._of_topic, status.topics)]
+        if status.quota is not None:
+            array.status.append(self._of_store(status.quota))
+        self._publisher.publish(array)
+
+    def _of_target(self, status: FollowerStatus) -> DiagnosticStatus:
+        away = status.state in (AWAY, PAUSED)
+        level = DiagnosticStatus.WARN if away or status.unused else DiagnosticStatus.OK
+        text = status.reason or status.state
+        if status.unused and not away:
+            text = f"no topic matches {', '.join(status.unused)}"
+        left = status.left_sec
+        values = {
+            "state": status.state,
+            "target": status.place,
+            "waiting": str(status.waiting),
+            "waiting bytes": str(status.waiting_bytes),
+            "bytes/s": f"{status.bytes_per_sec:.0f}",
+            "left s": "unknown" if left is None else f"{left:.0f}",
+        }
+        return self._status(level, "target", text, values)
+
+    def _of_store(self, quota: QuotaReport) -> DiagnosticStatus:
+        nearly = quota.share >= NEARLY_FULL
+        level = DiagnosticStatus.WARN if nearly else DiagnosticStatus.OK
+        text = f"{quota.share:.0%} of the maximum size is not copied"
+        values = {
+            "bytes": str(quota.bytes),
+            "maximum bytes": str(quota.max_bytes),
+            "bytes not copied": str(quota.uncopied_bytes),
+        }
+        return self._status(level, "store", text, values)
+
+    def _of_topic(self, topic: TopicStatus) -> DiagnosticStatus:
+        level, text = DiagnosticStatus.OK, "copied"
+        if topic.waiting:
+            text = f"{topic.waiting} messages wait"
+            if topic.waiting_sec > LATE_SEC:
+                level = DiagnosticStatus.WARN
+        if topic.refused:
+            level, text = DiagnosticStatus.ERROR, topic.refused
+        values = {
+            "copied": str(topic.copied),
+            "left out": str(topic.left_out),
+            "waiting": str(topic.waiting),
+            "waiting bytes": str(topic.waiting_bytes),
+            "waiting s": f"{topic.waiting_sec:.1f}",
+        }
+        return self._status(level, topic.topic, text, values)
+
+    def _status(
+        self, level: bytes, what: str, text: str, values: Mapping[str, str]
+    ) -> DiagnosticStatus:
+        pairs = [KeyValue(key, value) for key, value in values.items()]
+        return DiagnosticStatus(level, f"{self._name}: {what}", text, "", pairs)

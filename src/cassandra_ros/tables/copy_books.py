@@ -1,0 +1,149 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""cr_copy and cr_copied: the books of what was copied to other stores.
+
+A row of cr_copy names, for a target and a table of ours, the table there that takes its rows, or
+why there is none. A row of cr_copied says what the target has acknowledged of the rows of one
+writer in one bucket. It is written after that acknowledgement, so the books may say less than what
+is true, and never more. A target is known by the id of its table of runs: a keyspace that was
+dropped and made again under the same name is another target, of which nothing is confirmed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Iterable, NamedTuple
+from uuid import UUID
+
+from cassandra_ros.connection.cassandra import CqlRow
+from cassandra_ros.tables.directory import BucketRow, slot_of
+from cassandra_ros.tables.side_tables import SideTables
+
+_TABLES, _BUCKETS = "cr_copy", "cr_copied"
+_KEY = ("target", "tbl", "node", "slot", "bucket", "writer")
+_VALUES = (
+    *("there", "heartbeat", "seen", "final", "rule", "released"),
+    *("rows", "n", "bytes", "t_max"),
+)
+_WHAT = "writing the books of copies"
+
+
+@dataclass(frozen=True)
+class CopiedTable:
+    """A table of ours in the books of a target."""
+
+    target: UUID
+    table: str
+    place: str
+    """Address and keyspace of the target, as they were given last."""
+    topic: str
+    there: str = ""
+    """Name of the table there that takes the rows; '' = there is none."""
+    refused: str = ""
+    """Why the topic was not copied the last time; '' = it was."""
+
+
+class CopiedBucket(NamedTuple):
+    """What a target has acknowledged of the rows of one writer in one bucket."""
+
+    node: str
+    bucket: int
+    writer: int
+    there: str
+    """Name of the table there that took the rows."""
+    heartbeat: datetime | None
+    """Heartbeat of the bucket in our directory when its rows were read."""
+    seen: int
+    """Server time before the rows were read, us: all rows written before it are there."""
+    final: bool
+    """Whether nobody was writing the bucket: if the heartbeat is still the same, all is there."""
+    rule: str
+    """What left out some of the messages; '' = all were copied."""
+    released: bool
+    """Whether the rows were deleted here because they are there: not a deletion to repeat there."""
+    rows: int
+    """Number of messages that the bucket had here at least when it was copied."""
+    n: int
+    """Number of these messages that are there; fewer if a rule left some out."""
+    bytes: int
+    t_max: int
+    """Last key time of these messages, ns."""
+
+    def confirms(self, row: BucketRow, tables: Iterable[str], rule: str = "") -> bool:
+        """Return whether one of tables has all rows of a bucket as the directory lists it now.
+
+        Args:
+            rule: With a rule, all rows that it takes.
+        """
+        same = self.final and self.heartbeat == row.heartbeat
+        return same and self.there in tables and self.rule in ("", rule)
+
+
+class CopyBooks:
+    """Reads and writes the books of one keyspace."""
+
+    def __init__(self, side_tables: SideTables) -> None:
+        self._tables = side_tables
+
+    def make(self) -> None:
+        """Make the tables of the books if they are missing."""
+        self._tables.make(_TABLES, _BUCKETS)
+
+    def put_table(self, entry: CopiedTable) -> None:
+        """Write the entry of a table."""
+        row = {
+            "target": entry.target,
+            "tbl": entry.table,
+            "place": entry.place,
+            "topic": entry.topic,
+            "there": entry.there,
+            "refused": entry.refused,
+        }
+        self._tables.insert(_TABLES, row, _WHAT)
+
+    def tables(self, target: UUID | None = None) -> list[CopiedTable]:
+        """Return the entries of all tables of a target; None = of all targets (a full scan)."""
+        names, what = "target, tbl, place, topic, there, refused", "reading the books of copies"
+        if target is None:
+            rows = self._tables.select(_TABLES, names, what=what)
+        else:
+            rows = self._tables.select(_TABLES, names, "target = ?", (target,), what=what)
+        return [CopiedTable(*row[:2], *(text or "" for text in row[2:])) for row in rows]
+
+    def put_bucket(self, target: UUID, table: str, entry: CopiedBucket) -> None:
+        """Write what is confirmed of the rows of a writer in a bucket."""
+        key = (target, table, entry.node, slot_of(entry.bucket), entry.bucket, entry.writer)
+        columns = dict(zip(_KEY, key))
+        columns.update({name: getattr(entry, name) for name in _VALUES})
+        self._tables.insert(_BUCKETS, columns, _WHAT)
+
+    def buckets(
+        self, target: UUID, table: str, slots: Iterable[tuple[int, str]]
+    ) -> list[CopiedBucket]:
+        """Return what is confirmed of a table, in some slots of its nodes."""
+        params = [(target, table, node, slot) for slot, node in slots]
+        where = "target = ? AND tbl = ? AND node = ? AND slot = ?"
+        names, what = ", ".join(("node", "bucket", "writer", *_VALUES)), "reading the books"
+        found = self._tables.select_many(_BUCKETS, names, where, params, what)
+        return [_bucket(row) for rows in found for row in rows]
+
+    def slots(self, target: UUID, table: str) -> list[tuple[int, str]]:
+        """Return the (slot, node) pairs of a table in the books of a target (a scan of keys)."""
+        names, what = "DISTINCT target, tbl, node, slot", "listing the books of copies"
+        rows = self._tables.select(_BUCKETS, names, what=what)
+        return [(slot, node) for t, tbl, node, slot in rows if (t, tbl) == (target, table)]
+
+    def forget_table(self, target: UUID, table: str) -> None:
+        """Delete the entries of a table that is no longer here."""
+        keys = [(target, table, node, slot) for slot, node in self.slots(target, table)]
+        what = "clearing the books of copies"
+        self._tables.delete(_BUCKETS, ("target", "tbl", "node", "slot"), keys, what)
+        self._tables.delete(_TABLES, ("target", "tbl"), [(target, table)], what)
+
+
+def _bucket(row: CqlRow) -> CopiedBucket:
+    node, bucket, writer, there, heartbeat, seen, final, rule, released, *numbers = row
+    flags = bool(final), rule or "", bool(released)
+    counts = tuple(number or 0 for number in numbers)
+    return CopiedBucket(node, bucket, writer, there or "", heartbeat, seen or 0, *flags, *counts)

@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A store is kept under a size: first goes what another one has, and what goes with it is told."""
+
+from __future__ import annotations
+
+import pytest
+from copying.test_replicator import SEC, T0, home, messages  # noqa: F401
+from std_msgs.msg import Int64
+
+from cassandra_ros.copying.quota import keep_under
+from cassandra_ros.copying.replicator import Replicator
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.tables.registry import LossKind
+
+
+def store(store, topic, first, fmt="ros", writer_id=1):
+    """Store ten buckets of ten messages of 8 bytes, from a second on."""
+    with store.messageWriter(writer_id=writer_id, format=fmt) as writer:
+        connection = api_connection(topic, definition_of(Int64), "/n")
+        handle = writer.connect(connection, bucket_ns=SEC)
+        for n in range(100):
+            writer.write(handle, T0 + first * SEC + n * SEC // 10, n, serialize(Int64(n)))
+
+
+def times(ros_cas, topic):
+    return [(row.t - T0) // SEC for row in ros_cas.getTopic(topic).rows()]
+
+
+@pytest.mark.parametrize("fmt", ["ros", "packed"])
+def test_what_is_copied_goes_first_and_the_oldest_of_it(rosCas, home, fmt):  # noqa: F811
+    store(rosCas, "/a", 0, fmt)
+    store(rosCas, "/b", 5, fmt)
+    Replicator(rosCas, home, "/b").copy()
+    every = messages(home, "/b")
+    report = keep_under(rosCas.catalog, 1200, dry_run=True)
+    assert (report.topics["/b"].dropped, report.topics["/a"].dropped) == (50, 0)
+    assert rosCas.getTopic("/b").countTopicData() == 100
+    report = keep_under(rosCas.catalog, 1200)
+    assert (report.bytes, report.uncopied_bytes) == (1200, 800)
+    assert report.share == pytest.approx(2 / 3)
+    assert times(rosCas, "/a") == [n // 10 for n in range(100)]
+    assert times(rosCas, "/b") == [n // 10 + 5 for n in range(50, 100)]
+    assert rosCas.losses() == []
+    assert keep_under(rosCas.catalog, 1200).topics["/b"].dropped == 0
+    # Neither repeated there, nor taken for something that is missing here.
+    assert Replicator(rosCas, home, "/b", with_deletions=True).copy().complete
+    assert messages(home, "/b") == every
+
+
+def test_what_no_store_has_stays_unless_it_may_be_lost(rosCas, home):  # noqa: F811
+    store(rosCas, "/a", 0)
+    store(rosCas, "/b", 5)
+    Replicator(rosCas, home, "/b").copy()
+    report = keep_under(rosCas.catalog, 400)
+    assert (report.bytes, report.topics["/b"].left, report.topics["/a"].left) == (800, 0, 100)
+    report = keep_under(rosCas.catalog, 400, uncopied=True)
+    assert (report.bytes, report.topics["/a"].left) == (400, 50)
+    assert times(rosCas, "/a") == [n // 10 for n in range(50, 100)]
+    losses = rosCas.losses()
+    assert {loss.kind for loss in losses} == {LossKind.NO_ROOM}
+    assert sum(loss.count for loss in losses) == 50
+    assert {loss.topic for loss in losses} == {"/a"}
+
+
+def test_a_bucket_that_was_added_to_since_is_not_deleted(rosCas, home):  # noqa: F811
+    store(rosCas, "/a", 0)
+    Replicator(rosCas, home).copy()
+    store(rosCas, "/a", 0, writer_id=2)
+    report = keep_under(rosCas.catalog, 0)
+    assert report.bytes == report.uncopied_bytes == 800
+    assert rosCas.getTopic("/a").countTopicData() == 100
+    assert {row.seq >> 32 for row in rosCas.getTopic("/a").rows()} == {2}

@@ -1,0 +1,451 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Topics are copied into another store: the same rows, whoever copies them how often."""
+
+from __future__ import annotations
+
+import random
+import threading
+
+import pytest
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import Image
+from std_msgs.msg import Int64, String
+from upkeep.test_convert import fill, seen
+
+from cassandra_ros.copying.replicator import Replicator
+from cassandra_ros.errors import InvalidOption, UnsupportedSchema
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection, live_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.tables.registry import Loss, LossKind, Run
+from cassandra_ros.tables.side_tables import LATER_TABLES
+
+SEC = 10**9
+T0 = 1_500_000_000 * SEC
+
+
+@pytest.fixture
+def home(keyspaces, connect):
+    """The store to which is copied."""
+    with keyspaces.lend() as name, connect(keyspace=name) as store:
+        yield store
+
+
+def rows_of(cql, store, chunks=False):
+    """All columns of all rows of all topic tables, by topic."""
+    found = {}
+    listing = store.catalog.keyspace.schema.listing(fresh=True)
+    for name, metadata in listing.visible.items():
+        table = f'"{store.keyspace}"."{name}{"_c" * chunks}"'
+        where = "keyspace_name = %s AND table_name = %s"
+        columns = cql.execute(
+            f"SELECT column_name FROM system_schema.columns WHERE {where}",
+            (store.keyspace, f"{name}{'_c' * chunks}"),
+        )
+        names = sorted(column for (column,) in columns)
+        if names:
+            quoted = ", ".join(f'"{column}"' for column in names)
+            rows = cql.execute(f"SELECT {quoted} FROM {table}")
+            found.setdefault((metadata.topic, metadata.format), []).extend(
+                sorted(map(repr, (dict(zip(names, row)) for row in rows)))
+            )
+    return found
+
+
+def messages(store, topic="/t"):
+    return seen(store.getTopic(topic).rows())
+
+
+def facts(store):
+    """What is told of what is stored, but the tables in which."""
+    names = "topic type md5sum format node count bytes first_ns last_ns odd buckets".split()
+    return [tuple(getattr(each, name) for name in names) for each in store.info()]
+
+
+def directory(store):
+    """What the directory says, but the tables and heartbeats."""
+    space = store.catalog.keyspace
+    found = []
+    for table in store.catalog.tables(None):
+        for row in space.directory.buckets(table.name, -(2**40), 2**40):
+            key = (table.metadata.topic, table.metadata.format, *row[:4])
+            found.append((*key, row.rows, row.bytes, row.t_min, row.t_max, row.odd))
+    return sorted(found)
+
+
+@pytest.mark.parametrize("fmt", FORMATS)
+def test_rows_are_copied_as_they_are_stored(rosCas, home, cql, fmt):
+    fill(rosCas, fmt)
+    report = Replicator(rosCas, home).copy()
+    assert report.complete, report
+    assert report.messages == 600
+    assert rows_of(cql, home) == rows_of(cql, rosCas)
+    assert messages(home) == messages(rosCas)
+    assert facts(home) == facts(rosCas)
+    assert directory(home) == directory(rosCas)
+    assert all(row[5] for row in directory(home))
+
+
+def test_nothing_is_decoded(rosCas, home, monkeypatch, cql):
+    for fmt in ("ros", "packed"):
+        fill(rosCas, fmt, topic=f"/{fmt}")
+
+    def refuse(*args):
+        raise AssertionError("a message was decoded or encoded")
+
+    for table in rosCas.catalog.tables(None):
+        for name in ("encode_wire", "encode_together", "decode_together", "decode_wire", "decode"):
+            monkeypatch.setattr(type(table.format), name, refuse)
+    monkeypatch.setattr("cassandra_ros.blocks.block_row.unpack_block", refuse)
+    monkeypatch.setattr("cassandra_ros.blocks.block_builder.pack_block", refuse)
+    assert Replicator(rosCas, home).copy().messages == 1200
+    monkeypatch.undo()
+    assert rows_of(cql, home) == rows_of(cql, rosCas)
+
+
+def test_a_repeated_copy_sends_nothing_and_a_lost_book_changes_nothing(rosCas, home, cql):
+    fill(rosCas, "ros")
+    fill(rosCas, "packed", topic="/p")
+    Replicator(rosCas, home).copy()
+    rows = rows_of(cql, home)
+    assert Replicator(rosCas, home).copy().messages == 0
+    assert Replicator(rosCas, home).copy(again=True).messages == 1200
+    assert rows_of(cql, home) == rows
+    assert facts(home) == facts(rosCas)
+
+
+def test_only_what_is_new_is_copied(rosCas, home, cql):
+    fill(rosCas, "ros", 40)
+    Replicator(rosCas, home).copy()
+    fill(rosCas, "ros", 30, writers=((9, "r2"),))
+    report = Replicator(rosCas, home).copy()
+    assert report.messages == 30
+    assert rows_of(cql, home) == rows_of(cql, rosCas)
+
+
+def test_the_copy_of_a_copy_is_the_original(rosCas, home, fresh, cql):
+    fill(rosCas, "ros", 50)
+    fill(rosCas, "packed", 50, topic="/p")
+    with fresh() as third:
+        Replicator(rosCas, home).copy()
+        Replicator(home, third).copy()
+        assert rows_of(cql, third) == rows_of(cql, rosCas)
+        assert facts(third) == facts(rosCas)
+        assert Replicator(third, rosCas).copy().complete
+    assert facts(home) == facts(rosCas)
+
+
+def test_large_messages_come_with_their_chunks(rosCas, home, cql):
+    image = Image(height=1, width=1, encoding="x", data=random.Random(1).randbytes(1_300_000))
+    for fmt in ("ros", "binary", "packed"):
+        topic = rosCas.addTopic(f"/{fmt}", fmt)
+        for n in range(3):
+            image.header.seq = n
+            topic.addData(image, key=T0 + n * SEC)
+    rosCas.catalog.adder.close()
+    assert Replicator(rosCas, home).copy().messages == 9
+    assert rows_of(cql, home) == rows_of(cql, rosCas)
+    assert rows_of(cql, home, chunks=True) == rows_of(cql, rosCas, chunks=True)
+    for fmt in ("ros", "binary", "packed"):
+        assert messages(home, fmt) == messages(rosCas, fmt)
+
+
+def test_a_message_without_its_chunks_is_told_and_the_others_are_copied(rosCas, home, cql):
+    topic = rosCas.addTopic("/i", "binary")
+    for n in range(3):
+        topic.addData(Image(data=bytes(1_300_000)), key=T0 + n)
+    rosCas.catalog.adder.close()
+    (name,) = rosCas.catalog.keyspace.schema.listing().visible
+    table = f'"{rosCas.keyspace}"."{name}_c"'
+    (node, bucket, t, seq), *_ = cql.execute(
+        f'SELECT "_node", "_bucket", "_t", "_seq" FROM {table}'
+    )
+    cql.execute(
+        f'DELETE FROM {table} WHERE "_node" = %s AND "_bucket" = %s AND "_t" = %s AND "_seq" = %s '
+        'AND "_chunk" = 1',
+        (node, bucket, t, seq),
+    )
+    report = Replicator(rosCas, home).copy()
+    assert "2 of 3 chunks" in report.topics["/i"].refused
+    assert home.getTopic("/i").countTopicData() == 2
+    assert Replicator(rosCas, home).copy().topics["/i"].refused
+
+
+@pytest.mark.parametrize("key_format", ["manual", "hash"])
+def test_named_messages_come_with_all_versions(rosCas, home, cql, key_format):
+    topic = rosCas.addTopic("/maps", "ros", key_format=key_format)
+    names = ["kitchen", "hall", "a/b", "Küche ' \""] if key_format == "manual" else [None] * 4
+    for n, name in enumerate(names * 3):
+        topic.addData(OccupancyGrid(data=[n] * 5), **({"key": name} if name else {}))
+    rosCas.catalog.adder.close()
+    assert Replicator(rosCas, home).copy().complete
+    assert rows_of(cql, home) == rows_of(cql, rosCas)
+    topic.addData(OccupancyGrid(data=[99]), **({"key": "hall"} if names[0] else {}))
+    rosCas.catalog.adder.close()
+    assert Replicator(rosCas, home).copy().messages >= 1
+    assert rows_of(cql, home) == rows_of(cql, rosCas)
+    assert messages(home, "/maps") == messages(rosCas, "/maps")
+
+
+def test_two_copies_at_once_end_in_the_same_rows(rosCas, home, cql):
+    fill(rosCas, "ros")
+    fill(rosCas, "packed", topic="/p")
+    failures = []
+
+    def copy():
+        try:
+            Replicator(rosCas, home).copy()
+        except Exception as exc:  # noqa: BLE001 - raised below
+            failures.append(exc)
+
+    threads = [threading.Thread(target=copy) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not failures
+    assert rows_of(cql, home) == rows_of(cql, rosCas)
+    assert facts(home) == facts(rosCas)
+
+
+def test_a_bucket_that_is_written_is_followed(rosCas, home):
+    handle_of = live_connection(
+        "/t", {"type": Int64._type, "md5sum": Int64._md5sum, "message_definition": Int64._full_text}
+    )
+    with rosCas.messageWriter(writer_id=5, format="ros") as writer:
+        handle = writer.connect(handle_of)
+        for n in range(50):
+            writer.write(handle, T0 + n, n, serialize(Int64(n)))
+            if n in (20, 40):
+                writer.flush()
+                Replicator(rosCas, home).copy()
+                assert home.getTopic("/t").countTopicData() == n + 1
+                assert not any(row[5] for row in directory(home))
+    Replicator(rosCas, home).copy()
+    assert messages(home) == messages(rosCas)
+    assert directory(home) == directory(rosCas)
+
+
+def test_a_selection_is_copied(rosCas, home):
+    fill(rosCas, "ros")
+    fill(rosCas, "ros", topic="/u")
+    end = T0 + 2 * SEC - 1
+    report = Replicator(rosCas, home, "/t", to_key=end, nodeID="r1").copy()
+    assert list(report.topics) == ["/t"]
+    every = seen(rosCas.getTopic("/t").rows())
+    assert messages(home) == [row for row in every if row[0] <= end and row[1] == "r1"]
+    assert not home.existTopic("/u")
+    assert Replicator(rosCas, home).copy().complete
+    assert messages(home) == every
+
+
+def test_formats_are_converted_on_the_way(rosCas, home):
+    fill(rosCas, "ros")
+    report = Replicator(rosCas, home, format="packed").copy()
+    assert report.complete
+    assert report.topics["/t"].format == "packed"
+    assert messages(home) == messages(rosCas)
+    assert Replicator(rosCas, home, format="packed").copy().messages == 0
+    fill(rosCas, "ros", 20, writers=((9, "r2"),))
+    assert Replicator(rosCas, home).copy().messages == 20
+    assert Replicator(rosCas, home).copy(again=True).messages == 0
+    assert messages(home) == messages(rosCas)
+    assert rosCas.info()[0].format == "ros"
+    assert {each.format for each in home.info()} == {"packed"}
+
+
+def test_a_topic_converted_on_either_side_stays_one(rosCas, home, monkeypatch):
+    monkeypatch.setattr("cassandra_ros.tables.replacement.SETTLE_SEC", 0.05)
+    monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)
+    fill(rosCas, "ros", 60)
+    Replicator(rosCas, home).copy()
+    home.convertTopic("/t", "packed")
+    assert Replicator(rosCas, home).copy().messages == 0
+    rosCas.convertTopic("/t", "binary")
+    assert Replicator(rosCas, home).copy().complete
+    fill(rosCas, "binary", 20, writers=((9, "r2"),))
+    assert Replicator(rosCas, home).copy().messages == 20
+    assert messages(home) == messages(rosCas)
+    assert {each.format for each in home.info()} == {"packed"}
+
+
+def test_a_topic_removed_there_is_copied_again(rosCas, home):
+    fill(rosCas, "ros", 30)
+    Replicator(rosCas, home).copy()
+    home.removeTopic("/t")
+    assert Replicator(rosCas, home).copy().messages == 60
+    home.truncateTopic("/t")
+    assert Replicator(rosCas, home).copy().messages == 60
+    assert messages(home) == messages(rosCas)
+
+
+class TestRefusals:
+    def refused(self, source, target, **options):
+        report = Replicator(source, target, **options).copy()
+        assert not report.complete
+        assert report.topics["/ok"].refused == ""
+        return report.topics["/t"].refused
+
+    @pytest.fixture
+    def both(self, rosCas, home):
+        rosCas.addTopic("/ok").addData(String("ok"))
+        rosCas.addTopic("/t", ttl=1000).addData(String("a"), key=T0)
+        rosCas.catalog.adder.close()
+        return rosCas, home
+
+    def test_another_type(self, both):
+        both[1].addTopic("/t", msg_type="std_msgs/Int64")
+        text = self.refused(*both)
+        assert "std_msgs/String" in text and "std_msgs/Int64" in text
+
+    def test_another_key_format(self, both):
+        both[1].addTopic("/t", msg_type="std_msgs/String", key_format="manual")
+        text = self.refused(*both)
+        assert "key format time here" in text and "manual there" in text
+
+    def test_another_lifetime(self, both):
+        both[1].addTopic("/t", msg_type="std_msgs/String", ttl=500)
+        text = self.refused(*both)
+        assert "1000 s" in text and "500 s" in text
+
+    def test_another_spelling(self, both):
+        both[1].addTopic("t", msg_type="std_msgs/String")
+        assert "name /t here" in self.refused(*both)
+
+    def test_another_format_than_asked(self, both):
+        both[1].addTopic("/t", "binary", msg_type="std_msgs/String", ttl=1000)
+        text = self.refused(*both, format="json")
+        assert "json" in text and "binary" in text
+
+    def test_a_renamed_topic(self, both):
+        Replicator(*both).copy()
+        both[1].renameTopic("/t", "/other")
+        assert "/other" in self.refused(*both)
+
+    def test_another_format_of_messages_that_expire(self, both):
+        assert "ttl" in self.refused(*both, format="packed")
+
+
+def test_messages_that_expire_keep_their_time(rosCas, home, cql):
+    fill_options = {"ttl": 5000}
+    rosCas.addTopic("/t", "ros", msg_type="std_msgs/Int64", **fill_options)
+    (table,) = rosCas.getTopic("/t").tables
+    rosCas.getTopic("/t").addData(Int64(1), key=T0)
+    rosCas.catalog.adder.close()
+    name = f'"{rosCas.keyspace}"."{table.name}"'
+    (row,) = cql.execute(
+        f'SELECT "_node", "_bucket", "_t", "_seq", "_conn", "_size", data FROM {name}'
+    )
+    marks = '("_node", "_bucket", "_t", "_seq", "_conn", "_size", data)'
+    cql.execute(
+        f"INSERT INTO {name} {marks} VALUES (%s, %s, %s, %s, %s, %s, %s) USING TTL 700", row
+    )
+    Replicator(rosCas, home).copy()
+    (there,) = home.getTopic("/t").tables
+    assert there.metadata.ttl == 5000
+    (left,) = cql.execute(f'SELECT TTL("_conn") FROM "{home.keyspace}"."{there.name}"').one()
+    assert 500 < left <= 700
+
+
+def test_the_index_of_a_field_is_there_too(rosCas, home):
+    topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/Int64", index=["data"])
+    for n in range(20):
+        topic.addData(Int64(n), key=T0 + n)
+    rosCas.catalog.adder.close()
+    Replicator(rosCas, home).copy()
+    (table,) = home.getTopic("/t").tables
+    (row,) = home.catalog.keyspace.directory.buckets(table.name, -(2**40), 2**40)
+    assert row.filled == frozenset(table.metadata.indexes.values()) != frozenset()
+    assert [key.to_nsec() for (key,) in home.executeCQL("select KEY from t where data = 7")] == [
+        T0 + 7
+    ]
+
+
+def test_runs_losses_metadata_and_contexts_come_with_their_messages(rosCas, home):
+    run = Run("r1", 77, "recording", name="patrol", labels={"site": "lab"})
+    with rosCas.messageWriter(writer_id=77, nodeID="r1", run=run) as writer:
+        handle = writer.connect(api_connection("/t", definition_of(String), "/talker"))
+        writer.write(handle, T0, 0, serialize(String("x")))
+        writer.connect(api_connection("/t", definition_of(String), "/silent"))
+    rosCas.getTopic("/t").setMeta(place="roof", comment="mine")
+    registry = rosCas.catalog.keyspace.registry
+    registry.put_context(77, "r1", RunContext({"a": 1}, NodeGraph({}, {}, {}, {})))
+    registry.put_loss(Loss("/t", "r1", 77, LossKind.BUFFER_FULL, T0, T0 + 5, 3))
+    registry.put_loss(Loss("/never", "r1", 77, LossKind.NO_TABLE, T0, T0, 1))
+    Replicator(rosCas, home).copy()
+    assert list(home.runs()) == list(rosCas.runs())
+    assert home.losses() == rosCas.losses() != []
+    assert home.runContext("patrol") == rosCas.runContext("patrol")
+    assert home.getTopic("/t").getMeta["place"] == "roof"
+    assert home.getTopic("/t").getMeta["comment"] == "mine"
+    home.getTopic("/t").setMeta(place="cellar")
+    rosCas.getTopic("/t").setMeta(site="lab")
+    Replicator(rosCas, home).copy()
+    assert home.getTopic("/t").getMeta["place"] == "cellar"
+    assert home.getTopic("/t").getMeta["site"] == "lab"
+    headers = {
+        store.keyspace: sorted(
+            (conn, header)
+            for _, conn, header in store.catalog.keyspace.registry.headers(
+                [t.name for t in store.catalog.tables(None)]
+            )
+        )
+        for store in (rosCas, home)
+    }
+    assert headers[home.keyspace] == headers[rosCas.keyspace]
+    assert len(headers[home.keyspace]) == 2
+
+
+class TestDeletions:
+    @pytest.mark.parametrize("fmt", ["ros", "packed"])
+    def test_are_made_there_where_that_is_asked_for(self, rosCas, home, fmt):
+        fill(rosCas, fmt)
+        fill(home, fmt, 20, writers=((9, "r2"),))
+        theirs = messages(home)
+        Replicator(rosCas, home).copy()
+        every = messages(home)
+        rosCas.getTopic("/t").removeData(T0 + SEC, T0 + 2 * SEC)
+        left = messages(rosCas)
+        assert Replicator(rosCas, home).copy().complete
+        assert messages(home) == every
+        assert len(left) < 600
+        report = Replicator(rosCas, home, with_deletions=True).copy()
+        assert messages(home) == sorted(left + theirs, key=lambda row: row[:3]), report
+        assert home.getTopic("/t").countTopicData() == len(left) + 20
+
+    def test_that_came_before_the_first_copy_stay_deleted(self, rosCas, home):
+        fill(rosCas, "packed")
+        rosCas.upkeep.delete("/t", where={"/t": "header.seq > 100"})
+        assert Replicator(rosCas, home).copy().complete
+        assert messages(home) == messages(rosCas)
+        assert facts(home) == facts(rosCas)
+
+    def test_of_a_whole_topic(self, rosCas, home):
+        fill(rosCas, "ros", 30)
+        fill(home, "ros", 20, writers=((9, "r2"),))
+        theirs = messages(home)
+        Replicator(rosCas, home).copy()
+        rosCas.removeTopic("/t")
+        Replicator(rosCas, home).copy()
+        assert len(messages(home)) == 80
+        Replicator(rosCas, home, with_deletions=True).copy()
+        assert messages(home) == theirs
+
+
+def test_a_store_is_not_copied_into_itself(rosCas, connect):
+    fill(rosCas, "ros", 5)
+    with connect(keyspace=rosCas.keyspace) as same:
+        with pytest.raises(InvalidOption, match="the store itself"):
+            Replicator(rosCas, same)
+
+
+def test_a_target_of_another_schema_is_refused(rosCas, connect, new_keyspace, cql):
+    fill(rosCas, "ros", 5)
+    with connect(keyspace=new_keyspace) as home:
+        home.catalog.keyspace.side_tables.make(*LATER_TABLES)
+        cql.execute(f"ALTER TABLE {new_keyspace}.cr_bucket DROP filled")
+        with pytest.raises(UnsupportedSchema, match="cr_bucket of the target has no column filled"):
+            Replicator(rosCas, home)
