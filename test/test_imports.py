@@ -48,13 +48,13 @@ BELOW = {
     "history": {"recording", *TOPICS},
     "bag": {*TOPICS, "overview", "client"},
     "local_server": set(),
-    "nodes": {"recording", "playing", "history", "client", "overview", *TOPICS},
+    "nodes": {"recording", "playing", "history", "client", "overview", "sql", *TOPICS},
     "mapping": {*TOPICS, "overview", "client"},
     "drawing": {"mapping", "overview", "client", *TOPICS},
     "viewing": {"drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", *TOPICS},
     "cli": {
         *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),
-        *("client", "upkeep", "overview", "spool"),
+        *("client", "upkeep", "overview", "spool", "sql"),
         *TOPICS,
     },
 }

@@ -23,6 +23,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.printable import public_names
+from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.read import Read
 from cassandra_ros.sql.duck_database import MEMORY
 from cassandra_ros.sql.sql_result import SqlResult
@@ -517,6 +518,7 @@ class RosCassandra:
         nodeID: str | None = None,
         run: RunName = None,
         memory: str = MEMORY,
+        watch: Watch = unwatched,
     ) -> SqlResult:
         """Prepare a SELECT statement in DuckDB's SQL over any topics, see doc/sql.md.
 
@@ -531,6 +533,7 @@ class RosCassandra:
             params: Values for its ``?`` in order, or for its ``$name`` by name.
             nodeID, run: nodeID and run of the messages, of all topics; None = all.
             memory: Memory of DuckDB, as it writes it. Joins and sorts of more go to disk.
+            watch: Called repeatedly while the statement runs; an exception from it stops it.
 
         Raises:
             InvalidQuery: The text shows the statement with a caret under the error.
@@ -539,7 +542,7 @@ class RosCassandra:
         """
         catalog = self.catalog
         whose = catalog.whose(nodeID, run)
-        return SqlResult(catalog, statement, params, whose, memory=memory)
+        return SqlResult(catalog, statement, params, whose, memory=memory, watch=watch)
 
     def lookupTransform(
         self,

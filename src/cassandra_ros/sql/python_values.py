@@ -71,3 +71,19 @@ def _length(value: Any) -> Any:
     if value is None or value.months:
         return value
     return timedelta(days=value.days, microseconds=value.nanoseconds // 1000)
+
+
+def printable_value(value: Any) -> Any:
+    """Return a value of a row as what the outputs of the command line and of services can show.
+
+    Intervals, dates and other types of DuckDB are texts.
+    """
+    if isinstance(value, dict):
+        return {str(name): printable_value(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
+        return [printable_value(each) for each in value]
+    if value is None or isinstance(value, (bool, int, float, str, bytes, Stamp)):
+        return value
+    if isinstance(value, Decimal) and Decimal(float(value)) == value:
+        return float(value)
+    return str(value)

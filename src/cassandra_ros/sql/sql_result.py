@@ -90,20 +90,15 @@ class SqlResult:
         self.columns: tuple[str, ...] = tuple(run.relation.columns)
 
     def batches(self) -> Iterator[pyarrow.RecordBatch]:
-        """Yield the rows as record batches of pyarrow, while they are computed."""
+        """Yield the rows as record batches of pyarrow, while they are computed; at least one."""
         with self._opened() as run:
             reader = run.wait(lambda: run.relation.to_arrow_reader(BATCH_ROWS))
-            while True:
-                batch = run.wait(lambda: next(reader, None))
-                if batch is None:
-                    return
+            batch = run.wait(lambda: next(reader, None))
+            if batch is None:
+                batch = self._arrow.RecordBatch.from_pylist([], schema=reader.schema)
+            while batch is not None:
                 yield batch
-
-    @property
-    def schema(self) -> pyarrow.Schema:
-        """Names and Arrow types of the columns."""
-        with self._opened() as run:
-            return run.relation.limit(0).to_arrow_table().schema
+                batch = run.wait(lambda: next(reader, None))
 
     def __iter__(self) -> Iterator[tuple[Any, ...]]:
         for batch in self.batches():

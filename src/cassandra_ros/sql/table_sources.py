@@ -66,7 +66,7 @@ class TopicSource:
 
     def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
         reader = self.schema.arrow.RecordBatchReader.from_batches(
-            self.schema.schema, self._batches()
+            self.schema.schema, self.batches()
         )
         return reader.__arrow_c_stream__()
 
@@ -84,7 +84,8 @@ class TopicSource:
         time_range = TimeRange() if self.schema.named else pushed.time_range
         return Read(time_range, whose)
 
-    def _batches(self) -> Iterator[pyarrow.RecordBatch]:
+    def batches(self) -> Iterator[pyarrow.RecordBatch]:
+        """Yield what is read, as record batches."""
         read = self.read()
         if read is None:
             return
