@@ -66,6 +66,7 @@ def targets(results: Results) -> list[Target]:
         *_conditions(results),
         *_lookups(results),
         *_disk(results),
+        *_sql(results),
         *_live(results),
         *_start(results),
     ]
@@ -204,6 +205,25 @@ def _disk(results: Results) -> Iterator[Target]:
             for bag in bags
         ]
         yield at_most(f"size on disk, real bags, {name}", f"x {other}", wanted, cases)
+
+
+def _sql(results: Results) -> Iterator[Target]:
+    found = {
+        (one.what, one.contender): results.median("sql", one.what, one.contender, one.kind, one.x)
+        for one in results.of("sql")
+    }
+    for name, wanted in (("packed", 500_000.0), ("ros", 150_000.0)):
+        rate = found.get(("toArrow", name))
+        yield at_least(f"toArrow, all columns, {name}", "msg/s", wanted, [("", rate)])
+    mine = found.get(("join", "packed"))
+    times = ratio(mine, found.get(("join", "DuckDB, Parquet")))
+    yield at_most("SQL, join by time", "x DuckDB over Parquet", 4.0, [("", times)])
+    faster = ratio(found.get(("join", "bags, pandas")), mine)
+    yield at_least("SQL, join by time", "x bags and pandas", 20.0, [("", faster)])
+    faster = ratio(found.get(("condition", "whole table")), found.get(("condition", "pushdown")))
+    yield at_least("SQL, condition, 1,000 hits", "x whole table", 3.0, [("", faster)])
+    memory = [(f"{one.x:,.0f}", max(one.values)) for one in results.of("sql", "memory")]
+    yield at_most("memory of an SQL join", "MB", 1024.0, memory)
 
 
 def _live(results: Results) -> Iterator[Target]:

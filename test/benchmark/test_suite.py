@@ -22,7 +22,7 @@ from suite.tables import TABLES, fill  # noqa: E402
 from suite.targets import rows, targets  # noqa: E402
 
 EXPERIMENTS = (
-    *("writing", "bags", "growth", "lookups", "clauses", "conditions", "live", "start"),
+    *("writing", "bags", "growth", "lookups", "clauses", "conditions", "sql", "live", "start"),
     *("writers", "cluster"),
 )
 FILES = ("rosbag", "mcap", "sqlite")

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Callable
 
 from suite.context import Context
-from suite.experiments import bags, conditions, growth, live, lookups, start, writers, writing
+from suite.experiments import bags, conditions, growth, live, lookups, sql, start, writers, writing
 
 EXPERIMENTS: dict[str, Callable[[Context], None]] = {
     "writing": writing.run,
@@ -16,6 +16,7 @@ EXPERIMENTS: dict[str, Callable[[Context], None]] = {
     "lookups": lookups.run,
     "clauses": conditions.run_clauses,
     "conditions": conditions.run,
+    "sql": sql.run,
     "live": live.run,
     "start": start.run,
     "writers": writers.run,

@@ -57,6 +57,8 @@ class ArrowSchema:
         arrow: The module pyarrow.
         schema: Its schema.
         fields: Fields with a column, by name of the table.
+        own: Names of the columns that are no fields.
+        empty: Whether messages need not be read, because no field has a column.
     """
 
     def __init__(
@@ -79,6 +81,7 @@ class ArrowSchema:
         every = [self._of(fields) for fields in self.fields.values()]
         united = list(unite_schemas(self.arrow, every)) if every else []
         self.own = [field.name for field in own]
+        self.empty = not any(self.fields.values())
         self.schema = self.arrow.schema([*own, *united])
         if names is not None:
             check_columns(self.schema, names)
@@ -91,11 +94,6 @@ class ArrowSchema:
         if table.name not in self.fields:
             self.fields[table.name] = fields_of(table.definition, self._wanted)
         return self.fields[table.name]
-
-    @property
-    def empty(self) -> bool:
-        """Whether messages need not be read, because no field has a column."""
-        return not any(self.fields.values())
 
 
 class _Places(NamedTuple):
@@ -204,8 +202,9 @@ def read_batches(
         ) from exc
 
 
-def _columns(schema: ArrowSchema, table: Table) -> Sequence[str]:
-    return () if schema.empty else table.columns
+def _columns(schema: ArrowSchema, table: Table) -> Sequence[str] | None:
+    # The messages of whole rows are made together.
+    return () if schema.empty else None
 
 
 def _of_blocks(

@@ -68,6 +68,8 @@ class DuckDatabase:
             self.connection: Any = self.duckdb.connect(":memory:", config=self._config(memory))
             for statement in (
                 "SET TimeZone = 'UTC'",
+                # The number of rows is unknown to DuckDB: it would compare each with each.
+                "SET asof_loop_join_threshold = 0",
                 *_clock_macros(time.time_ns()),
                 _TF,
                 "SET enable_external_access = false",

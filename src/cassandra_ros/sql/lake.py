@@ -228,7 +228,7 @@ class Lake:
                 source.pushed = part.pushed
                 path = folder / part.folder / FILE
                 stored = _digest_of(source)
-                found = (0, None)
+                found: tuple[int, int | None] = (0, None)
                 if path.exists():
                     try:
                         found = _digest_of(_FileSource(self._parquet, path))

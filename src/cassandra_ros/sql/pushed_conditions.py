@@ -138,7 +138,17 @@ def pushed_reads(
     tables = [t for t in tree.find_all(finder.exp.Table) if t.name in columns]
     if seen < len(tables):  # a table stands where no scope was found
         return dict.fromkeys(columns, EVERYTHING)
-    return {name: reduce(PushedRead.either, reads) for name, reads in found.items() if reads}
+    return {name: _any_of(reads) for name, reads in found.items() if reads}
+
+
+def _all_of(reads: Sequence[PushedRead]) -> PushedRead:
+    """Return what is read if all hold."""
+    return reduce(PushedRead.both, reads, EVERYTHING)
+
+
+def _any_of(reads: Sequence[PushedRead]) -> PushedRead:
+    """Return what is read if one of at least one holds."""
+    return reduce(PushedRead.either, reads)
 
 
 class _ConditionFinder:
@@ -194,8 +204,8 @@ class _ConditionFinder:
         """Return the bounds of a condition; None = it bounds nothing."""
         exp, node = self.exp, node.unnest()
         if isinstance(node, exp.And):
-            reads = [self._read_of(each, names) for each in (node.left, node.right)]
-            return reduce(PushedRead.both, [read for read in reads if read is not None], EVERYTHING)
+            both = (self._read_of(each, names) for each in (node.left, node.right))
+            return _all_of([read for read in both if read is not None])
         if isinstance(node, exp.Or):
             one, two = (self._read_of(each, names) for each in (node.left, node.right))
             return None if one is None or two is None else one.either(two)
@@ -206,7 +216,7 @@ class _ConditionFinder:
         if isinstance(node, exp.In) and node.expressions and not node.args.get("query"):
             parts = [self._compared("EQ", node.this, each, names) for each in node.expressions]
             reads = [read for read in parts if read is not None]
-            return reduce(PushedRead.either, reads) if len(reads) == len(parts) else None
+            return _any_of(reads) if len(reads) == len(parts) else None
         operator = type(node).__name__
         if operator in _MIRRORED:
             found = self._compared(operator, node.left, node.right, names)
@@ -289,13 +299,7 @@ def _bounds(column: FieldColumn, operator: str, value: Any) -> PushedRead | None
             return None
         texts = frozenset([value])
         return PushedRead(nodes=texts) if column.kind == "node" else PushedRead(runs=texts)
-    make = {
-        "time": _time_condition,
-        "text": _text_condition,
-        "bool": _bool_condition,
-        "int": _int_condition,
-    }.get(column.kind, _float_condition)
-    return make(column, operator, value)
+    return _CONDITIONS[column.kind](column, operator, value)
 
 
 def _time_bounds(operator: str, ns: int) -> PushedRead:
@@ -348,6 +352,17 @@ def _float_condition(column: FieldColumn, operator: str, value: Any) -> PushedRe
         return None
     read = _between(column, operator, low, high)
     return replace(read, floats=frozenset([column.path])) if operator in _ABOVE else read
+
+
+_CONDITIONS: Mapping[str, Callable[[FieldColumn, str, Any], PushedRead | None]] = {
+    "time": _time_condition,
+    "text": _text_condition,
+    "bool": _bool_condition,
+    "int": _int_condition,
+    "float32": _float_condition,
+    "float64": _float_condition,
+}
+"""Makes the condition on a field, by the kind of its column."""
 
 
 def _between(column: FieldColumn, operator: str, low: Any, high: Any) -> PushedRead:

@@ -36,10 +36,7 @@ def _values(arrow: Any, array: Any) -> Sequence[Any]:
         rows = [dict(zip(names, values)) for values in zip(*parts)]
         return _with_nulls(array, rows)
     if types.is_list(kind) or types.is_fixed_size_list(kind):
-        lists = [None if each is None else each for each in array]
-        return [
-            _values(arrow, e.values) if e.is_valid and e.values is not None else None for e in lists
-        ]
+        return [_values(arrow, each.values) if each.is_valid else None for each in array]
     if types.is_decimal(kind):
         return [_number(value) for value in array.to_pylist()]
     if types.is_interval(kind):

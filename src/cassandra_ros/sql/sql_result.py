@@ -56,7 +56,8 @@ class SqlResult:
         params: Values of its parameters.
         whose: Robots and runs whose messages are read.
         memory: Memory of DuckDB, as it writes it.
-        pushdown: Whether conditions bound what is read; the answer does not depend on it.
+        pushdown: Whether only the columns and messages are read that the statement may need; the
+            answer does not depend on it.
         watch: Called repeatedly while the statement runs; an exception from it stops it.
 
     Raises:
@@ -215,7 +216,7 @@ class _Run:
         with self._errors():
             if not self._database.is_select(statement.text):
                 raise InvalidQuery(statement.text, 0, "sql takes one SELECT; use CQL for others")
-        wanted = needed_columns(statement.tree)
+        wanted = needed_columns(statement.tree) if pushdown else None
         self._find_tables(wanted)
         for target, frame in statement.frames():
             poses = FrameSource(self._catalog, self._whose, target, frame, self._look)
