@@ -140,6 +140,15 @@ def test_topics_runs_and_losses_are_tables(robot):
     assert robot.sql("SELECT count(*) FROM runs WHERE started > now()").fetchall() == [(0,)]
 
 
+def test_constants_are_called_by_their_names(robot):
+    name = "POWER_SUPPLY_STATUS_FULL"
+    text = f"SELECT count(*) FROM battery WHERE power_supply_status < constant(?, '{name}')"
+    assert robot.sql(text, ["sensor_msgs/BatteryState"]).fetchall() == [(5,)]
+    named = "SELECT value, number, text FROM constants WHERE NAME = ?"
+    assert robot.sql(named, [name]).fetchall() == [(4, 4.0, "4")]
+    assert robot.sql("SELECT constant('a', 'b')").fetchall() == [(None,)]
+
+
 def test_now_is_one_time_that_keys_are_compared_with(robot):
     assert robot.sql(
         'SELECT count(*) FROM "/imu/data" WHERE KEY < now() - INTERVAL 1 DAY'

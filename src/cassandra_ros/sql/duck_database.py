@@ -27,6 +27,11 @@ _OLDEST = (3, 11)
 they scan, and compare NaN and joined keys wrongly there."""
 
 _TF = "CREATE MACRO tf(target, source) AS TABLE FROM query_table('tf ' || target || ' ' || source)"
+CONSTANT = (
+    "CREATE MACRO constant(msg_type, named) AS "
+    "(SELECT c.value::HUGEINT FROM constants c WHERE c.TYPE = msg_type AND c.NAME = named)"
+)
+"""Makes constant('pkg/Type', 'NAME'); the table constants must be there."""
 
 
 def _clock_macros(ns: int) -> list[str]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The tables of SQL that are no topics: topics, runs and losses."""
+"""The tables of SQL that are no topics: topics, runs, losses, and the constants of messages."""
 
 from __future__ import annotations
 
@@ -43,6 +43,18 @@ def _losses(catalog: Catalog) -> Rows:
     ]
 
 
+def _constants(catalog: Catalog) -> Rows:
+    found: dict[tuple[str, str], tuple[int | None, float | None, str]] = {}
+    for table in catalog.tables(None):
+        specs = {} if table.definition is None else table.definition.specs
+        for spec in specs.values():
+            for each in spec.constants:
+                whole = int(each.value) if isinstance(each.value, int) else None
+                number = None if isinstance(each.value, str) else float(each.value)
+                found[spec.type, each.name] = (whole, number, str(each.value))
+    return [(*names, *values) for names, values in sorted(found.items())]
+
+
 def _ns(time: datetime | None) -> int | None:
     """Return the ns since 1970 of a time in UTC, which the registry keeps in ms."""
     if time is None:
@@ -69,6 +81,10 @@ LISTED: Mapping[str, tuple[Mapping[str, str], Callable[[Catalog], Rows]]] = {
         },
         _runs,
     ),
+    "constants": (
+        {"TYPE": _TEXT, "NAME": _TEXT, "value": "decimal", "number": "float64", "text": _TEXT},
+        _constants,
+    ),
     "losses": (
         {
             **{"TOPIC": _TEXT, "NODE": _TEXT, "RUN": _TEXT, "reason": _TEXT},
@@ -83,8 +99,9 @@ LISTED: Mapping[str, tuple[Mapping[str, str], Callable[[Catalog], Rows]]] = {
 def listed_source(arrow: Any, catalog: Catalog, name: str) -> ListSource:
     """Return one of the tables in LISTED."""
     columns, rows = LISTED[name]
+    others = {_TIME: arrow.timestamp("ns"), "decimal": arrow.decimal128(20, 0)}  # holds uint64
     kinds = {
-        column: arrow.timestamp("ns") if kind == _TIME else getattr(arrow, kind)()
+        column: others[kind] if kind in others else getattr(arrow, kind)()
         for column, kind in columns.items()
     }
     return ListSource(arrow, arrow.schema(list(kinds.items())), lambda: rows(catalog))

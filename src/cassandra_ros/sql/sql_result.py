@@ -20,7 +20,7 @@ from cassandra_ros.printable import MOST_ROWS, html_table
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import EVERYBODY, Whose
-from cassandra_ros.sql.duck_database import MEMORY, DuckDatabase
+from cassandra_ros.sql.duck_database import CONSTANT, MEMORY, DuckDatabase
 from cassandra_ros.sql.frame_source import FrameSource
 from cassandra_ros.sql.listed_tables import LISTED, listed_source
 from cassandra_ros.sql.needed_columns import needed_columns
@@ -218,11 +218,16 @@ class _Run:
                 raise InvalidQuery(statement.text, 0, "sql takes one SELECT; use CQL for others")
         wanted = needed_columns(statement.tree) if pushdown else None
         self._find_tables(wanted)
+        if statement.calls("constant"):
+            constants = listed_source(load_arrow("sql"), self._catalog, "constants")
+            self.sources.setdefault("constants", constants)
         for target, frame in statement.frames():
             poses = FrameSource(self._catalog, self._whose, target, frame, self._look)
             self.sources[f"tf {target} {frame}"] = poses
         for name, source in self.sources.items():
             connection.register(name, source)
+        if statement.calls("constant"):
+            connection.execute(CONSTANT)
         if pushdown:
             self._push()
         with self._errors():

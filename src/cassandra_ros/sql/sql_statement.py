@@ -131,6 +131,11 @@ class SqlStatement:
         """Return the names that WITH gives, in lower case."""
         return {cte.alias.lower() for cte in self.tree.find_all(self._glot.exp.CTE)}
 
+    def calls(self, name: str) -> bool:
+        """Return whether the statement calls a function of ours."""
+        calls = self.tree.find_all(self._glot.exp.Anonymous)
+        return any(call.name.lower() == name for call in calls)
+
     def frames(self) -> Iterator[tuple[str, str]]:
         """Yield the frames of each tf('target', 'source') in FROM."""
         exp = self._glot.exp
