@@ -219,7 +219,7 @@ def sql(results: Results) -> str:
         spread = f" ({number(low)}–{number(high)})" if len(one.values) > 1 else ""
         rows.append(
             [
-                f"{one.what}, {one.contender}",
+                ", ".join(filter(None, (one.what, one.kind, one.contender))),
                 f"{one.x or 0:,.0f}",
                 f"{number(middle)}{spread} {one.unit}",
             ]
