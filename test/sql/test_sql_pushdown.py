@@ -233,6 +233,65 @@ def test_statements_of_the_search_are_bounded_and_match(stored):
     assert bounded > 8 and matched > 8
 
 
+UNUSUAL = [
+    "SELECT #2, #4 FROM a",
+    "SELECT x FROM a x",
+    "SELECT a FROM a",
+    "SELECT x.* FROM a x",
+    'SELECT "/a" FROM "/a"',
+    "SELECT COLUMNS('in|KEY') FROM a",
+    "SELECT * EXCLUDE (sub) FROM a",
+    "SELECT * REPLACE (d + 1 AS d) FROM a",
+    "SELECT unnest(sub) FROM a",
+    "SELECT unnest(x.sub, recursive := true) FROM a x",
+    "SELECT sub['n'], struct_extract(sub, 'f'), sub.s FROM a",
+    "SELECT count(*) FROM a NATURAL JOIN b",
+    "SELECT count(*) FROM a JOIN b USING (NODE, i)",
+    "FROM a",
+    "TABLE a",
+    "FROM a SELECT i",
+    "SELECT i AS d FROM a WHERE d > 50",
+    "SELECT i AS v FROM a WHERE v > 30",
+    "SELECT (SELECT max(d) FROM b WHERE b.NODE = x.NODE AND b.i <= x.i) FROM a x",
+    "SELECT KEY FROM a WHERE i IN (SELECT max(i) FROM b WHERE b.d < 10)",
+    "SELECT KEY FROM a WHERE (NODE, i) IN (('r1', 3))",
+    "SELECT max(d) FILTER (WHERE b) FROM a WHERE i < 10",
+    "SELECT arg_max(KEY, i), NODE FROM a GROUP BY ALL",
+    "SELECT * FROM a PIVOT (max(i) FOR NODE IN ('r1', 'r2'))",
+    "SELECT * FROM (UNPIVOT a ON i, w)",
+    "SELECT i FROM a POSITIONAL JOIN (SELECT 1 AS one) WHERE i > 20",
+    "SELECT x.i FROM a x POSITIONAL JOIN b y WHERE x.i > 5 AND y.i > 7",
+    "SELECT count(*) FROM a WHERE d > 20 USING SAMPLE 100%",
+    "SELECT x.i FROM a x, LATERAL (SELECT x.d + 1 AS v) WHERE v > 12.9 AND x.i > 5",
+    "SELECT NODE FROM a WHERE i > 30 UNION BY NAME SELECT NODE, i FROM b WHERE i < 2",
+    "SELECT DISTINCT ON (NODE) NODE, min(KEY) OVER () FROM a WHERE i < 9",
+    "SELECT i FROM a WHERE i > 5 QUALIFY row_number() OVER (PARTITION BY NODE ORDER BY KEY) = 1",
+    "SELECT x.k FROM (SELECT KEY AS k, d FROM a WHERE i > 5) x WHERE x.d > 50",
+    "SELECT y.a.i FROM (SELECT a FROM a) y",
+    "SELECT main.a.i FROM a",
+    "SELECT x.KEY FROM a x LEFT JOIN b y ON x.KEY = y.KEY AND y.d > 5 WHERE y.KEY IS NULL",
+    "SELECT x.KEY FROM a x LEFT JOIN b y ON x.i = y.i WHERE y.d IS NULL OR y.d > 5",
+    "WITH RECURSIVE r AS (SELECT 0 AS n UNION ALL SELECT n + 1 FROM r, a WHERE a.i = 3 AND n < 2)"
+    " SELECT max(n) FROM r",
+    "WITH a AS (SELECT * FROM b WHERE i > 5) SELECT count(*) FROM a WHERE i < 9",
+    "SELECT KEY FROM a WHERE KEY > '2020-09-13T12:26:41Z' AND KEY < now()",
+]
+"""Statements in which a table, a column or a condition stands where few do."""
+
+
+@pytest.mark.parametrize("asked", UNUSUAL)
+def test_unusual_statements_give_what_duckdb_gives(stored, asked):
+    store, whole = stored
+    # The whole tables of the test have no now() that could be compared.
+    if "now()" not in asked:
+        wanted = answer(lambda: rows_of(whole.sql(asked).to_arrow_table()))
+        assert answer(lambda: SqlResult(store.catalog, asked).fetchall()) == wanted != "error"
+    found = SqlResult(store.catalog, asked).fetchall()
+    assert answer(lambda: SqlResult(store.catalog, asked, pushdown=False).fetchall()) == answer(
+        lambda: found
+    )
+
+
 @pytest.mark.parametrize(
     ("where", "read"),
     [
@@ -247,6 +306,20 @@ def test_only_what_may_match_is_read(stored, where, read):
     store, _ = stored
     (report,) = store.sql(f'SELECT count(*) FROM "/a" WHERE {where}').explain().topics
     assert report.messages < 400 / 2, read
+
+
+@pytest.mark.parametrize(
+    ("text", "params"),
+    [
+        ("d > ? AND d < ?", [60, 70]),
+        ("d BETWEEN $low AND $high", {"low": 60, "high": 70}),
+        ("KEY < ?", [Stamp.from_ns(T0 + SECOND_NS)]),
+    ],
+)
+def test_parameters_bound_what_is_read(stored, text, params):
+    store, _ = stored
+    (report,) = store.sql(f'SELECT count(*) FROM "/a" WHERE {text}', params).explain().topics
+    assert report.messages < 400 / 2
 
 
 def test_nan_is_found_above_all_numbers(stored):

@@ -13,8 +13,6 @@ from typing import Any, Iterator
 from cassandra_ros.arrays.arrow_types import Wanted, wanted_columns
 from cassandra_ros.installation import optional_module
 
-Chain = "tuple[str, ...]"
-
 
 def needed_columns(tree: Any) -> Wanted | None:
     """Return the columns that a statement may read; None = all.
@@ -34,10 +32,7 @@ def needed_columns(tree: Any) -> Wanted | None:
 
 
 def _reads_all(exp: Any, tree: Any) -> bool:
-    if tree.find(exp.Columns, exp.Pivot, exp.Parameter) is not None and any(
-        not isinstance(node, exp.Parameter) or not node.name.isalnum()
-        for node in tree.find_all(exp.Columns, exp.Pivot, exp.Parameter)
-    ):
+    if tree.find(exp.Columns, exp.Pivot, exp.PositionalColumn) is not None:
         return True
     if any(join.method == "NATURAL" for join in tree.find_all(exp.Join)):
         return True

@@ -17,7 +17,7 @@ import math
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import reduce
-from typing import Any, Callable, Iterator, Mapping, Sequence
+from typing import AbstractSet, Any, Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -55,8 +55,9 @@ class FieldColumn:
 ColumnOf = Callable[[Sequence[str]], "FieldColumn | None"]
 """Function from the names in a statement to a column of a table; None: it has none, or no simple
 one."""
-Evaluate = Callable[[str], Any]
-"""Function from an expression without columns to its value; None = it has none, or an error."""
+Evaluate = Callable[[str, AbstractSet[str]], Any]
+"""Function from an expression without columns, and the names of its parameters (in the expression
+each has a p before it), to its value; None = it has none, or an error."""
 
 
 @dataclass(frozen=True)
@@ -227,10 +228,15 @@ class _ConditionFinder:
         column = names.column(side)
         if column is None or not self._is_constant(other):
             return None
-        text = other.sql(dialect="duckdb")
+        exp, given = self.exp, {each.name for each in other.find_all(self.exp.Placeholder)}
+        # DuckDB takes no parameter that an expression lacks, and numbers without gaps.
+        named = other.transform(
+            lambda n: exp.Placeholder(this=f"p{n.name}") if isinstance(n, exp.Placeholder) else n
+        )
+        text = named.sql(dialect="duckdb")
         if column.kind in ("key", "time"):
             text = f"epoch_ns(CAST(({text}) AS TIMESTAMP_NS))"
-        value = self._evaluate(text)
+        value = self._evaluate(text, given)
         return None if value is None else _bounds(column, operator, value)
 
     def _is_constant(self, node: Any) -> bool:
@@ -239,7 +245,7 @@ class _ConditionFinder:
         calls = {"now", "today"}
         simple = (
             *(exp.Literal, exp.Boolean, exp.Neg, exp.Paren, exp.Cast, exp.DataType, exp.Interval),
-            *(exp.Add, exp.Sub, exp.Mul, exp.Var, exp.Parameter, exp.Identifier),
+            *(exp.Add, exp.Sub, exp.Mul, exp.Var, exp.Placeholder, exp.Identifier),
         )
         return all(
             isinstance(each, simple)

@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
 from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence, TypeVar, Union
+from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar, Union
 
 from cassandra_ros.arrays.arrow_types import load_arrow, struct_of
 from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidQuery, TopicNotFound
@@ -264,9 +264,13 @@ class _Run:
         columns = {name: TableColumns(source.tables).find for name, source in topics.items()}
         params = self._statement.params
 
-        def value(expression: str) -> Any:
-            named = params if "$" in expression else None
-            return self._database.value(expression, named)
+        def value(expression: str, names: AbstractSet[str]) -> Any:
+            numbered = not isinstance(params, dict)
+            try:
+                given = {f"p{n}": params[int(n) - 1 if numbered else n] for n in names}
+            except (LookupError, ValueError):
+                return None  # DuckDB says which parameter is missing
+            return self._database.value(expression, given)
 
         reads = pushed_reads(self._statement.tree, columns, value)
         for name, source in topics.items():
