@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import os
 import signal
@@ -208,6 +209,24 @@ REFUSED = {
 @pytest.mark.parametrize("text", REFUSED)
 def test_what_is_refused(robot, text):
     with pytest.raises(InvalidQuery, match=REFUSED[text]):
+        robot.sql(text).fetchall()
+
+
+HOSTILE = [
+    "SELECT " + "(" * 20_000 + "1" + ")" * 20_000,
+    "SELECT 1 WHERE " + " AND ".join(["1 = 1"] * 6000),
+    "SELECT " + "- " * 20_000 + "1",
+    "SELECT count(*) FROM battery WHERE " + " OR ".join(["voltage > 1"] * 3000),
+    "SELECT " + "NOT " * 10_000 + "true",
+    "SELECT * FROM " + "(SELECT * FROM " * 2000 + "battery" + ")" * 2000,
+    "SELECT '" + "x" * 70_000 + "'",
+    "\0SELECT \ud800",
+]
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
+def test_hostile_statements_are_answered_or_refused(robot, text):
+    with contextlib.suppress(InvalidQuery):
         robot.sql(text).fetchall()
 
 

@@ -123,23 +123,26 @@ def pushed_reads(
         columns: Finds columns, by name of the table as in the statement.
         evaluate: Computes constants as DuckDB does.
     """
-    finder = _ConditionFinder(columns, evaluate)
-    scopes = optional_module("sqlglot.optimizer.scope", "sql")
     errors = optional_module("sqlglot.errors", "sql")
     try:
-        every = list(scopes.traverse_scope(tree))
-    except errors.OptimizeError:
-        return dict.fromkeys(columns, EVERYTHING)
+        reads = _reads(tree, columns, evaluate)
+    except (errors.OptimizeError, RecursionError):  # DuckDB says what is wrong, if it is
+        reads = {}
+    return {name: _any_of(reads.get(name) or [EVERYTHING]) for name in columns}
+
+
+def _reads(
+    tree: Any, columns: Mapping[str, ColumnOf], evaluate: Evaluate
+) -> dict[str, list[PushedRead]]:
+    """Return what is read by each mention of each table; {} if one of them was not found."""
+    finder = _ConditionFinder(columns, evaluate)
+    scopes = optional_module("sqlglot.optimizer.scope", "sql")
     found: dict[str, list[PushedRead]] = {name: [] for name in columns}
-    seen = 0
-    for scope in every:
+    for scope in scopes.traverse_scope(tree):
         for name, read in finder.of_scope(scope):
             found[name].append(read)
-            seen += 1
     tables = [t for t in tree.find_all(finder.exp.Table) if t.name in columns]
-    if seen < len(tables):  # a table stands where no scope was found
-        return dict.fromkeys(columns, EVERYTHING)
-    return {name: _any_of(reads) for name, reads in found.items() if reads}
+    return found if sum(map(len, found.values())) == len(tables) else {}
 
 
 def _all_of(reads: Sequence[PushedRead]) -> PushedRead:
@@ -195,10 +198,9 @@ class _ConditionFinder:
 
     def _conjuncts(self, node: Any) -> Iterator[Any]:
         node = node.unnest()
-        if isinstance(node, self.exp.And):
-            yield from self._conjuncts(node.left)
-            yield from self._conjuncts(node.right)
-        else:
+        for part in node.flatten() if isinstance(node, self.exp.And) else ():
+            yield from self._conjuncts(part)
+        if not isinstance(node, self.exp.And):
             yield node
 
     def _read_of(self, node: Any, names: _Names) -> PushedRead | None:
