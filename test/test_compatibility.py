@@ -37,6 +37,7 @@ MD5SUMS = {
     "cassandra_ros/Seek": "be7a08abb32779874183a69929082eff",
     "cassandra_ros/SetRate": "b32a3c75ca7f14c8fb463ac9ca4f174c",
     "cassandra_ros/Snapshot": "36642b074fd8ba5e875c1c83ef53e514",
+    "cassandra_ros/Sql": "9f9e48a69090ba84c41ca8cd0a80116b",
     "cassandra_ros/Step": "199617f5cf022affe9db34cba6d16920",
 }
 

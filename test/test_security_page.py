@@ -15,6 +15,7 @@ from cassandra_ros.query.rows import answer_bound
 from cassandra_ros.query.tree import parse
 from cassandra_ros.recording import place_keeper, recording, topic_settings
 from cassandra_ros.spool import spool_folder
+from cassandra_ros.sql import duck_database, sql_statement
 from cassandra_ros.viewing import viewer_settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,6 +37,10 @@ FIGURES = [
     mib(query_node.MAX_REPLY_BYTES),
     mib(answer_bound.MAX_ANSWER_BYTES),
     mib(parse.MAX_STATEMENT),
+    f"{sql_statement.MAX_TEXT >> 10} KiB",
+    duck_database.MEMORY,
+    duck_database.SPILL,
+    f"{query_node.SQL_SEC:g} s",
     mib(definition.MAX_TEXT),
     str(definition.MAX_TYPES),
     str(shape.MAX_DEPTH),

@@ -211,6 +211,22 @@ def scans(results: Results) -> str:
     return f"{table}\n| *rosbag ({paper.SOURCE}, quoted)* | {' | '.join(cells)} |"
 
 
+def sql(results: Results) -> str:
+    """Show what SQL takes, and what others take for the same."""
+    rows = []
+    for one in results.of("sql"):
+        low, middle, high = quartiles(one.values)
+        spread = f" ({number(low)}–{number(high)})" if len(one.values) > 1 else ""
+        rows.append(
+            [
+                ", ".join(filter(None, (one.what, one.kind, one.contender))),
+                f"{one.x or 0:,.0f}",
+                f"{number(middle)}{spread} {one.unit}",
+            ]
+        )
+    return markdown(["", "messages", "median"], rows)
+
+
 def live(results: Results) -> str:
     """Show what was recorded without loss, with the costs at that rate."""
     rows = []
@@ -301,6 +317,7 @@ TABLES: dict[str, Callable[[Results], str]] = {
     "small": small,
     "conditions": conditions,
     "scans": scans,
+    "sql": sql,
     "live": live,
     "start": start,
     "new tables": new_tables,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Callable, Iterable, Iterator, Optional, Sequence, Tuple
 
 from suite.messages import LARGE, SMALL
-from suite.results import Results
+from suite.results import Results, quartiles
 
 FORMATS = ("packed", "binary", "ros")
 MEMORY_MB = 256 + 150
@@ -66,6 +66,7 @@ def targets(results: Results) -> list[Target]:
         *_conditions(results),
         *_lookups(results),
         *_disk(results),
+        *_sql(results),
         *_live(results),
         *_start(results),
     ]
@@ -204,6 +205,43 @@ def _disk(results: Results) -> Iterator[Target]:
             for bag in bags
         ]
         yield at_most(f"size on disk, real bags, {name}", f"x {other}", wanted, cases)
+
+
+def _middle(values: list[float]) -> float | None:
+    return quartiles(values)[1] if values else None
+
+
+def _sql(results: Results) -> Iterator[Target]:
+    found = {
+        (one.what, one.contender): results.median("sql", one.what, one.contender, one.kind, one.x)
+        for one in results.of("sql")
+    }
+    for name, wanted in (("packed", 500_000.0), ("ros", 150_000.0)):
+        rate = found.get(("toArrow", name))
+        yield at_least(f"toArrow, all columns, {name}", "msg/s", wanted, [("", rate)])
+    mine = found.get(("join", "packed"))
+    times = ratio(mine, found.get(("join", "DuckDB, Parquet")))
+    yield at_most("SQL, join by time", "x DuckDB over Parquet", 4.0, [("", times)])
+    faster = ratio(found.get(("join", "bags, pandas")), mine)
+    yield at_least("SQL, join by time", "x bags and pandas", 20.0, [("", faster)])
+    kinds = sorted({one.kind for one in results.of("sql", "condition")})
+    asked = {
+        (kind, name): [
+            v
+            for one in results.of("sql", "condition")
+            if (one.kind, one.contender) == (kind, name)
+            for v in one.values
+        ]
+        for kind in kinds
+        for name in ("whole table", "pushdown")
+    }
+    cases = [
+        (kind, ratio(_middle(asked[kind, "whole table"]), _middle(asked[kind, "pushdown"])))
+        for kind in kinds
+    ]
+    yield at_least("SQL, condition", "x whole table", 3.0, cases)
+    memory = [(f"{one.x:,.0f}", max(one.values)) for one in results.of("sql", "memory")]
+    yield at_most("memory of an SQL join", "MB", 1024.0, memory)
 
 
 def _live(results: Results) -> Iterator[Target]:

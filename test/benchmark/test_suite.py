@@ -22,8 +22,8 @@ from suite.tables import TABLES, fill  # noqa: E402
 from suite.targets import rows, targets  # noqa: E402
 
 EXPERIMENTS = (
-    *("writing", "bags", "copies", "growth", "lookups", "clauses", "conditions", "live", "start"),
-    *("writers", "cluster"),
+    *("writing", "bags", "copies", "growth", "lookups", "clauses", "conditions", "sql", "live"),
+    *("start", "writers", "cluster"),
 )
 FILES = ("rosbag", "mcap", "sqlite")
 PAGE = ROOT / "doc/performance.md"

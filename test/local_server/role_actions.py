@@ -308,6 +308,8 @@ VERBS = {
     "query DELETE": lambda user: change(user, f"delete from {user.topic()} where data = '1'"),
     "query TRUNCATE": lambda user: change(user, f"truncate {user.topic()}"),
     "query CREATE INDEX": lambda user: change(user, f"create index on {user.topic()} (data)"),
+    "sql": lambda user: user.verb("sql", "select count(data) from a"),
+    "lake": lambda user: user.verb("lake", user.file("lake"), "--topics", "/a"),
     "plot": lambda user: user.verb("plot", "-o", user.file("png"), "select range_max from scan"),
     "thumbs": lambda user: user.verb("thumbs", "/image", "-o", user.file("png")),
     "cat": lambda user: user.verb("cat", "/a"),
@@ -371,6 +373,7 @@ SERVICES = {
         "executeCQL", statement=f"create index on {user.topic()} (data)"
     ),
     "explainCQL": lambda user: user.service("explainCQL", statement="select data from a"),
+    "sql": lambda user: user.service("sql", statement="select count(data) from a"),
     "info": lambda user: user.service("info"),
     "mark": lambda user: user.service("mark", name="bump"),
     "addData, to a stored topic": lambda user: user.service(

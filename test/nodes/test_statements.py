@@ -334,3 +334,28 @@ def test_a_statement_is_explained(read, client):
     assert not answer["success"]
     assert answer["message"].endswith("^")
     assert not explain("delete from numbers where KEY > 0")["success"]
+
+
+def test_sql_is_answered_within_its_bounds(read, write, client):
+    def ask(statement, **more):
+        return client.call("/reading/sql", statement=statement, **more)
+
+    answer = ask("SELECT NODE, max(data) AS most FROM numbers GROUP BY NODE ORDER BY NODE")
+    assert answer["success"] and answer["columns"] == ["NODE", "most"] and not answer["more"]
+    nodes = [row["values"][0] for row in answer["rows"]]
+    assert nodes == sorted(nodes) and '"a"' in nodes
+    above = "SELECT KEY, n.data AS n FROM numbers n WHERE data > ? ORDER BY KEY"
+    answer = ask(above, params=["3"], limit=2)
+    assert answer["more"] and len(answer["rows"]) == 2
+    assert all(int(row["values"][0]) >= T0 for row in answer["rows"])
+    assert ask("SELECT 1", node_id="a")["rows"][0]["values"] == ["1"]
+    for statement, word in {
+        "DELETE FROM numbers": "takes a SELECT",
+        "SELECT * FROM read_csv('/etc/passwd')": "files are not read",
+        "SELECT dat FROM numbers": "did you mean data",
+    }.items():
+        answer = ask(statement)
+        assert not answer["success"] and word in answer["message"]
+    pairs = "range(1000000) a, range(1000000) b WHERE a.range % 7 = b.range % 5"
+    answer = ask(f"SELECT count(*) FROM {pairs}", timeout=0.5)
+    assert not answer["success"] and "stopped after 0.5 s" in answer["message"]

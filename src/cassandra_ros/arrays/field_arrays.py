@@ -34,8 +34,8 @@ Where = Union[None, str, Tuple[str, Sequence[object]]]
 """A condition, or a condition and the values of its ``?``."""
 Fields = Union[None, str, Sequence[str]]
 """Names of fields; None = all fields."""
-ColumnChoice = Callable[[Table], Sequence[str]]
-"""Function from a table to the names of its columns that must be read."""
+ColumnChoice = Callable[[Table], Optional[Sequence[str]]]
+"""Function from a table to the names of its columns that must be read; None = all."""
 ReadRows = Callable[[ColumnChoice], Iterator[Row]]
 """Function that reads the stored rows that satisfy the condition."""
 

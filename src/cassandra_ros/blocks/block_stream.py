@@ -527,7 +527,21 @@ def stream(part: BucketRead) -> Iterator[TableRow]:
 
 def opened(part: BucketRead) -> Iterator[OpenedBlock]:
     """Yield the blocks of a bucket in the order of their keys; sends the request at once."""
+    if part.filters is not None:
+        return _opened_by_headers(part, Headers(part))
     return _opened(part, _Pages(part))
+
+
+def _opened_by_headers(part: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
+    while headers.more:
+        known = headers.read()
+        while known:
+            count = max(1, min(MAX_AT_ONCE, part.page_bytes // BLOCK_BYTES))
+            taken, known = known[:count], known[count:]
+            for block in part.blocks(part.fetch(taken).page()):
+                found = part.open(block)
+                if found.left:
+                    yield found
 
 
 def _opened(part: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:

@@ -93,6 +93,8 @@ def _text(value: object) -> str:
     if isinstance(value, list):
         # More elements than characters are never shown.
         return "[" + ", ".join(_text(element) for element in value[:MAX_CELL]) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {_text(each)}" for name, each in value.items()) + "}"
     return "-" if value is None else repr(value)
 
 
@@ -186,6 +188,24 @@ def write_parquet(columns: ColumnTypes, rows: Rows, stream: IO[bytes]) -> None:
             found = zip(schema, kinds, zip(*group))
             arrays = [_array(arrow, field, kind, values) for field, kind, values in found]
             writer.write_table(arrow.Table.from_arrays(arrays, schema=schema))
+
+
+def write_batches(batches: Iterator[pyarrow.RecordBatch], path: str | None, force: bool) -> None:
+    """Write record batches of Arrow to Parquet, with their own types; there is at least one batch.
+
+    Raises:
+        MissingDependency: pyarrow is not installed.
+        InvalidOption: The file exists or cannot be made, or Parquet has no such type.
+    """
+    arrow, parquet = load_parquet()
+    first = next(batches)
+    try:
+        with open_output(path, force, True) as stream:
+            with parquet.ParquetWriter(stream, first.schema) as writer:
+                for batch in chain([first], batches):
+                    writer.write_batch(batch, row_group_size=GROUP_ROWS)
+    except arrow.ArrowNotImplementedError as exc:
+        raise InvalidOption(f"Parquet cannot hold this: {exc}; cast the column to text") from exc
 
 
 def _groups(rows: Rows) -> Iterator[list[tuple[object, ...]]]:

@@ -23,7 +23,11 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.stamps import Time, duration_ns
 from cassandra_ros.printable import public_names
+from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.read import Read
+from cassandra_ros.sql.duck_database import MEMORY
+from cassandra_ros.sql.sql_result import SqlResult
+from cassandra_ros.sql.sql_statement import Params
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.event_table import Event
 from cassandra_ros.tables.registry import Loss
@@ -587,6 +591,40 @@ class RosCassandra:
         executeCQL.
         """
         return self.statements.explain(statement, params, nodeID, run)
+
+    def sql(
+        self,
+        statement: str,
+        params: Params = (),
+        *,
+        nodeID: str | None = None,
+        run: RunName = None,
+        memory: str = MEMORY,
+        watch: Watch = unwatched,
+    ) -> SqlResult:
+        """Prepare a SELECT statement in DuckDB's SQL over any topics, see doc/sql.md.
+
+        A topic is a table, named with or without its leading slash (with it in double quotes); its
+        columns are those of CassandraTopic.toArrow. Further tables are topics, runs and losses. The
+        statement runs when you ask the result for rows: ``.df() .arrow() .fetchall()``, iteration,
+        ``print``; each runs it anew. Only the columns are read that it names, and only the times,
+        robots, runs and values to which its WHERE bounds each topic: ``.explain()`` tells.
+
+        Args:
+            statement: One SELECT.
+            params: Values for its ``?`` in order, or for its ``$name`` by name.
+            nodeID, run: nodeID and run of the messages, of all topics; None = all.
+            memory: Memory of DuckDB, as it writes it. Joins and sorts of more go to disk.
+            watch: Called repeatedly while the statement runs; an exception from it stops it.
+
+        Raises:
+            InvalidQuery: The text shows the statement with a caret under the error.
+            RunNotFound: There is no such run.
+            MissingDependency: DuckDB, sqlglot or pyarrow is not installed.
+        """
+        catalog = self.catalog
+        whose = catalog.whose(nodeID, run)
+        return SqlResult(catalog, statement, params, whose, memory=memory, watch=watch)
 
     def lookupTransform(
         self,

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -46,6 +47,7 @@ from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.recording.event_marks import EventMarks
 from cassandra_ros.recording.option_values import read_label
+from cassandra_ros.sql.python_values import printable_value
 from cassandra_ros.srv import (
     AddData,
     AddDataRequest,
@@ -74,6 +76,9 @@ from cassandra_ros.srv import (
     RemoveData,
     RemoveDataRequest,
     RemoveDataResponse,
+    Sql,
+    SqlRequest,
+    SqlResponse,
 )
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_adder import now_ns
@@ -89,6 +94,8 @@ _log = logging.getLogger(__name__)
 PARAMETERS = ("host", "port", "keyspace", "cqlshrc", "credentials", "allow_writes")
 DEFAULT_LIMIT = 100
 """Default number of messages or rows of a page."""
+SQL_SEC = 60.0
+"""Default time after which an SQL statement is stopped, s."""
 MAX_REPLY_BYTES = 16 * 1024 * 1024
 """Size of an answer above which a page ends, bytes."""
 YAML_BYTES = 1024 * 1024
@@ -296,6 +303,22 @@ class Services:
             **{name: getattr(plan, name) for name in numbers},
         )
 
+    def sql(self, request: SqlRequest) -> SqlResponse:
+        """Answer Sql."""
+        params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
+        node, run = request.node_id or None, request.run or None
+        watch = _deadline(request.timeout or SQL_SEC)
+        result = self.ros_cas.sql(request.statement, params, nodeID=node, run=run, watch=watch)
+        limit = request.limit or DEFAULT_LIMIT
+        response = SqlResponse(success=True, columns=[clean(c) for c in result.columns])
+        bound, rows = AnswerBound("the answer", _FEWER), iter(result)
+        for values in islice(rows, limit):
+            bound.take(64 + 16 * len(values))
+            row = [bound.json(printable_value(value)) for value in values]
+            response.rows.append(Row(row))
+        response.more = len(response.rows) == limit and next(rows, None) is not None
+        return response
+
     def info(self, request: InfoRequest) -> InfoResponse:
         """Answer Info."""
         node, run = request.node_id or None, request.run or None
@@ -361,11 +384,26 @@ class Services:
         return LookupTransformResponse(True, "", transform)
 
 
+def _deadline(seconds: float) -> Callable[[], None]:
+    """Return a function that raises AnswerTooLarge when this time is over."""
+    end = time.monotonic() + seconds
+
+    def watch() -> None:
+        if time.monotonic() > end:
+            raise AnswerTooLarge(
+                f"the statement was stopped after {seconds:g} s; give it more time by timeout, or "
+                "bound what it reads by WHERE"
+            )
+
+    return watch
+
+
 SERVICES: Mapping[str, tuple[type, Callable[..., Response], str]] = {
     "getData": (GetData, GetDataResponse, "get_data"),
     "range": (Range, RangeResponse, "range"),
     "executeCQL": (ExecuteCQL, ExecuteCQLResponse, "execute_cql"),
     "explainCQL": (ExplainCQL, ExplainCQLResponse, "explain_cql"),
+    "sql": (Sql, SqlResponse, "sql"),
     "info": (Info, InfoResponse, "info"),
     "addData": (AddData, AddDataResponse, "add_data"),
     "mark": (Mark, MarkResponse, "mark"),

@@ -35,7 +35,6 @@ from cassandra_ros.blocks.block_stream import (
     EARLY_BLOCKS,
     BucketRead,
     OpenedBlock,
-    Sift,
     opened,
     stream,
 )
@@ -53,7 +52,6 @@ from cassandra_ros.tables.row_table import (
     Order,
     RowTable,
     TableRow,
-    Terms,
     bind,
     decode_long,
     encode_int,
@@ -181,30 +179,20 @@ def _open(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
 
 def _blocks(piece: BucketPart, read: Read, chosen: Queries) -> Iterator[TableRow]:
     """Request the first blocks of a bucket; return their messages."""
-    table, chooser = piece.table, read.chooser
-    columns = None if read.columns is None else read.columns(table)
-    part = _part(
-        piece,
-        read,
-        bare=columns is not None and not columns,
-        filters=None if chosen is None else [terms for terms, _ in chosen],
-        sift=None if chooser is None else chooser.sift(table),
-        opened=None if chooser is None else partial(chooser.opened, table),
-    )
+    chooser = read.chooser
+    columns = None if read.columns is None else read.columns(piece.table)
+    bare = columns is not None and not columns
+    part = _filtered_part(piece, read, chosen, bare=bare)
     if chooser is None or chosen is None:
         return stream(part)
     return _counted(piece, chooser, stream(part))
 
 
-def _part(
-    piece: BucketPart,
-    read: Read,
-    *,
-    bare: bool = False,
-    filters: Sequence[Terms] | None = None,
-    sift: Sift | None = None,
-    opened: Callable[[int, int], None] | None = None,
+def _filtered_part(
+    piece: BucketPart, read: Read, chosen: Queries, *, bare: bool = False
 ) -> BucketRead:
+    """Return the read of a bucket of blocks: of those that pass one of some queries; None = all."""
+    table, chooser = piece.table, read.chooser
     return BucketRead(
         piece.table,
         piece.node,
@@ -213,9 +201,9 @@ def _part(
         read.reverse,
         read.whose.writers,
         bare=bare,
-        filters=filters,
-        sift=sift,
-        opened=opened,
+        filters=None if chosen is None else [terms for terms, _ in chosen],
+        sift=None if chooser is None else chooser.sift(table),
+        opened=None if chooser is None else partial(chooser.opened, table),
         wanted=piece.first_rows,
         early=min(EARLY_BLOCKS, len({row.writer for row in piece.rows})),
         page_bytes=piece.page_bytes,
@@ -225,8 +213,21 @@ def _part(
 def _open_blocks(
     piece: BucketPart, read: Read, chosen: Queries
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
-    part = _part(piece, read)
-    return zip(repeat(part), opened(part))
+    part = _filtered_part(piece, read, chosen)
+    found = opened(part)
+    if read.chooser is not None and chosen is not None:
+        found = _learned(piece, read.chooser, found)
+    return zip(repeat(part), found)
+
+
+def _learned(
+    piece: BucketPart, chooser: Chooser, blocks: Iterator[OpenedBlock]
+) -> Iterator[OpenedBlock]:
+    count = 0
+    for block in blocks:
+        count += block.left
+        yield block
+    chooser.learn(piece.table, piece.rows, count)
 
 
 def _counted(piece: BucketPart, chooser: Chooser, rows: Iterator[TableRow]) -> Iterator[TableRow]:
@@ -439,7 +440,8 @@ def read_blocks(
 ) -> Iterator[tuple[BucketRead, OpenedBlock]]:
     """Yield the blocks of several packed tables, bucket by bucket, in any order within a bucket.
 
-    Each comes with the read of its bucket. Columns and chooser of the read are ignored.
+    Each comes with the read of its bucket. Columns of the read are ignored. Of a read with a
+    chooser come the blocks, and their messages, that it does not leave out.
     """
     waiting = _BucketQueue(directory, tables, read, _open_blocks)
     while waiting.left:

@@ -18,6 +18,8 @@ from cassandra_ros.arguments import (
     check_text,
     check_user_keys,
 )
+from cassandra_ros.arrays.arrow_batches import ArrowSchema, read_batches
+from cassandra_ros.arrays.arrow_types import wanted_columns
 from cassandra_ros.arrays.field_arrays import FieldArray, as_arrays, as_frame, gather_fields
 from cassandra_ros.errors import InvalidKey, MessageNotFound, TopicNotFound, TypeMismatch
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_, EncodedMessage
@@ -470,6 +472,42 @@ class CassandraTopic:
         if fields is not None:
             fields = ["KEY", *check_list("fields", fields, "['linear.x']")]
         return as_frame(self._gather(fields, key, to_key, where, nodeID, run))
+
+    def toArrow(
+        self,
+        fields: Fields = None,
+        key: AnyKey | None = None,
+        to_key: Time | None = None,
+        where: Where | None = None,
+        nodeID: str | None = None,
+        run: RunName = None,
+    ) -> Any:
+        """Return messages as a pyarrow.RecordBatchReader, which reads them lazily, batch by batch.
+
+        The columns are KEY (timestamp in ns, UTC; in topics with names text), NODE, RUN, and one
+        for each field of the message type: a message is a struct, an array a list, uint8[] binary,
+        a time a timestamp in ns, and a duration an int64 of ns. A value that a message or its
+        definition lacks is null. If definitions have types for a field that have nothing in common,
+        its values are JSON texts. Messages come bucket by bucket, mostly but not always in the
+        order of time.
+
+        Args:
+            fields: Names of columns, or of fields in them, such as 'linear.x'; None = all. A field
+                in a message comes as a struct with only the fields that are named.
+            key, to_key, where, nodeID, run: The messages to read, as in items.
+
+        Raises:
+            InvalidName: There is no such field.
+            InvalidKey, InvalidQuery, RunNotFound: As in items.
+            MissingDependency: pyarrow is not installed; the text says how to install it.
+            StoreUnavailable: While batches are read: the topic was converted meanwhile.
+        """
+        finder = self._finder(nodeID, where, run)
+        names = None if fields is None else check_list("fields", fields, "['linear.x']")
+        wanted = None if names is None else wanted_columns(str(n).split(".") for n in names)
+        schema = ArrowSchema(finder.tables, wanted, names)
+        batches = read_batches(self.name, schema, *finder.reads(key, to_key))
+        return schema.arrow.RecordBatchReader.from_batches(schema.schema, batches)
 
     def _gather(
         self,

@@ -11,7 +11,7 @@ from numbers import Integral
 from typing import Any, Callable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
-from cassandra_ros.arrays.field_arrays import ReadBlocks, ReadRows
+from cassandra_ros.arrays.field_arrays import ColumnChoice, ReadBlocks, ReadRows
 from cassandra_ros.errors import InvalidKey, InvalidQuery, MessageNotFound
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS, RowName
 from cassandra_ros.messages.key_part import KeyPart
@@ -24,7 +24,6 @@ from cassandra_ros.messages.stamps import (
     iso_time,
     to_ns,
 )
-from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.source import Source
 from cassandra_ros.read import EVERYBODY, LAST_NS, Named, Read, TimeRange, Valued, Whose
 from cassandra_ros.topics.keyspace import Keyspace
@@ -83,9 +82,7 @@ class Finder:
         rows = self.keyspace.rows.read(self.tables, read)
         return rows if self.where is None else filter(self.where.test, rows)
 
-    def columns(
-        self, key: AnyKey, to_key: AnyKey, columns: Callable[[Table], Sequence[str]]
-    ) -> Iterator[StoredRow]:
+    def columns(self, key: AnyKey, to_key: AnyKey, columns: ColumnChoice) -> Iterator[StoredRow]:
         """Yield the rows of ``many``; for a time range only these columns are read."""
         read = self.read_of(key, to_key)
         if self.where is not None or read.only is not None:

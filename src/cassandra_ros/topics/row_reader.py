@@ -79,7 +79,7 @@ class RowReader:
     def blocks(self, tables: Sequence[TopicTable], read: Read) -> Iterator[MessageBlock] | None:
         """Read the messages of a time range as whole blocks; None if a table is not packed.
 
-        Only time range, nodes and writers of the read count.
+        Only time range, nodes, writers and chooser of the read count.
         """
         if not all(table.packed for table in tables):
             return None

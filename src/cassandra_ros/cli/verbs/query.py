@@ -42,6 +42,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("statement", metavar="STATEMENT", help="the statement, in quotes")
     add("params", metavar="VALUE", nargs="*", help="a value for each ? of the statement")
+    add_output_options(parser)
+    add_origin_options(parser)
+    add(
+        "--explain",
+        action="store_true",
+        help="print how the statement was executed instead: what the store checked, what was read",
+    )
+    add("--allow-writes", action="store_true", help="allow statements that change stored data")
+    add_store_options(parser)
+
+
+def add_output_options(parser: argparse.ArgumentParser) -> None:
+    """Add the form of the output, its file, and its maximum length."""
+    add = parser.add_argument
     add("--output", choices=_OUTPUTS, default="table", help="output format (default: %(default)s)")
     add(
         "--json",
@@ -59,14 +73,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=_count,
         help="maximum number of rows to print (default: all)",
     )
-    add_origin_options(parser)
-    add(
-        "--explain",
-        action="store_true",
-        help="print how the statement was executed instead: what the store checked, what was read",
-    )
-    add("--allow-writes", action="store_true", help="allow statements that change stored data")
-    add_store_options(parser)
 
 
 def _count(text: str) -> int:
@@ -77,15 +83,8 @@ def _count(text: str) -> int:
 
 def run(options: argparse.Namespace) -> int:
     """Run the statement, and write its rows."""
-    from cassandra_ros.cli.results import load_parquet
-
-    if options.explain and (options.output_file or options.limit):
-        options.parser.error("--explain goes without --limit and --output-file")
-    if options.output == "parquet" and not (options.output_file or options.explain):
-        options.parser.error("--output parquet needs a file: -O FILE")
-    params = [_parameter(text) for text in options.params]
-    if options.output == "parquet":
-        load_parquet()  # fail before the statement is run
+    check_outputs(options)
+    params = [read_parameter(text) for text in options.params]
     with open_store(options) as ros_cas:
         if options.explain:
             asked = {"nodeID": options.node_id, "run": options.run}
@@ -99,7 +98,24 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _parameter(text: str) -> object:
+def check_outputs(options: argparse.Namespace) -> None:
+    """End the program if output options do not fit together.
+
+    Raises:
+        MissingDependency: The output is Parquet, and pyarrow is not installed.
+    """
+    from cassandra_ros.cli.results import load_parquet
+
+    if options.explain and (options.output_file or options.limit):
+        options.parser.error("--explain goes without --limit and --output-file")
+    if options.output == "parquet" and not (options.output_file or options.explain):
+        options.parser.error("--output parquet needs a file: -O FILE")
+    if options.output == "parquet":
+        load_parquet()  # fail before the statement is run
+
+
+def read_parameter(text: str) -> object:
+    """Return the value of a parameter: what it means as JSON, else the text."""
     from cassandra_ros.query.tree.json_values import from_json
 
     try:

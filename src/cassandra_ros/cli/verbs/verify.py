@@ -153,8 +153,8 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
 def _compare_stores(options: argparse.Namespace) -> int:
     from cassandra_ros.copying.replicator import Replicator
 
-    if options.content or options.map or options.start or options.end:
-        options.parser.error("--content, --map, --start and --end go with FILE.bag")
+    if options.content or options.map or options.start or options.end or options.event:
+        options.parser.error("--content, --map, --start, --end and --event go with FILE.bag")
     with open_store(options) as ros_cas, open_target(options, make=False) as other:
         names = {topic.name for topic in ros_cas.catalog.all(None)}
         topics = topics_among(options, names, f"keyspace {options.keyspace}")

@@ -80,6 +80,8 @@ class Layout:
     Attributes:
         texts: Strings, by path.
         arrays: Arrays of numbers, by path.
+        counts: Numbers of elements of each string[] and array of messages without a fixed length,
+            by path, one for each occurrence in wire order.
         end: Size of the message, bytes.
         prefixes: Offsets of the bytes of all length prefixes.
         lengths: Bytes at these offsets.
@@ -93,6 +95,7 @@ class Layout:
         self._length_offsets: list[int] = []
         self.texts: dict[str, list[TextRange]] = {}
         self.arrays: dict[str, list[ArrayOffsets]] = {}
+        self.counts: dict[str, list[int]] = {}
         self.end = self._message(definition.type, "", 0)
         if self.end > len(wire):
             raise short_buffer()
@@ -144,6 +147,7 @@ class Layout:
         count = 1
         if field.is_array and field.length is None:
             count, at = self._count(at), at + 4
+            self.counts.setdefault(path, []).append(count)
         elif field.length is not None:
             count = field.length
         for _ in range(count):
@@ -156,6 +160,8 @@ class Layout:
         count = field.length
         if count is None:
             count, at = self._count(at), at + 4
+            if not field.is_primitive:
+                self.counts.setdefault(path, []).append(count)
         size = _size_of(field.type, self._specs)
         if size is None:
             for _ in range(count):

@@ -30,6 +30,8 @@ def json_value(value: object) -> object:
     """
     if isinstance(value, list):
         return [json_value(element) for element in value]
+    if isinstance(value, dict):
+        return {name: json_value(element) for name, element in value.items()}
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return value if value is None or isinstance(value, (str, int)) else _simple(value)

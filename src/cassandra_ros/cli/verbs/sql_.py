@@ -1,0 +1,82 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Ask SQL over any topics: join them by time, group them, and print the rows.
+
+  cassandra_bag sql 'SELECT NODE, avg(voltage) FROM battery GROUP BY NODE'
+  cassandra_bag sql 'SELECT i.KEY, b.voltage FROM "/imu/data" i
+      ASOF JOIN battery b ON i.NODE = b.NODE AND i.KEY >= b.KEY
+      WHERE i.linear_acceleration.z > ?' 15 --output parquet -O bumps.parquet
+  cassandra_bag sql 'SELECT * FROM runs' --explain
+
+The SQL is DuckDB's (requirements-tables.txt; Python 3.11 or later). A topic is a table, with the
+columns KEY, NODE, RUN and the fields of its messages; topics, runs and losses are tables too. Put
+names with slashes in double quotes, and the statement in single ones. Values for ? and the outputs
+are as in 'cassandra_bag query'; there messages in a cell are JSON objects, in Parquet structs.
+
+The statement only reads; to delete messages or to make an index, use 'cassandra_bag query'.
+"""
+
+from __future__ import annotations
+
+import argparse
+from itertools import islice
+from typing import TYPE_CHECKING, Iterator
+
+from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
+from cassandra_ros.cli.verbs.query import add_output_options, check_outputs, read_parameter
+from cassandra_ros.printable import shown_lines
+
+if TYPE_CHECKING:
+    import pyarrow
+
+    from cassandra_ros.sql.sql_result import SqlResult
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the statement, its values, the form of the output and the store."""
+    add = parser.add_argument
+    add("statement", metavar="STATEMENT", help="the statement, in quotes")
+    add("params", metavar="VALUE", nargs="*", help="a value for each ? of the statement")
+    add_output_options(parser)
+    add_origin_options(parser)
+    add(
+        "--explain",
+        action="store_true",
+        help="run the statement, and print what was read and DuckDB's plan instead of its rows",
+    )
+    add_store_options(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the statement, and write its rows."""
+    from cassandra_ros.arrays.array_types import ArrayType
+    from cassandra_ros.cli.results import write, write_batches
+    from cassandra_ros.sql.python_values import printable_value
+
+    check_outputs(options)
+    params = [read_parameter(text) for text in options.params]
+    with open_store(options) as ros_cas:
+        asked = {"nodeID": options.node_id, "run": options.run}
+        result = ros_cas.sql(options.statement, params, **asked)
+        if options.explain:
+            print(shown_lines(str(result.explain())))
+            return 0
+        where = (options.output_file, options.force)
+        if options.output == "parquet":
+            write_batches(_limited(result, options.limit), *where)
+            return 0
+        columns = [(name, ArrayType("mixed")) for name in result.columns]
+        rows = (tuple(map(printable_value, row)) for row in islice(result, options.limit))
+        write(columns, rows, options.output, *where)
+    return 0
+
+
+def _limited(result: SqlResult, limit: int | None) -> Iterator[pyarrow.RecordBatch]:
+    """Yield the batches of a result, with at most so many rows; at least one batch."""
+    left = limit
+    for batch in result.batches():
+        yield batch if left is None else batch.slice(0, left)
+        if left is not None:
+            left -= batch.num_rows
+            if left <= 0:
+                return

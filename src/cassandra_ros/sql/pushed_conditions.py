@@ -1,0 +1,387 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The part of WHERE that bounds what is read of a table: times, robots, runs, and fields.
+
+DuckDB checks every row again, so what is found here may only be weaker than the statement: bounds
+are included and moved outwards, and all else is left out. DuckDB compares unlike our own language:
+NaN is greater than all numbers (``ConditionChooser`` asks for it), and numbers are compared as
+float32 where a field is one.
+
+A condition on a table holds for the rows that are read of it, unless the table is the right side of
+an ASOF or positional join: there other rows would take the place of those left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from decimal import Decimal
+from functools import reduce
+from typing import AbstractSet, Any, Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from cassandra_ros.installation import optional_module
+from cassandra_ros.query.tree.syntax import (
+    All,
+    Compare,
+    Either,
+    Expression,
+    Literal,
+    OneOf,
+    Path,
+    PathPart,
+)
+from cassandra_ros.read import ALWAYS, LAST_NS, TimeRange
+
+WIDER_NS = 2000
+"""Number of ns by which bounds of times are moved outwards: DuckDB may compare them as us."""
+_EXACT_FLOAT = 2**23
+"""Integers below it stay exact where DuckDB compares them as float32."""
+_MIRRORED = {"GT": "LT", "GTE": "LTE", "LT": "GT", "LTE": "GTE", "EQ": "EQ"}
+_BELOW, _ABOVE = ("LT", "LTE"), ("GT", "GTE")
+
+
+@dataclass(frozen=True)
+class FieldColumn:
+    """A column, or a field in it, with which a condition may compare."""
+
+    kind: str
+    """'key', 'node', 'run', 'time', 'text', 'bool', 'int', 'float32' or 'float64'."""
+    path: str = ""
+    """Dotted path of the field in the messages."""
+
+
+ColumnOf = Callable[[Sequence[str]], "FieldColumn | None"]
+"""Function from the names in a statement to a column of a table; None: it has none, or no simple
+one."""
+Evaluate = Callable[[str, AbstractSet[str]], Any]
+"""Function from an expression without columns, and the names of its parameters (in the expression
+each has a p before it), to its value; None = it has none, or an error."""
+
+
+@dataclass(frozen=True)
+class PushedRead:
+    """What is read of a table; None = not bounded."""
+
+    time_range: TimeRange = ALWAYS
+    nodes: frozenset[str] | None = None
+    runs: frozenset[str] | None = None
+    """Values of RUN."""
+    condition: Expression | None = None
+    floats: frozenset[str] = frozenset()
+    """Paths of the fields with a lower bound, which NaN exceeds in DuckDB."""
+
+    def both(self, other: PushedRead) -> PushedRead:
+        """Return what is read if both hold."""
+        low = max(self.time_range.low, other.time_range.low)
+        high = min(self.time_range.high, other.time_range.high)
+        conditions = [c for c in (self.condition, other.condition) if c is not None]
+        return PushedRead(
+            TimeRange(low, high),
+            _common(self.nodes, other.nodes),
+            _common(self.runs, other.runs),
+            All(tuple(conditions)) if len(conditions) > 1 else next(iter(conditions), None),
+            self.floats | other.floats,
+        )
+
+    def either(self, other: PushedRead) -> PushedRead:
+        """Return what is read if one of both holds."""
+        low = min(self.time_range.low, other.time_range.low)
+        high = max(self.time_range.high, other.time_range.high)
+        one, two = self.condition, other.condition
+        return PushedRead(
+            TimeRange(low, high),
+            None if self.nodes is None or other.nodes is None else self.nodes | other.nodes,
+            None if self.runs is None or other.runs is None else self.runs | other.runs,
+            None if one is None or two is None else Either((one, two)),
+            self.floats | other.floats,
+        )
+
+    @property
+    def empty(self) -> bool:
+        """Whether no row can satisfy it."""
+        return self.time_range.low > self.time_range.high
+
+
+def _common(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset[str] | None:
+    if one is None or other is None:
+        return other if one is None else one
+    return one & other
+
+
+EVERYTHING = PushedRead()
+
+
+def pushed_reads(
+    tree: Any, columns: Mapping[str, ColumnOf], evaluate: Evaluate
+) -> dict[str, PushedRead]:
+    """Return what is read of each table of a statement.
+
+    Args:
+        tree: The statement.
+        columns: Finds columns, by name of the table as in the statement.
+        evaluate: Computes constants as DuckDB does.
+    """
+    errors = optional_module("sqlglot.errors", "sql")
+    try:
+        reads = _reads(tree, columns, evaluate)
+    except (errors.OptimizeError, RecursionError):  # DuckDB says what is wrong, if it is
+        reads = {}
+    return {name: _any_of(reads.get(name) or [EVERYTHING]) for name in columns}
+
+
+def _reads(
+    tree: Any, columns: Mapping[str, ColumnOf], evaluate: Evaluate
+) -> dict[str, list[PushedRead]]:
+    """Return what is read by each mention of each table; {} if one of them was not found."""
+    finder = _ConditionFinder(columns, evaluate)
+    scopes = optional_module("sqlglot.optimizer.scope", "sql")
+    found: dict[str, list[PushedRead]] = {name: [] for name in columns}
+    for scope in scopes.traverse_scope(tree):
+        for name, read in finder.of_scope(scope):
+            found[name].append(read)
+    tables = [t for t in tree.find_all(finder.exp.Table) if t.name in columns]
+    return found if sum(map(len, found.values())) == len(tables) else {}
+
+
+def _all_of(reads: Sequence[PushedRead]) -> PushedRead:
+    """Return what is read if all hold."""
+    return reduce(PushedRead.both, reads, EVERYTHING)
+
+
+def _any_of(reads: Sequence[PushedRead]) -> PushedRead:
+    """Return what is read if one of at least one holds."""
+    return reduce(PushedRead.either, reads)
+
+
+class _ConditionFinder:
+    def __init__(self, columns: Mapping[str, ColumnOf], evaluate: Evaluate) -> None:
+        self.exp = optional_module("sqlglot.expressions", "sql")
+        self._columns = columns
+        self._evaluate = evaluate
+
+    def of_scope(self, scope: Any) -> Iterator[tuple[str, PushedRead]]:
+        """Yield what is read of each table in FROM and JOIN of one SELECT."""
+        exp, select = self.exp, scope.expression
+        sources = {
+            alias: source
+            for alias, (_, source) in scope.selected_sources.items()
+            if isinstance(source, exp.Table)
+        }
+        where = select.args.get("where") if isinstance(select, exp.Select) else None
+        sampled = select.find(exp.TableSample) is not None
+        shifting = self._shifting(select)
+        for alias, source in sources.items():
+            if source.name not in self._columns:
+                continue
+            read = EVERYTHING
+            if where is not None and not sampled and alias not in shifting:
+                names = _Names(self, alias, sources, scope, select)
+                for part in self._conjuncts(where.this):
+                    read = read.both(self._read_of(part, names) or EVERYTHING)
+            yield source.name, read
+
+    def _shifting(self, select: Any) -> set[str]:
+        """Return the tables of which other rows would be joined if some were left out."""
+        found: set[str] = set()
+        joins = select.args.get("joins") or ()
+        for join in joins:
+            method, side = (join.method or "").upper(), (join.side or "").upper()
+            if method == "POSITIONAL" or (method == "ASOF" and side in ("RIGHT", "FULL")):
+                source = select.args.get("from_") or select.args.get("from")
+                every = [*joins, *([] if source is None else [source])]
+                return {each.this.alias_or_name for each in every}
+            if method not in ("", "NATURAL"):
+                found.add(join.this.alias_or_name)
+        return found
+
+    def _conjuncts(self, node: Any) -> Iterator[Any]:
+        node = node.unnest()
+        for part in node.flatten() if isinstance(node, self.exp.And) else ():
+            yield from self._conjuncts(part)
+        if not isinstance(node, self.exp.And):
+            yield node
+
+    def _read_of(self, node: Any, names: _Names) -> PushedRead | None:
+        """Return the bounds of a condition; None = it bounds nothing."""
+        exp, node = self.exp, node.unnest()
+        if isinstance(node, exp.And):
+            both = (self._read_of(each, names) for each in (node.left, node.right))
+            return _all_of([read for read in both if read is not None])
+        if isinstance(node, exp.Or):
+            one, two = (self._read_of(each, names) for each in (node.left, node.right))
+            return None if one is None or two is None else one.either(two)
+        if isinstance(node, exp.Between):
+            low = self._compared("GTE", node.this, node.args["low"], names)
+            high = self._compared("LTE", node.this, node.args["high"], names)
+            return (low or EVERYTHING).both(high or EVERYTHING)
+        if isinstance(node, exp.In) and node.expressions and not node.args.get("query"):
+            parts = [self._compared("EQ", node.this, each, names) for each in node.expressions]
+            reads = [read for read in parts if read is not None]
+            return _any_of(reads) if len(reads) == len(parts) else None
+        operator = type(node).__name__
+        if operator in _MIRRORED:
+            found = self._compared(operator, node.left, node.right, names)
+            return found or self._compared(_MIRRORED[operator], node.right, node.left, names)
+        return None
+
+    def _compared(self, operator: str, side: Any, other: Any, names: _Names) -> PushedRead | None:
+        column = names.column(side)
+        if column is None or not self._is_constant(other):
+            return None
+        exp, given = self.exp, {each.name for each in other.find_all(self.exp.Placeholder)}
+        # DuckDB takes no parameter that an expression lacks, and numbers without gaps.
+        named = other.transform(
+            lambda n: exp.Placeholder(this=f"p{n.name}") if isinstance(n, exp.Placeholder) else n
+        )
+        text = named.sql(dialect="duckdb")
+        if column.kind in ("key", "time"):
+            text = f"epoch_ns(CAST(({text}) AS TIMESTAMP_NS))"
+        value = self._evaluate(text, given)
+        return None if value is None else _bounds(column, operator, value)
+
+    def _is_constant(self, node: Any) -> bool:
+        """Return whether an expression has one value that DuckDB can compute alone."""
+        exp = self.exp
+        calls = {"now", "today"}
+        simple = (
+            *(exp.Literal, exp.Boolean, exp.Neg, exp.Paren, exp.Cast, exp.DataType, exp.Interval),
+            *(exp.Add, exp.Sub, exp.Mul, exp.Var, exp.Placeholder, exp.Identifier),
+        )
+        return all(
+            isinstance(each, simple)
+            or (isinstance(each, exp.Anonymous) and each.name.lower() in calls)
+            for each in node.walk()
+        )
+
+
+class _Names:
+    """The names in the WHERE of one SELECT, and one of its tables."""
+
+    def __init__(
+        self, finder: _ConditionFinder, alias: str, sources: Mapping[str, Any], scope: Any, of: Any
+    ) -> None:
+        self._exp = finder.exp
+        self._alias = alias.lower()
+        self._columns_of = {
+            name.lower(): finder._columns.get(source.name) for name, source in sources.items()
+        }
+        self._others = {name.lower() for name in scope.selected_sources} - {self._alias}
+        # Unqualified names are resolved only where all tables are known.
+        self._whole = len(sources) == len(scope.selected_sources) == len(self._columns_of)
+        self._whole = self._whole and None not in self._columns_of.values()
+        self._given = {each.alias.lower() for each in of.expressions if each.alias}
+
+    def column(self, node: Any) -> FieldColumn | None:
+        """Return the column of the table that an expression is; None = it is not one."""
+        chain = self._chain(node.unnest())
+        if not chain:
+            return None
+        own = self._columns_of[self._alias]
+        if own is None:
+            return None
+        if len(chain) > 1 and chain[0].lower() == self._alias:
+            return own(chain[1:])
+        known = {name for name, find in self._columns_of.items() if find and find(chain[:1])}
+        wide = chain[0].lower() in self._given or chain[0].lower() in self._others
+        if wide or not self._whole or known - {self._alias}:
+            return None
+        return own(chain)
+
+    def _chain(self, node: Any) -> list[str]:
+        exp, names = self._exp, []
+        while isinstance(node, exp.Dot) and isinstance(node.expression, exp.Identifier):
+            names.append(node.expression.name)
+            node = node.this
+        if not isinstance(node, exp.Column):
+            return []
+        return [*(part.name for part in node.parts), *reversed(names)]
+
+
+def _bounds(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+    if column.kind == "key":
+        return _time_bounds(operator, value)
+    if column.kind in ("node", "run"):
+        if operator != "EQ" or not isinstance(value, str):
+            return None
+        texts = frozenset([value])
+        return PushedRead(nodes=texts) if column.kind == "node" else PushedRead(runs=texts)
+    return _CONDITIONS[column.kind](column, operator, value)
+
+
+def _time_bounds(operator: str, ns: int) -> PushedRead:
+    low, high = max(0, ns - WIDER_NS), min(LAST_NS, ns + WIDER_NS)
+    return PushedRead(
+        TimeRange(
+            0 if operator in _BELOW else low,
+            LAST_NS if operator in _ABOVE else max(high, -1),
+        )
+    )
+
+
+def _time_condition(column: FieldColumn, operator: str, ns: int) -> PushedRead:
+    return _between(column, operator, ns - WIDER_NS, ns + WIDER_NS)
+
+
+def _text_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+    # A text with a backslash may be one whose bytes are not UTF-8.
+    if operator != "EQ" or not isinstance(value, str) or "\\" in value:
+        return None
+    return PushedRead(condition=OneOf(_path(column), (Literal(value, 0),)))
+
+
+def _bool_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+    if operator != "EQ" or not isinstance(value, bool):
+        return None
+    return PushedRead(condition=Compare(_path(column), "=", Literal(value, 0)))
+
+
+def _int_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+        return None
+    if isinstance(value, float) and not abs(value) < _EXACT_FLOAT:
+        return None
+    return _between(column, operator, math.floor(value), math.ceil(value))
+
+
+def _float_condition(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
+    if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)):
+        return None
+    dtype = np.dtype(column.kind).type
+    try:
+        with np.errstate(over="ignore"):
+            near = dtype(float(value))
+            low = float(np.nextafter(near, dtype(-math.inf)))
+            high = float(np.nextafter(near, dtype(math.inf)))
+    except OverflowError:
+        return None
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return None
+    read = _between(column, operator, low, high)
+    return replace(read, floats=frozenset([column.path])) if operator in _ABOVE else read
+
+
+_CONDITIONS: Mapping[str, Callable[[FieldColumn, str, Any], PushedRead | None]] = {
+    "time": _time_condition,
+    "text": _text_condition,
+    "bool": _bool_condition,
+    "int": _int_condition,
+    "float32": _float_condition,
+    "float64": _float_condition,
+}
+"""Makes the condition on a field, by the kind of its column."""
+
+
+def _between(column: FieldColumn, operator: str, low: Any, high: Any) -> PushedRead:
+    path = _path(column)
+    bounds: list[Expression] = []
+    if operator not in _BELOW:
+        bounds.append(Compare(path, ">=", Literal(low, 0)))
+    if operator not in _ABOVE:
+        bounds.append(Compare(path, "<=", Literal(high, 0)))
+    return PushedRead(condition=bounds[0] if len(bounds) == 1 else All(tuple(bounds)))
+
+
+def _path(column: FieldColumn) -> Path:
+    return Path(tuple(PathPart(name, None, 0) for name in column.path.split(".")), 0)

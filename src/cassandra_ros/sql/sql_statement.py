@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A statement in DuckDB's SQL, parsed by sqlglot and checked: it may only read tables of ours."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any, Iterator, Mapping, Sequence, Union
+
+from cassandra_ros.errors import InvalidQuery
+from cassandra_ros.installation import optional_module
+from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
+
+Params = Union[Sequence[Any], Mapping[str, Any]]
+"""Values for ``?`` in order, or for ``$name`` by name."""
+
+MAX_TEXT = 64 * 1024
+"""Maximum length of a statement, characters."""
+TABLE_FUNCTIONS = {"range", "generate_series", "unnest", "tf"}
+"""Functions that may stand in FROM. All others could read files."""
+_READ_ONLY = (
+    "sql reads topics and changes nothing: it takes a SELECT. To delete messages or to make an "
+    "index, use CQL (executeCQL, cassandra_bag query)"
+)
+
+
+def load_parser() -> Any:
+    """Return the module sqlglot; raises MissingDependency if it is not installed."""
+    parser = optional_module("sqlglot", "sql")
+    # It warns of statements that it does not know; they are refused here, with a better text.
+    logging.getLogger("sqlglot").setLevel(logging.ERROR)
+    optional_module("sqlglot.optimizer.scope", "sql")
+    return parser
+
+
+@dataclass(frozen=True)
+class TableName:
+    """The name of a table, as it stands in a statement."""
+
+    name: str
+    position: int
+    """Index of its first character in the text."""
+
+
+class SqlStatement:
+    """A SELECT statement.
+
+    Attributes:
+        text: Its text, in which each ``?`` has a number.
+        params: Values of its parameters; times are texts in ISO 8601, which DuckDB compares with
+            all digits.
+        tree: Its syntax tree, of sqlglot.
+
+    Raises:
+        InvalidQuery: It cannot be parsed, or does more than read tables. The text shows the place.
+        MissingDependency: sqlglot is not installed.
+    """
+
+    def __init__(self, text: str, params: Params = ()) -> None:
+        if not isinstance(text, str):
+            raise InvalidQuery(repr(text)[:200], 0, "a statement is text")
+        if len(text) > MAX_TEXT:
+            raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_TEXT} characters")
+        self._glot = load_parser()
+        self.text = self._numbered(text)
+        self.params = _params(params)
+        self.tree: Any = self._parsed()
+        self._check()
+
+    def _numbered(self, text: str) -> str:
+        """Return the text with $1, $2, … for each ?, so that the tree tells them apart."""
+        glot = self._glot
+        try:
+            tokens = glot.tokenize(text, read="duckdb")
+        except glot.errors.TokenError as exc:
+            raise InvalidQuery(text, len(text.rstrip()), f"a text is not closed: {exc}") from exc
+        marks = [t for t in tokens if t.token_type == glot.TokenType.PLACEHOLDER]
+        for number, token in reversed(list(enumerate(marks, 1))):
+            text = f"{text[: token.start]}${number}{text[token.end + 1 :]}"
+        return text
+
+    def _parsed(self) -> Any:
+        glot = self._glot
+        try:
+            found = [tree for tree in glot.parse(self.text, read="duckdb") if tree is not None]
+        except glot.errors.ParseError as exc:
+            first = exc.errors[0] if exc.errors else {}
+            spot = self._spot(first.get("line") or 1, first.get("col") or 1, first)
+            reason = first.get("description") or str(exc)
+            if self.text[spot : spot + 1] == "/":
+                reason = 'quote the name of a topic with slashes: "/imu/data"'
+            raise InvalidQuery(self.text, spot, reason) from exc
+        except RecursionError as exc:
+            raise InvalidQuery(self.text, 0, "the statement is nested too deeply") from exc
+        if len(found) != 1:
+            raise InvalidQuery(self.text, 0, "give one statement")
+        return found[0]
+
+    def _spot(self, line: int, column: int, error: Mapping[str, Any]) -> int:
+        """Return the index of the character that a line and column mean."""
+        before = self.text.split("\n")[: line - 1]
+        end = sum(len(each) + 1 for each in before) + column
+        return max(0, min(end, len(self.text)) - len(error.get("highlight") or " "))
+
+    def _check(self) -> None:
+        exp = self._glot.exp
+        if not isinstance(self.tree, exp.Query):
+            raise InvalidQuery(self.text, 0, _READ_ONLY)
+        if self.tree.find(exp.DML, exp.DDL, exp.Command, exp.Into) not in (None, self.tree):
+            raise InvalidQuery(self.text, 0, _READ_ONLY)
+        for table in self.tree.find_all(exp.Table):
+            if isinstance(table.this, exp.Func):
+                self._check_function(table.this)
+            elif table.db or table.catalog:
+                spot = _start(table.parts[0])
+                reason = "tables have no schema; a topic is named whole, in quotes if needed"
+                raise InvalidQuery(self.text, spot, reason)
+
+    def _check_function(self, function: Any) -> None:
+        anonymous = isinstance(function, self._glot.exp.Anonymous)
+        name = function.name if anonymous else function.sql_name()
+        if name.lower() not in TABLE_FUNCTIONS:
+            spot = max(0, self.text.lower().find(name.lower()))
+            raise InvalidQuery(self.text, spot, f"{name} does not read a topic; files are not read")
+
+    def table_names(self) -> Iterator[TableName]:
+        """Yield the names of all tables that the statement reads, also of its own WITH."""
+        exp = self._glot.exp
+        for table in self.tree.find_all(exp.Table):
+            if not isinstance(table.this, exp.Func):
+                yield TableName(table.name, _start(table.this))
+
+    def own_tables(self) -> set[str]:
+        """Return the names that WITH gives, in lower case."""
+        return {cte.alias.lower() for cte in self.tree.find_all(self._glot.exp.CTE)}
+
+    def calls(self, name: str) -> bool:
+        """Return whether the statement calls a function of ours."""
+        calls = self.tree.find_all(self._glot.exp.Anonymous)
+        return any(call.name.lower() == name for call in calls)
+
+    def frames(self) -> Iterator[tuple[str, str]]:
+        """Yield the frames of each tf('target', 'source') in FROM."""
+        exp = self._glot.exp
+        for table in self.tree.find_all(exp.Table):
+            call = table.this
+            if not isinstance(call, exp.Anonymous) or call.name.lower() != "tf":
+                continue
+            frames = call.expressions
+            if len(frames) != 2 or not all(frame.is_string for frame in frames):
+                reason = "tf takes two frames: tf('map', 'base_link')"
+                raise InvalidQuery(self.text, max(0, self.text.lower().find("tf")), reason)
+            yield frames[0].name, frames[1].name
+
+    def position_of(self, name: str) -> int:
+        """Return where a name stands first in the text; 0 = it is not in the tree."""
+        exp = self._glot.exp
+        spots = [_start(i) for i in self.tree.find_all(exp.Identifier) if i.name == name]
+        return min(spots, default=0)
+
+
+def _start(identifier: Any) -> int:
+    return int(identifier.meta.get("start", 0))
+
+
+def _params(params: Params) -> Any:
+    if isinstance(params, Mapping):
+        return {str(name): _param(value) for name, value in params.items()}
+    return [_param(value) for value in params]
+
+
+def _param(value: Any) -> Any:
+    if is_time(value) and not isinstance(value, (int, float, str)):
+        return ns_text(to_ns(value))
+    return value
+
+
+def ns_text(ns: int) -> str:
+    """Return a time as a text that DuckDB reads as TIMESTAMP_NS."""
+    return iso_time(ns).rstrip("Z").replace("T", " ")

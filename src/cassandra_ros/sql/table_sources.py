@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What DuckDB scans: objects with the methods of Arrow's C stream interface.
+
+DuckDB reads such an object anew for each table in its plan, also where a table is joined with
+itself. It pushes nothing into it, so that all conditions are checked by DuckDB.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
+
+from cassandra_ros.arrays.arrow_batches import ArrowSchema, read_batches
+from cassandra_ros.arrays.arrow_types import Wanted
+from cassandra_ros.query.plan.pushdown import Pushdown, Watch
+from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.sql.condition_chooser import ConditionChooser
+from cassandra_ros.sql.pushed_conditions import EVERYTHING, PushedRead
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.keyspace import Keyspace
+
+if TYPE_CHECKING:
+    import pyarrow
+
+
+class TopicSource:
+    """The messages of a topic as a table.
+
+    Args:
+        keyspace: Keyspace of the topic.
+        topic: The topic.
+        whose: Robots and runs whose messages are read.
+        wanted: Columns to read; None = all.
+        watch: Called repeatedly during a read; an exception from it ends the read.
+
+    Attributes:
+        topic: The topic.
+        schema: Its columns.
+        pushed: What is read; the caller sets it when the statement is known.
+        messages: Number of messages read so far.
+        choosers: What the server checked, one for each scan.
+        error: Error that ended a read; DuckDB only knows its text.
+    """
+
+    def __init__(
+        self,
+        keyspace: Keyspace,
+        topic: CassandraTopic,
+        whose: Whose,
+        wanted: Wanted | None,
+        watch: Watch,
+    ) -> None:
+        self._keyspace = keyspace
+        self._whose = whose
+        self._watch = watch
+        self.topic = topic
+        self.tables = topic.tables
+        self.schema = ArrowSchema(self.tables, wanted)
+        self.pushed: PushedRead = EVERYTHING
+        self.messages = 0
+        self.choosers: list[Pushdown] = []
+        self.error: BaseException | None = None
+
+    def __arrow_c_schema__(self) -> Any:
+        return self.schema.schema.__arrow_c_schema__()
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
+        reader = self.schema.arrow.RecordBatchReader.from_batches(
+            self.schema.schema, self.batches()
+        )
+        return reader.__arrow_c_stream__()
+
+    def read(self) -> Read | None:
+        """Return what is read; None = no message can match."""
+        pushed, whose = self.pushed, self._whose
+        if pushed.nodes is not None:
+            whose = whose.both(Whose(tuple(sorted(pushed.nodes))))
+        if pushed.runs is not None:
+            called = map(self._keyspace.runs.called, pushed.runs)
+            whose = whose.both(Whose(None, frozenset().union(*called)))
+        if pushed.empty or whose.empty:
+            return None
+        # The keys of messages with names are no times.
+        time_range = TimeRange() if self.schema.named else pushed.time_range
+        return Read(time_range, whose)
+
+    def batches(self) -> Iterator[pyarrow.RecordBatch]:
+        """Yield what is read, as record batches."""
+        read = self.read()
+        if read is None:
+            return
+        rows, chooser = self._keyspace.rows, None
+        if self.pushed.condition is not None:
+            chooser = ConditionChooser(self.pushed.condition, self.pushed.floats, self._watch)
+            self.choosers.append(chooser.pushdown)
+        try:
+            yield from self._counted(
+                read_batches(
+                    self.topic.name,
+                    self.schema,
+                    lambda columns: rows.read(
+                        self.tables,
+                        Read(read.time_range, read.whose, columns=columns, chooser=chooser),
+                    ),
+                    lambda: rows.blocks(
+                        self.tables, Read(read.time_range, read.whose, chooser=chooser)
+                    ),
+                    self._watch,
+                )
+            )
+        except Exception as exc:
+            self.error = exc
+            raise
+
+    def _counted(self, batches: Iterator[pyarrow.RecordBatch]) -> Iterator[pyarrow.RecordBatch]:
+        for batch in batches:
+            self.messages += batch.num_rows
+            yield batch
+
+
+class ListSource:
+    """A table of a few rows, such as the runs, made when it is read.
+
+    Args:
+        schema: Names and Arrow types of its columns.
+        rows: Returns its rows.
+    """
+
+    error: BaseException | None = None
+
+    def __init__(
+        self, arrow: Any, schema: pyarrow.Schema, rows: Callable[[], Sequence[Sequence[Any]]]
+    ) -> None:
+        self._arrow = arrow
+        self.columns = schema
+        self._rows = rows
+
+    def __arrow_c_schema__(self) -> Any:
+        return self.columns.__arrow_c_schema__()
+
+    def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
+        try:
+            columns = list(zip(*self._rows())) or [()] * len(self.columns)
+        except Exception as exc:
+            self.error = exc
+            raise
+        arrays = [
+            self._arrow.array(list(values), field.type)
+            for values, field in zip(columns, self.columns)
+        ]
+        return self._arrow.Table.from_arrays(arrays, schema=self.columns).__arrow_c_stream__()

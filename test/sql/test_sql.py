@@ -1,0 +1,315 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""sql: what it answers, what it refuses, and how it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import signal
+import sys
+import tempfile
+import threading
+from datetime import timedelta
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from geometry_msgs.msg import TransformStamped
+from sensor_msgs.msg import BatteryState, Imu
+from std_msgs.msg import String, UInt64
+from tf2_msgs.msg import TFMessage
+
+from cassandra_ros.errors import (
+    AnswerTooLarge,
+    InvalidQuery,
+    MissingDependency,
+    RunNotFound,
+    TopicNotFound,
+)
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.sql import duck_database
+from cassandra_ros.sql.sql_result import SqlResult
+
+T0 = 1_600_000_000 * SECOND_NS
+
+
+def at(n, step_ns=SECOND_NS):
+    return Stamp.from_ns(T0 + n * step_ns)
+
+
+@pytest.fixture(scope="module")
+def robot(fresh):
+    with fresh() as store:
+        imu = store.addTopic("/imu/data", "packed", msg_type="sensor_msgs/Imu", nodeID="r1")
+        battery = store.addTopic("/battery", msg_type="sensor_msgs/BatteryState", nodeID="r1")
+        moves = store.addTopic("/tf", "packed", msg_type="tf2_msgs/TFMessage", nodeID="r1")
+        for n in range(100):
+            message = Imu()
+            message.linear_acceleration.z = 20.0 if n % 10 == 0 else 9.81
+            message.orientation_covariance = [float(n)] * 9
+            imu.addData(message, key=at(n, SECOND_NS // 10))
+            if n % 20 == 0:
+                battery.addData(BatteryState(voltage=12.0 - n / 100), key=at(n, SECOND_NS // 10))
+            moved = TransformStamped(child_frame_id="base_link")
+            moved.header.frame_id = "map"
+            moved.header.stamp = at(n, SECOND_NS // 10)
+            moved.transform.translation.x = n / 10
+            moved.transform.rotation.w = 1.0
+            moves.addData(TFMessage([moved]), key=at(n, SECOND_NS // 10))
+        store.addTopic("/words", "binary", msg_type="std_msgs/String").addData(
+            String("x"), key=at(0)
+        )
+        store.addTopic("/big", "packed", msg_type="std_msgs/UInt64")
+        for n in range(3):
+            store.getTopic("/big").addData(UInt64(2**64 - 1), key=at(n))
+        store.catalog.adder.close()
+        yield store
+
+
+BUMPS = """
+    SELECT b.KEY, b.voltage, i.linear_acceleration.z
+    FROM "/imu/data" i ASOF JOIN "/battery" b ON i.NODE = b.NODE AND i.KEY >= b.KEY
+    WHERE i.linear_acceleration.z > 15 AND i.KEY > TIMESTAMP '2020-09-13 12:26:41'
+    ORDER BY i.KEY"""
+
+
+def test_topics_are_joined_by_time(robot):
+    rows = robot.sql(BUMPS).fetchall()
+    assert [(row[0], round(row[1], 2)) for row in rows] == [
+        (at(n // 20 * 20, SECOND_NS // 10), round(12 - n // 20 * 20 / 100, 2))
+        for n in range(20, 100, 10)
+    ]
+
+
+def test_the_answer_comes_in_every_shape(robot):
+    result = robot.sql("SELECT KEY, voltage FROM battery ORDER BY KEY")
+    assert result.columns == ("KEY", "voltage")
+    assert result.fetchall() == list(result)
+    assert result.arrow().schema.types == [pa.timestamp("ns"), pa.float32()]
+    frame = result.df()
+    assert frame["KEY"].to_numpy().view(np.int64).tolist() == [
+        T0 + n * 2 * SECOND_NS for n in range(5)
+    ]
+    assert repr(result).splitlines()[:2] == [
+        "KEY | voltage",
+        "2020-09-13T12:26:40.000000000Z | 12.0",
+    ]
+    assert "<table" in result._repr_html_()
+    assert [batch.num_rows for batch in result.batches()] == [5]
+
+
+def test_values_are_exact(robot):
+    ((total,),) = robot.sql("SELECT sum(data) FROM big").fetchall()
+    assert total == 3 * (2**64 - 1)
+    row = robot.sql(
+        "SELECT KEY - INTERVAL 1 SECOND, max(KEY) OVER () - KEY, header FROM battery LIMIT 1"
+    )
+    before, length, header = row.fetchall()[0]
+    assert before == at(-1)
+    assert length == timedelta(seconds=8)
+    assert header["stamp"] == Stamp.from_ns(0)
+    ((old,),) = robot.sql("SELECT TIMESTAMP_NS '1960-01-01 00:00:00.000000001'").fetchall()
+    assert old == np.datetime64("1960-01-01T00:00:00.000000001")
+
+
+def test_arrays_are_lists(robot):
+    array = "orientation_covariance"
+    text = f'SELECT {array}[9], len({array}) FROM "/imu/data" ORDER BY KEY'
+    assert robot.sql(text).fetchall()[7] == (7.0, 9)
+    unnested = "SELECT DISTINCT t.child_frame_id FROM tf, unnest(transforms) AS u(t)"
+    assert robot.sql(unnested).fetchall() == [("base_link",)]
+
+
+def test_frames_are_a_table_of_poses(robot):
+    text = "SELECT count(*), max(translation.x), min(NODE) FROM tf('map', 'base_link')"
+    assert robot.sql(text).fetchall() == [(100, 9.9, "r1")]
+    joined = """SELECT p.translation.x FROM battery b
+                ASOF JOIN tf('map', 'base_link') p ON b.NODE = p.NODE AND b.KEY >= p.KEY
+                ORDER BY b.KEY"""
+    assert robot.sql(joined).fetchall() == [(0.0,), (2.0,), (4.0,), (6.0,), (8.0,)]
+    with pytest.raises(InvalidQuery, match="two frames"):
+        robot.sql("SELECT * FROM tf('map')")
+
+
+def test_topics_runs_and_losses_are_tables(robot):
+    rows = robot.sql("SELECT TOPIC, messages, format FROM topics ORDER BY TOPIC").fetchall()
+    assert ("/battery", 5, "ros") in rows and len(rows) == 5
+    assert robot.sql("SELECT count(*) FROM losses").fetchall() == [(0,)]
+    assert robot.sql("SELECT count(*) FROM runs WHERE started > now()").fetchall() == [(0,)]
+
+
+def test_constants_are_called_by_their_names(robot):
+    name = "POWER_SUPPLY_STATUS_FULL"
+    text = f"SELECT count(*) FROM battery WHERE power_supply_status < constant(?, '{name}')"
+    assert robot.sql(text, ["sensor_msgs/BatteryState"]).fetchall() == [(5,)]
+    named = "SELECT value, number, text FROM constants WHERE NAME = ?"
+    assert robot.sql(named, [name]).fetchall() == [(4, 4.0, "4")]
+    assert robot.sql("SELECT constant('a', 'b')").fetchall() == [(None,)]
+
+
+def test_now_is_one_time_that_keys_are_compared_with(robot):
+    assert robot.sql(
+        'SELECT count(*) FROM "/imu/data" WHERE KEY < now() - INTERVAL 1 DAY'
+    ).fetchall() == [(100,)]
+    (report,) = (
+        robot.sql("SELECT KEY FROM battery WHERE KEY > now() - INTERVAL 1 DAY").explain().topics
+    )
+    assert report.messages == 0 and report.first_ns > T0
+
+
+def test_robots_and_runs_bound_all_topics(robot):
+    assert robot.sql("SELECT count(*) FROM battery", nodeID="r2").fetchall() == [(0,)]
+    with pytest.raises(RunNotFound):
+        robot.sql("SELECT 1", run="no such run")
+
+
+def test_an_explanation_says_what_was_read(robot):
+    found = robot.sql(BUMPS).explain()
+    imu, battery = found.topics
+    assert imu.columns == ("KEY", "NODE", "linear_acceleration.z")
+    assert battery.columns == ("KEY", "NODE", "voltage")
+    assert "linear_acceleration.z >= " in imu.condition and battery.condition == ""
+    assert found.rows_returned == 8
+    assert "/imu/data" in str(found) and "ASOF" in str(found).upper()
+
+
+REFUSED = {
+    "DELETE FROM battery": "takes a SELECT",
+    "COPY battery TO 'x.csv'": "takes a SELECT",
+    "ATTACH 'x.db'": "takes a SELECT",
+    "PRAGMA version": "takes a SELECT",
+    "SET memory_limit = '9GB'": "takes a SELECT",
+    "INSTALL httpfs": "takes a SELECT",
+    "LOAD httpfs": "takes a SELECT",
+    "CREATE TABLE t AS SELECT 1": "takes a SELECT",
+    "CALL pragma_version()": "takes a SELECT",
+    "SELECT 1; SELECT 2": "one statement",
+    "": "one statement",
+    "SELECT * FROM read_csv('/etc/passwd')": "does not read a topic",
+    "SELECT * FROM read_text('/etc/passwd')": "does not read a topic",
+    "SELECT * FROM glob('/*')": "does not read a topic",
+    "SELECT * FROM query('SELECT 1')": "does not read a topic",
+    "SELECT * FROM duckdb_settings()": "does not read a topic",
+    "SELECT * FROM '/etc/passwd'": "not stored",
+    "SELECT * FROM information_schema.tables": "no schema",
+    "SELECT * FROM /imu/data": "quote the name",
+    "SELECT * FROM batery": r"did you mean /battery",
+    "SELECT voltag FROM battery": r"no column voltag \(did you mean voltage",
+    "SELECT b.header.stam FROM battery b": r"no column stam \(did you mean stamp",
+    "SELECT voltage FROM battery WHERE": "Required|Expected",
+    "SELECT 'abc": "not closed",
+    "SELECT getenv('HOME')": "does not exist",
+    "SELECT voltage + 'x' FROM battery": "convert|Could not|No function",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_what_is_refused(robot, text):
+    with pytest.raises(InvalidQuery, match=REFUSED[text]):
+        robot.sql(text).fetchall()
+
+
+HOSTILE = [
+    "SELECT " + "(" * 20_000 + "1" + ")" * 20_000,
+    "SELECT 1 WHERE " + " AND ".join(["1 = 1"] * 6000),
+    "SELECT " + "- " * 20_000 + "1",
+    "SELECT count(*) FROM battery WHERE " + " OR ".join(["voltage > 1"] * 3000),
+    "SELECT " + "NOT " * 10_000 + "true",
+    "SELECT * FROM " + "(SELECT * FROM " * 2000 + "battery" + ")" * 2000,
+    "SELECT '" + "x" * 70_000 + "'",
+    "\0SELECT \ud800",
+]
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
+def test_hostile_statements_are_answered_or_refused(robot, text):
+    with contextlib.suppress(InvalidQuery):
+        robot.sql(text).fetchall()
+
+
+def test_an_error_shows_the_place(robot):
+    with pytest.raises(InvalidQuery) as error:
+        robot.sql("SELECT KEY,\n  voltag FROM battery")
+    assert error.value.position == len("SELECT KEY,\n  ")
+
+
+def test_names_that_differ_by_case_are_refused_together(rosCas):
+    for name in ("/a", "/A"):
+        rosCas.addTopic(name).addData(String("x"), key=1)
+    assert rosCas.sql('SELECT count(*) FROM "/A"').fetchall() == [(1,)]
+    with pytest.raises(InvalidQuery, match="case only"):
+        rosCas.sql('SELECT * FROM "/a", "/A"')
+
+
+def test_a_table_of_with_hides_a_topic(robot):
+    inner = "SELECT voltage + 1 AS v FROM battery WHERE voltage > 11.7"
+    text = f"WITH battery AS ({inner}) SELECT count(v) FROM battery"
+    assert robot.sql(text).fetchall() == [(2,)]
+
+
+def test_an_error_of_a_read_is_raised_as_it_is(rosCas):
+    with pytest.raises(TopicNotFound, match="no frames"):
+        rosCas.sql("SELECT * FROM tf('a', 'b')").fetchall()
+
+
+class Cancelled(Exception):
+    pass
+
+
+ENDLESS = "SELECT count(*) FROM range(1000000) a, range(1000000) b WHERE a.range % 7 = b.range % 5"
+
+
+def test_the_caller_can_stop_a_statement(robot):
+    looks = []
+
+    def watch():
+        looks.append(1)
+        if len(looks) > 3:
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        SqlResult(robot.catalog, ENDLESS, watch=watch).fetchall()
+
+
+def test_ctrl_c_stops_a_statement(robot):
+    timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        robot.sql(ENDLESS).fetchall()
+    timer.join()
+
+
+def test_endless_recursion_ends_at_the_bound(robot, monkeypatch):
+    monkeypatch.setattr(duck_database, "SPILL", "1MB")
+    inner = "SELECT 1 AS n UNION ALL SELECT n + 1 FROM r"
+    text = f"WITH RECURSIVE r AS ({inner}) SELECT * FROM r ORDER BY n"
+    with pytest.raises(AnswerTooLarge, match="memory or disk"):
+        robot.sql(text, memory="20MB").fetchall()
+
+
+def test_nothing_is_left_behind(robot, monkeypatch, tmp_path):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    before = threading.active_count()
+    result = robot.sql("SELECT * FROM battery")
+    next(iter(result))
+    robot.sql("SELECT 1")
+    del result
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+    assert threading.active_count() <= before
+
+
+@pytest.mark.parametrize("name", ["duckdb", "sqlglot"])
+def test_a_missing_package_is_named(robot, monkeypatch, name):
+    monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MissingDependency, match=rf"(?s){name}.*requirements-tables.txt"):
+        robot.sql("SELECT 1")
+
+
+def test_an_old_python_is_named(robot, monkeypatch):
+    monkeypatch.setattr(duck_database, "_OLDEST", (9, 9))
+    with pytest.raises(MissingDependency, match="DuckDB 2"):
+        robot.sql("SELECT 1")

@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""toArrow gives the messages of a topic in every format, lazily and with their columns chosen."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+import pytest
+from campaign import FEW_FORMATS, sparing
+from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import Header, String
+from tf2_msgs.msg import TFMessage
+
+from cassandra_ros.errors import InvalidName
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection
+from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.topics.row_reader import FollowingReader
+
+T0 = 1_600_000_000 * SECOND_NS
+
+
+def transforms(n):
+    found = TFMessage()
+    for child in range(n % 4):
+        one = TransformStamped(child_frame_id=f"leg{child}")
+        one.header.stamp = Stamp.from_ns(T0 + n)
+        one.transform.translation.x = n + child / 4
+        found.transforms.append(one)
+    return found
+
+
+def fill(rosCas, fmt, count=40):
+    topic = rosCas.addTopic("/tf", fmt, msg_type="tf2_msgs/TFMessage", nodeID="r1")
+    for n in range(count):
+        topic.addData(transforms(n), key=Stamp.from_ns(T0 + n * SECOND_NS))
+    rosCas.catalog.adder.close()
+    return topic
+
+
+@pytest.mark.parametrize("fmt", sparing(sorted(FORMATS), FEW_FORMATS))
+def test_every_format_gives_the_same_table(rosCas, fmt):
+    topic = fill(rosCas, fmt)
+    reader = topic.toArrow()
+    table = reader.read_all()
+    assert table.schema.names == ["KEY", "NODE", "RUN", "transforms"]
+    assert table["KEY"].cast(pa.int64()).to_pylist() == [T0 + n * SECOND_NS for n in range(40)]
+    assert set(table["NODE"].to_pylist()) == {"r1"}
+    for n, found in enumerate(table["transforms"].to_pylist()):
+        children = [
+            (each["child_frame_id"], each["transform"]["translation"]["x"]) for each in found
+        ]
+        assert children == [(f"leg{k}", n + k / 4) for k in range(n % 4)]
+        assert all(each["header"]["stamp"].value == T0 + n for each in found)
+
+
+@pytest.mark.parametrize("fmt", FEW_FORMATS)
+def test_only_the_named_columns_come(rosCas, fmt):
+    topic = fill(rosCas, fmt, 9)
+    low, high = T0 + 2 * SECOND_NS, T0 + 5 * SECOND_NS
+    names = ["KEY", "transforms.transform.translation.x"]
+    table = topic.toArrow(names, low, high).read_all()
+    inner = pa.struct([("translation", pa.struct([("x", pa.float64())]))])
+    wanted = [
+        ("KEY", pa.timestamp("ns")),
+        ("transforms", pa.list_(pa.struct([("transform", inner)]))),
+    ]
+    assert table.schema.equals(pa.schema(wanted))
+    assert table.num_rows == 4
+    assert (
+        topic.toArrow(["NODE"], where="transforms.child_frame_id = 'leg2'").read_all().num_rows == 2
+    )
+
+
+def test_an_unknown_column_is_refused(rosCas):
+    with pytest.raises(InvalidName, match=r"transform.translatoin.*did you mean translation"):
+        fill(rosCas, "ros", 1).toArrow(["transforms.transform.translatoin"])
+
+
+def test_two_types_of_a_topic_are_united(rosCas):
+    rosCas.addTopic("/x", "packed").addData(String("a"), key=1)
+    rosCas.addTopic("/x", "packed").addData(String("b"), key=2)
+    with rosCas.messageWriter(format="packed") as writer:
+        handle = writer.connect(api_connection("/x", definition_of(Header), "/n"))
+        writer.write(handle, 3, 1, serialize(Header(seq=7)))
+    rosCas.catalog.adder.close()
+    table = rosCas.getTopic("/x").toArrow().read_all().sort_by("KEY")
+    assert table["data"].to_pylist() == ["a", "b", None]
+    assert table["seq"].to_pylist() == [None, None, 7]
+
+
+def test_messages_with_names_have_these_as_keys(rosCas):
+    topic = rosCas.addTopic("/map", key_format="manual", msg_type="std_msgs/String")
+    topic.addData(String("x"), key="kitchen")
+    table = topic.toArrow().read_all()
+    assert table["KEY"].to_pylist() == ["kitchen"]
+    assert rosCas.sql("SELECT data FROM map WHERE KEY = 'kitchen'").fetchall() == [("x",)]
+
+
+def test_a_topic_without_a_type_has_no_rows(rosCas):
+    topic = rosCas.addTopic("/new")
+    assert topic.toArrow().read_all().num_rows == 0
+    assert rosCas.sql("SELECT count(*) FROM new").fetchall() == [(0,)]
+
+
+def test_batches_are_read_when_they_are_taken(rosCas, monkeypatch):
+    topic = fill(rosCas, "packed", 5)
+    reads, read = [], FollowingReader.blocks
+    monkeypatch.setattr(FollowingReader, "blocks", lambda *a: reads.append(a) or read(*a))
+    reader = topic.toArrow()
+    assert not reads
+    assert reader.read_next_batch().num_rows == 5
+    assert len(reads) == 1
