@@ -187,7 +187,7 @@ def read_batches(
         watch: Called for each block or row; an exception from it ends the read.
 
     Raises:
-        StoreUnavailable: The topic was converted during the read.
+        StoreUnavailable: The topic was converted or removed during the read.
     """
     maker = _BatchMaker(schema)
     found = None if blocks is None or schema.named else blocks()
@@ -198,7 +198,7 @@ def read_batches(
         yield from _of_blocks(maker, found, watch)
     except TopicNotFound as exc:
         raise StoreUnavailable(
-            f"topic {topic} was converted to another format while it was read: ask again"
+            f"topic {topic} was converted or removed while it was read: ask again"
         ) from exc
 
 

@@ -500,7 +500,7 @@ class CassandraTopic:
             InvalidName: There is no such field.
             InvalidKey, InvalidQuery, RunNotFound: As in items.
             MissingDependency: pyarrow is not installed; the text says how to install it.
-            StoreUnavailable: While batches are read: the topic was converted meanwhile.
+            StoreUnavailable: While batches are read: the topic was converted or removed.
         """
         finder = self._finder(nodeID, where, run)
         names = None if fields is None else check_list("fields", fields, "['linear.x']")
