@@ -364,6 +364,23 @@ def test_the_index_of_a_field_is_there_too(rosCas, home):
     ]
 
 
+def test_events_come_with_the_messages(rosCas, home):
+    fill(rosCas, "binary", 20)
+    bump = rosCas.addEvent("bump", T0, T0 + SEC, nodeID="r1", values={"force": 2.5})
+    door = rosCas.addEvent("door", T0 + 5 * SEC, nodeID="r2")
+    rosCas.addEvent("all", T0 + SEC, T0 + 2 * SEC)
+    home.addEvent("theirs", T0, T0 + SEC)
+    Replicator(rosCas, home, nodeID="r1").copy()
+    assert sorted(event.name for event in home.events()) == ["all", "bump", "theirs"]
+    Replicator(rosCas, home).copy()
+    Replicator(rosCas, home).copy()
+    assert list(home.events("bump")) == [bump]
+    assert len(list(home.events())) == 4
+    rosCas.endEvent(door, T0 + 7 * SEC)
+    Replicator(rosCas, home).copy()
+    assert [event.end_ns for event in home.events("door")] == [T0 + 7 * SEC]
+
+
 def test_runs_losses_metadata_and_contexts_come_with_their_messages(rosCas, home):
     run = Run("r1", 77, "recording", name="patrol", labels={"site": "lab"})
     with rosCas.messageWriter(writer_id=77, nodeID="r1", run=run) as writer:

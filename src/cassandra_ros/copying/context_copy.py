@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""What goes with the messages: connections, runs with their context, losses, and metadata."""
+"""What goes with the messages: connections, runs with context, losses, events, and metadata."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import Collection, Iterable
 from cassandra_ros.copying.table_pair import TablePair
 from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.read import TimeRange, Whose
+from cassandra_ros.tables.event_table import Event, EventTable
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.side_tables import LATER_TABLES, SIDE_TABLES, column_names
 from cassandra_ros.topics.keyspace import Keyspace
@@ -122,3 +124,32 @@ def copy_losses(
     for loss in new:
         there.registry.put_loss(loss)
     return len(new)
+
+
+def copy_events(here: Keyspace, there: Keyspace, within: TimeRange, whose: Whose) -> int:
+    """Copy events; return the number of those that were new or different there.
+
+    An event that was deleted here stays there.
+
+    Args:
+        within: Time range, ns; the events that meet it are copied.
+        whose: Robots and writers of the events. Events of all robots, and of no run, go with them.
+    """
+    mine, theirs = EventTable(here.side_tables), EventTable(there.side_tables)
+    # Both are read in the same order, so that one event of each is in memory, not all.
+    others = theirs.read(within=within)
+    other, count = next(others, None), 0
+    for event in mine.read(within=within):
+        while other is not None and other.order() < event.order():
+            other = next(others, None)
+        if other != event and _is_selected(event, whose):
+            theirs.put(event)
+            count += 1
+    return count
+
+
+def _is_selected(event: Event, whose: Whose) -> bool:
+    robots, writers = whose.nodes, whose.writers
+    return (robots is None or event.node in ("", *robots)) and (
+        writers is None or event.writer in (0, *writers)
+    )

@@ -20,6 +20,7 @@ from cassandra_ros.copying.bandwidth import Bandwidth
 from cassandra_ros.copying.bucket_copy import Books, CopyCount, Piece, PieceCopy, Selection
 from cassandra_ros.copying.context_copy import (
     check_schema,
+    copy_events,
     copy_headers,
     copy_losses,
     copy_metadata,
@@ -414,7 +415,7 @@ class Replicator:
         result.left += sum(row.rows for piece in pieces[done:] for row in piece.entries)
 
     def _copy_context(self, report: CopyReport, work: Sequence[_Work]) -> None:
-        """Copy runs and losses of what was copied."""
+        """Copy runs and losses of what was copied, and the events of its robots and runs."""
         everything = self._names is None and self._selection.whose == EVERYBODY
         everything = everything and not any(rule.selects_runs for rule in self._rules.rules)
         writers = None if everything else {w for each in work for w in each.writers}
@@ -429,6 +430,7 @@ class Replicator:
             lost = {loss.topic for loss in self._here.registry.losses()}
             copied |= lost - set(report.topics)  # topics of which nothing could be stored
         copy_losses(self._here, self._there, copied, writers)
+        copy_events(self._here, self._there, self._selection.time_range, self._selection.whose)
 
     def _delete_removed(self, known: dict[str, CopiedTable], report: CopyReport) -> None:
         """Delete there what was copied of tables that were removed here."""

@@ -53,6 +53,10 @@ class Event:
         """Text by which the event is found."""
         return f"{self.start_ns}-{self.id}"
 
+    def order(self) -> tuple[int, str, str, str]:
+        """Return the place of the event among all: its start, name, robot and id."""
+        return self.start_ns, self.name, self.node, self.id
+
     @property
     def time_range(self) -> TimeRange:
         """The time range; an event that lasts reaches to the end of all time."""
@@ -122,7 +126,7 @@ class EventTable:
             found = self._tables.select_many(_EVENT, _NAMES, where, params, "reading events")
             for rows in found:
                 events = (event for event in map(_event, rows) if _meets(event, within))
-                yield from sorted(events, key=lambda event: (event.start_ns, event.name, event.id))
+                yield from sorted(events, key=Event.order)
 
     def _slots(self, names: Names, within: TimeRange) -> list[int]:
         """Return the slots in which events of some names begin that may meet a time range."""
