@@ -141,6 +141,24 @@ def test_topics_runs_and_losses_are_tables(robot):
     assert robot.sql("SELECT count(*) FROM runs WHERE started > now()").fetchall() == [(0,)]
 
 
+def test_events_are_a_table(robot):
+    bump = robot.addEvent("bump", at(0), at(1), nodeID="r1", values={"force": 2.5})
+    door = robot.addEvent("door", at(1), labels={"room": "lab"})
+    try:
+        text = "SELECT EVENT, NODE, RUN, first, last, labels, values FROM events ORDER BY first"
+        assert robot.sql(text).fetchall() == [
+            ("bump", "r1", "", at(0), at(1), "{}", '{"force": 2.5}'),
+            ("door", "", "", at(1), None, '{"room": "lab"}', "{}"),
+        ]
+        during = """SELECT e.EVENT, count(*) FROM events e JOIN battery b
+                    ON b.KEY BETWEEN e.first AND coalesce(e.last, now()) GROUP BY ALL"""
+        counts = dict(robot.sql(during).fetchall())
+        assert counts["bump"] >= 1 and counts["bump"] + counts["door"] >= 5
+    finally:
+        robot.removeEvent(bump)
+        robot.removeEvent(door)
+
+
 def test_constants_are_called_by_their_names(robot):
     name = "POWER_SUPPLY_STATUS_FULL"
     text = f"SELECT count(*) FROM battery WHERE power_supply_status < constant(?, '{name}')"

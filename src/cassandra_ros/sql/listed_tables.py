@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The tables of SQL that are no topics: topics, runs, losses, and the constants of messages."""
+"""The tables of SQL that are no topics: topics, runs, losses, events, constants of messages."""
 
 from __future__ import annotations
 
@@ -43,6 +43,15 @@ def _losses(catalog: Catalog) -> Rows:
     ]
 
 
+def _events(catalog: Catalog) -> Rows:
+    runs = catalog.keyspace.runs
+    return [
+        (e.name, e.node, runs.text(e.writer) if e.writer else "", e.start_ns, e.end_ns)
+        + (to_json(dict(e.labels)), to_json(dict(e.values)), e.key)
+        for e in catalog.keyspace.events.find()
+    ]
+
+
 def _constants(catalog: Catalog) -> Rows:
     found: dict[tuple[str, str], tuple[int | None, float | None, str]] = {}
     for table in catalog.tables(None):
@@ -80,6 +89,13 @@ LISTED: Mapping[str, tuple[Mapping[str, str], Callable[[Catalog], Rows]]] = {
             **{"labels": _TEXT, "writer": _INT},
         },
         _runs,
+    ),
+    "events": (
+        {
+            **{"EVENT": _TEXT, "NODE": _TEXT, "RUN": _TEXT, "first": _TIME, "last": _TIME},
+            **{"labels": _TEXT, "values": _TEXT, "key": _TEXT},
+        },
+        _events,
     ),
     "constants": (
         {"TYPE": _TEXT, "NAME": _TEXT, "value": "decimal", "number": "float64", "text": _TEXT},
