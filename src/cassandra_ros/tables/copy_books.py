@@ -57,7 +57,7 @@ class CopiedBucket(NamedTuple):
     seen: int
     """Server time before the rows were read, us: all rows written before it are there."""
     final: bool
-    """Whether nobody was writing the bucket: if the heartbeat is still the same, all is there."""
+    """Whether no writer had the bucket open: if the heartbeat is still the same, all is there."""
     rule: str
     """What left out some of the messages; '' = all were copied."""
     released: bool
