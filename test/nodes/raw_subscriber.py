@@ -13,8 +13,9 @@ import xmlrpc.client
 class RawSubscriber:
     """One connection to the publisher of a topic; ``header`` is what that says, as bytes."""
 
-    def __init__(self, uri, topic, timeout_sec=180, **fields):
-        self._sock = socket.create_connection(find(uri, topic, timeout_sec), timeout_sec)
+    def __init__(self, uri, topic, timeout_sec=180, publisher=None, **fields):
+        address = find(uri, topic, timeout_sec, publisher)
+        self._sock = socket.create_connection(address, timeout_sec)
         wanted = {"topic": topic, "callerid": f"/raw_{id(self)}", "md5sum": "*", "type": "*"}
         data = b""
         for name, value in {**wanted, **fields}.items():
@@ -57,13 +58,13 @@ class RawSubscriber:
         self.close()
 
 
-def find(uri, topic, timeout_sec):
-    """Wait for a publisher of a topic; return its address for TCPROS."""
+def find(uri, topic, timeout_sec, publisher=None):
+    """Wait for a publisher of a topic, or for this one; return its address for TCPROS."""
     master = xmlrpc.client.ServerProxy(uri)
     deadline = time.monotonic() + timeout_sec
     while time.monotonic() < deadline:
         _, _, (publishers, _, _) = master.getSystemState("/raw")
-        names = dict(publishers).get(topic)
+        names = [n for n in dict(publishers).get(topic, ()) if publisher in (None, n)]
         if names:
             _, _, node = master.lookupNode("/raw", names[0])
             _, _, (_, host, port) = xmlrpc.client.ServerProxy(node).requestTopic(

@@ -55,6 +55,7 @@ def test_cassandra_ros_launch_has_an_argument_for_every_option_of_the_recorder()
     wanted = {renamed.get(name, name) for name in options}
     others = {"local", "dir", "nodes", "heap", "secure", "record", "allow_writes"}
     others |= {"viewer", "viewer_host", "viewer_port"}
+    others |= {"copy_to", "copy_cqlshrc", "copy_rate", "copy_rules"}
     assert arguments_of("cassandra_ros.launch") == wanted | others
 
 

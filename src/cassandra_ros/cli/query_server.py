@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Provide services that read recorded topics.
 
-The services are ~getData, ~range, ~executeCQL, ~explainCQL, ~info and ~lookupTransform, and with
---allow-writes also ~addData, ~removeData and ~mark. The node is called cassandra_ros. Its
+The services are ~getData, ~range, ~executeCQL, ~explainCQL, ~sql, ~info and ~lookupTransform, and
+with --allow-writes also ~addData, ~removeData and ~mark. The node is called cassandra_ros. Its
 parameters ~host, ~port, ~keyspace, ~cqlshrc, ~credentials and ~allow_writes set the options of the
 same names that are missing on the command line.
 """
