@@ -322,6 +322,15 @@ def test_parameters_bound_what_is_read(stored, text, params):
     assert report.messages < 400 / 2
 
 
+def test_nan_is_found_in_messages_of_rare_sizes(stored):
+    """Their heads are checked together with all others, and they belong to no stack."""
+    store, whole = stored
+    for bound in ("1e30 < d", "d >= 15.5", "f > 3e38"):
+        asked = f"SELECT KEY, NODE, d, f FROM a WHERE {bound}"
+        expected = answer(lambda text=asked: rows_of(whole.sql(text).to_arrow_table()))
+        assert answer(lambda text=asked: SqlResult(store.catalog, text).fetchall()) == expected
+
+
 def test_nan_is_found_above_all_numbers(stored):
     store, _ = stored
     for topic in ("a", "b", "c"):

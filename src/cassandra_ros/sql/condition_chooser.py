@@ -80,7 +80,9 @@ class ConditionChooser:
             if mask is None:
                 return None
             for group in block.groups:
-                for stack in finder.stacks(group.planes, group.members)[0]:
+                stacks, rest = finder.stacks(group.planes, group.members)
+                mask[rest] = True  # the sift may have checked them by their heads
+                for stack in stacks:
                     for path, base in paths.items():
                         values = stack.numbers(path, base)
                         mask[stack.members] |= np.isnan(values).any(axis=0)
