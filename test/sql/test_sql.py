@@ -33,6 +33,8 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.sql import duck_database
 from cassandra_ros.sql.sql_result import SqlResult
 
+pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
+
 T0 = 1_600_000_000 * SECOND_NS
 
 

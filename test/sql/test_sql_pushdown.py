@@ -9,7 +9,6 @@ import random
 import re
 import struct
 
-import duckdb
 import numpy as np
 import pyarrow
 import pytest
@@ -25,6 +24,8 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.read import EVERYBODY
 from cassandra_ros.sql.python_values import python_rows
 from cassandra_ros.sql.sql_result import SqlResult
+
+duckdb = pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
 T0 = 1_600_000_000 * SECOND_NS
 BEFORE = "float32 f\nfloat64 d\nint32 i\nuint64 u\nint64 l\nbool b\nstring s\ntime t\n"
