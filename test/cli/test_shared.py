@@ -12,7 +12,7 @@ import time
 import pytest
 from conftest import ROOT
 
-from cassandra_ros.cli import player, query_server, recorder
+from cassandra_ros.cli import player, query_server, recorder, replicator
 from cassandra_ros.cli.options import add_store_options, store_place, strip_remappings
 from cassandra_ros.cli.terminal_text import (
     MessageBar,
@@ -85,13 +85,13 @@ def test_what_roslaunch_adds_is_dropped():
 
 
 def test_every_service_is_told_by_its_program():
-    told = "".join(p.make_parser().format_help() for p in (query_server, player, recorder))
+    programs = (query_server, player, recorder, replicator)
+    told = "".join(program.make_parser().format_help() for program in programs)
+    names = {f"{program}Status": "status" for program in ("player", "recorder", "replicator")}
+    names["recordTopics"] = "start"
     for path in (ROOT / "srv").glob("*.srv"):
         name = path.stem[0].lower() + path.stem[1:]
-        name = {"playerStatus": "status", "recorderStatus": "status", "recordTopics": "start"}.get(
-            name, name
-        )
-        assert f"~{name}" in told, name
+        assert f"~{names.get(name, name)}" in told, name
 
 
 def test_table():

@@ -74,18 +74,21 @@ class ConditionChooser:
         if set(paths) != set(self._floats):
             return None  # a field without zones, or of another type in this definition
         finder = stacker(table.definition)
+        # The sift may check messages of any size by their heads, also those that fit no stack.
+        by_head = all(path in finder.head for path in paths)
 
         def sift_but_nan(block: Block) -> Any:
             mask = sift(block)
             if mask is None:
                 return None
-            for group in block.groups:
-                stacks, rest = finder.stacks(group.planes, group.members)
-                mask[rest] = True  # the sift may have checked them by their heads
-                for stack in stacks:
-                    for path, base in paths.items():
-                        values = stack.numbers(path, base)
-                        mask[stack.members] |= np.isnan(values).any(axis=0)
+            groups = [(group.planes, group.members) for group in block.groups]
+            if by_head:
+                stacks = [finder.heads(groups)]
+            else:
+                stacks = [stack for group in groups for stack in finder.stacks(*group)[0]]
+            for stack in stacks:
+                for path, base in paths.items():
+                    mask[stack.members] |= np.isnan(stack.numbers(path, base)).any(axis=0)
             return mask
 
         return sift_but_nan if paths else sift
