@@ -304,3 +304,13 @@ def _json_keys(what: str, keys: Any, taken: Container[str]) -> dict[str, Any]:
                 "texts, finite numbers, true, false, None, lists, and dicts whose keys are texts"
             )
     return checked
+
+
+def check_pattern(pattern: object) -> str:
+    """Return a regular expression of topic names, or raise InvalidOption."""
+    text = check_text("pattern", pattern, wanted="a regular expression, as /camera/.*")
+    try:
+        re.compile(text)
+    except (re.error, OverflowError, RecursionError) as exc:
+        raise InvalidOption(f"{text!r:.80} is not a regular expression: {exc}") from exc
+    return text

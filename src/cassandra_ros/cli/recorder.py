@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Mapping, NamedTuple, Sequence
 
-from cassandra_ros.arguments import check_ros_name
+from cassandra_ros.arguments import check_pattern, check_ros_name
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import (
     add_format_option,
@@ -39,7 +39,6 @@ from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.recording.option_values import (
     BLOCK_SEC,
-    check_pattern,
     read_bound,
     read_label,
     read_rate,

@@ -12,7 +12,7 @@ from typing import Callable, Mapping, Sequence
 
 import yaml
 
-from cassandra_ros.arguments import check_text
+from cassandra_ros.arguments import check_pattern, check_text
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import SECOND_NS
@@ -149,15 +149,6 @@ def read_bandwidth(value: object) -> float:
     return float(match[1]) * _UNITS[match[2]]
 
 
-def _read_pattern(value: object) -> str:
-    text = check_text("pattern", value, wanted="a regular expression, as /camera/.*")
-    try:
-        re.compile(text)
-    except (re.error, OverflowError, RecursionError) as exc:
-        raise InvalidOption(f"{text!r:.80} is not a regular expression: {exc}") from exc
-    return text
-
-
 def _read_bool(value: object) -> bool:
     if not isinstance(value, bool):
         raise InvalidOption(f"{value!r:.80} is neither true nor false")
@@ -196,11 +187,11 @@ def _read_every(value: object) -> int:
 
 
 _READERS: Mapping[str, Callable[[object], object]] = {
-    "pattern": _read_pattern,
+    "pattern": check_pattern,
     "skip": _read_bool,
     "order": _read_order,
     "format": _read_format,
-    "run": _read_pattern,
+    "run": check_pattern,
     "label": _read_label,
     "where": _read_where,
     "every": _read_every,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from cassandra_ros.arguments import check_labels, check_text, check_ttl
+from cassandra_ros.arguments import check_labels, check_ttl
 from cassandra_ros.errors import InvalidOption
 
 DEFAULT_BUFFER_BYTES = 256 * 1024 * 1024
@@ -21,16 +21,6 @@ _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600, "d": 86400}
 """Units of durations, s."""
 MAX_RATE_HZ = 1e6
 """Maximum value of a rate limit, Hz."""
-
-
-def check_pattern(pattern: object) -> str:
-    """Return a regular expression of topic names, or raise InvalidOption."""
-    text = check_text("pattern", pattern, wanted="a regular expression, as /camera/.*")
-    try:
-        re.compile(text)
-    except (re.error, OverflowError, RecursionError) as exc:
-        raise InvalidOption(f"{text!r:.80} is not a regular expression: {exc}") from exc
-    return text
 
 
 def read_duration(value: object) -> float:

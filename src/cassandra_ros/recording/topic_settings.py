@@ -15,6 +15,7 @@ from cassandra_ros.arguments import (
     check_event_name,
     check_fields,
     check_labels,
+    check_pattern,
     check_ros_name,
     check_text,
 )
@@ -25,7 +26,6 @@ from cassandra_ros.query.tree.parse import parse_condition, terms_of_condition
 from cassandra_ros.query.tree.syntax import TIMED, InEvent, Literal, TimeNs, inside, leaves
 from cassandra_ros.recording.event_marks import WatchedEvent
 from cassandra_ros.recording.option_values import (
-    check_pattern,
     read_duration,
     read_rate,
     read_ttl,
