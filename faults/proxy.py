@@ -31,6 +31,7 @@ class Proxy:
         self.bytes_per_sec = 0.0
         """Maximum rate in each direction of a connection; 0 = no limit."""
         self._connections: list[_Connection] = []
+        self._mutex = threading.Lock()
         self._listener = socket.create_server(address)
         self.host, self.port = self._listener.getsockname()
         threading.Thread(target=self._accept, args=(self._listener,), daemon=True).start()
@@ -44,14 +45,13 @@ class Proxy:
 
     def cut(self) -> None:
         """End all connections and refuse new ones."""
-        listener, self._listener = self._listener, None
-        # A thread that waits in accept keeps the port open otherwise.
-        with contextlib.suppress(OSError):
-            listener.shutdown(socket.SHUT_RDWR)
-        listener.close()
-        for connection in self._connections:
-            connection.close()
-        self._connections.clear()
+        with self._mutex:  # a connection that is being accepted would stay otherwise
+            listener, self._listener = self._listener, None
+            # A thread that waits in accept keeps the port open otherwise.
+            with contextlib.suppress(OSError):
+                listener.shutdown(socket.SHUT_RDWR)
+            listener.close()
+            self._end_connections()
 
     def mend(self) -> None:
         """Accept connections again, at the same port."""
@@ -64,18 +64,23 @@ class Proxy:
         Args:
             new: Whether connections that are made later are silent, too.
         """
-        self._silent_from_now = new
-        for connection in self._connections:
-            connection.silent = True
+        with self._mutex:
+            self._silent_from_now = new
+            for connection in self._connections:
+                connection.silent = True
 
     def end_silence(self) -> None:
         """Pass bytes of new connections on again, and end those that were silent."""
-        self._silent_from_now = False
+        with self._mutex:
+            self._silent_from_now = False
+            self._end_connections()
+
+    _silent_from_now = False
+
+    def _end_connections(self) -> None:
         for connection in self._connections:
             connection.close()
         self._connections.clear()
-
-    _silent_from_now = False
 
     def _accept(self, listener: socket.socket) -> None:
         while True:
@@ -83,22 +88,28 @@ class Proxy:
                 client, _ = listener.accept()
             except OSError:
                 return
-            try:
-                server = socket.create_connection(self._server)
-            except OSError:
-                client.close()  # the server is away: so is the proxy
-                continue
-            self._connections.append(_Connection(self, client, server))
-            self._connections[-1].silent = self._silent_from_now
+            with self._mutex:
+                if self._listener is not listener:
+                    client.close()
+                    return
+                try:
+                    server = socket.create_connection(self._server)
+                    connection = _Connection(self, client, server, self._silent_from_now)
+                except OSError:
+                    client.close()  # the server is away, or the client gave up already
+                    continue
+                self._connections.append(connection)
 
 
 class _Connection:
     """A connection of a client, and the one to the server."""
 
-    def __init__(self, proxy: Proxy, client: socket.socket, server: socket.socket) -> None:
+    def __init__(
+        self, proxy: Proxy, client: socket.socket, server: socket.socket, silent: bool
+    ) -> None:
         self._proxy = proxy
         self._sockets = client, server
-        self.silent = False
+        self.silent = silent
         for source, sink in ((client, server), (server, client)):
             source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             waiting: queue.Queue = queue.Queue(PIECES_WAITING)

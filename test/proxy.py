@@ -116,6 +116,7 @@ class Proxy:
         self.late_pushes = False
         """What the server pushes of itself comes as late as it may: before the next answer."""
         self._pairs = []
+        self._mutex = threading.Lock()
         self._listener = socket.create_server((host, 0))
         self.host, self.port = self._listener.getsockname()
 
@@ -141,11 +142,12 @@ class Proxy:
 
     def cut(self):
         """Act like a server that has ended: close the connections and do not listen."""
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self._listener = None
-        while self._pairs:
-            self._pairs.pop().close()
+        with self._mutex:  # a connection that is being accepted would stay otherwise
+            listener, self._listener = self._listener, None
+            listener.shutdown(socket.SHUT_RDWR)
+            listener.close()
+            while self._pairs:
+                self._pairs.pop().close()
 
     def mend(self):
         """Be there again, at the same port."""
@@ -161,7 +163,14 @@ class Proxy:
                 client, _ = listener.accept()
             except OSError:
                 return
-            self._pairs.append(_Pair(client, socket.create_connection(self._server), self))
+            with self._mutex:
+                if self._listener is not listener:
+                    client.close()
+                    return
+                try:
+                    self._pairs.append(_Pair(client, socket.create_connection(self._server), self))
+                except OSError:
+                    client.close()  # the server is away, or the client gave up already
 
 
 class _Pair:

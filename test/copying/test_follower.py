@@ -50,7 +50,8 @@ def test_new_messages_are_copied_until_it_is_paused(rosCas, home, follow):  # no
         await_true(lambda: count(home) == 2)
         add(rosCas, 3)
         await_true(lambda: count(home) == 3)
-        await_true(lambda: follower.status.state == FOLLOWING and not follower.status.waiting)
+        await_true(lambda: [topic.copied for topic in follower.status.topics] == [3])
+        await_true(lambda: follower.status.state == FOLLOWING)
         (topic,) = follower.status.topics
         assert (topic.topic, topic.copied, topic.waiting) == ("/t", 3, 0)
         assert follower.status.left_sec == 0
