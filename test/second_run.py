@@ -128,6 +128,12 @@ def show_unsteady(names, first, second):
             print(f"--- {title}\n{results['outputs'][name]}")
 
 
+def reason_of(name, results):
+    """Return the line in which pytest names the error of a failed test."""
+    lines = results["outputs"].get(name, "").splitlines()
+    return next((line[1:].strip() for line in lines if line.startswith("E  ")), "see above")
+
+
 def closing_line(counts, seconds):
     """Return a line such as pytest's own last one."""
     told = ", ".join(f"{number} {word}" for word, number in counts.items() if number)
@@ -154,7 +160,7 @@ def main(arguments):
     if passed:
         show_unsteady(passed, first, second)
     for name in twice:
-        print(f"FAILED in both runs: {name}")
+        print(f"FAILED in both runs: {name}\n  {reason_of(name, second or first)}")
     counts = {"failed": len(twice), "passed": len(first["passed"]), "unsteady": len(passed)}
     rule(closing_line(counts, time.monotonic() - began))
     return FAILED if twice else PASSED

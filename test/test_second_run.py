@@ -97,7 +97,10 @@ def test_what_passes_alone_is_unsteady_and_fails_nothing(run_twice):
 def test_what_fails_twice_fails_the_run(run_twice):
     code, told = run_twice("steady", "unsteady", "failing")
     assert code == 1
-    assert "FAILED in both runs: test_made_up.py::test_failing\n" in told
+    failing = "test_made_up.py::test_failing"
+    assert (
+        f"FAILED in both runs: {failing}\n  AssertionError: assert not 'it fails always'\n" in told
+    )
     assert "FAILED in both runs: test_made_up.py::test_unsteady" not in told
     assert last_line(told) == "1 failed, 1 passed, 1 unsteady in"
     # A second run that ends in a crash has passed nothing.

@@ -13,10 +13,12 @@ import re
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 import time
+import zlib
 from collections import Counter
 
 import pytest
@@ -32,6 +34,7 @@ from cassandra_ros.cli import cassandra_bag, local_cassandra
 from cassandra_ros.errors import ServerError, StoreUnavailable
 from cassandra_ros.local_server import LocalCluster, free_port, preflight, processes
 from cassandra_ros.local_server import cluster as cluster_module
+from cassandra_ros.local_server.commit_log import cut_torn_end
 from cassandra_ros.local_server.cql import answers_cql
 
 
@@ -217,6 +220,77 @@ def test_batches_in_flight_survive_kill_9_as_far_as_they_were_acknowledged(folde
     found = Counter(row.part for row in ask(cluster, "SELECT part FROM k.many"))
     assert {number: found[number] for number in acknowledged} == dict.fromkeys(acknowledged, 100)
     assert set(found.values()) == {100}  # those, too, whose answer was on its way
+
+
+def segments(cluster):
+    """Files of the commit log, the last one first."""
+    return sorted((cluster.nodes[0].directory / "commitlog").glob("*.log"), reverse=True)
+
+
+def test_it_starts_after_a_write_of_its_commit_log_that_was_cut_short(folder):
+    cluster = make(folder)
+    cluster.start(die_with_us=True)
+    ask(cluster, "INSERT INTO k.t (i, s) VALUES (3, 'before')")
+    ask(cluster, f"INSERT INTO k.t (i, s) VALUES (4, '{'x' * 100_000}')")
+    kill(cluster)
+    log = next(path for path in segments(cluster) if b"x" * 1000 in path.read_bytes())
+    # As if it had been killed in the middle of the last write, which it had not acknowledged.
+    os.truncate(log, log.read_bytes().rindex(b"x" * 1000) + 10)
+    assert cluster.start(die_with_us=True)
+    assert [text for text in cluster.said if text.startswith("cut ") and str(log) in text]
+    assert {row.i: row.s for row in ask(cluster, "SELECT i, s FROM k.t WHERE i IN (1, 3, 4)")} == {
+        1: "kept",
+        3: "before",
+    }
+
+
+def write_segment(folder, number, *sections):
+    """Write a segment of a commit log; return its path and the positions of its sections."""
+    data, positions = struct.pack(">iqH", 8, number, 2) + b"{}" + b"crc ", []
+    for content in sections:
+        positions.append(len(data))
+        place = struct.pack(">IIi", number & 0xFFFFFFFF, number >> 32, len(data))
+        data += struct.pack(">II", len(data) + 8 + len(content), zlib.crc32(place)) + content
+    path = folder / f"CommitLog-8-{number}.log"
+    path.write_bytes(data)
+    return path, [*positions, len(data)]
+
+
+@pytest.mark.parametrize("missing, sections", [(0, 2), (1, 1), (30, 1), (31, 1), (38, 1), (39, 0)])
+def test_only_the_last_section_of_a_commit_log_is_cut_off(tmp_path, missing, sections):
+    number = 1795662573845
+    before, (*_, end_before) = write_segment(tmp_path, number - 1, b"a" * 50)
+    os.truncate(before, end_before - 1)
+    log, positions = write_segment(tmp_path, number, b"b" * 50, b"c" * 30)
+    write_segment(tmp_path, number + 1)  # made in advance
+    left = positions[-1] - missing
+    os.truncate(log, left)
+    note = cut_torn_end(tmp_path)
+    # Fewer bytes than a section begins with are taken for the end by Cassandra, too.
+    torn = 0 if left < positions[sections] + 8 else left - positions[sections]
+    assert note.startswith(f"cut {torn} bytes off the end of {log}") if torn else note == ""
+    assert log.stat().st_size == left - torn
+    assert before.stat().st_size == end_before - 1
+
+
+@pytest.mark.long
+def test_a_table_is_there_or_not_after_kill_9_while_it_was_made(folder):
+    cluster = make(folder)
+    cluster.start(die_with_us=True)
+    ask(cluster, "CREATE KEYSPACE made WITH replication = {'class': 'SimpleStrategy'}")
+    numbers = itertools.count()
+    for _ in range(3):
+        with session(cluster) as maker:
+            futures = [
+                maker.execute_async(f"CREATE TABLE made.t{next(numbers)} (i int PRIMARY KEY)")
+                for _ in range(6)
+            ]
+            futures[0].result()
+            kill(cluster)
+        cluster.start(die_with_us=True)
+        names = "SELECT table_name FROM system_schema.tables WHERE keyspace_name = 'made'"
+        for row in ask(cluster, names):  # each table that is listed can be used
+            assert not ask(cluster, f"SELECT * FROM made.{row.table_name}")
 
 
 def test_a_taken_port_is_refused_with_its_owner(folder):

@@ -54,6 +54,16 @@ def add_to_found(rosCas, folder, format):
 WRITERS = [record, bring_in, write, add, add_to_found]
 
 
+@pytest.mark.parametrize("asked, told", [(3600, False), (60, True), (0, True)])
+def test_another_lifetime_than_the_stored_one_is_told(rosCas, asked, told):
+    rosCas.addTopic("/scan", "binary", msg_type="std_msgs/String", ttl=3600)
+    with rosCas.messageWriter(ttl=asked) as writer:
+        handle = writer.connect(api_connection("/scan", definition_of(String), "/x"))
+        assert handle.table.metadata.ttl == 3600
+    text = f"made with a ttl of 3600 s, and that holds for what is stored now, not {asked} s"
+    assert (text in (handle.warning or "")) == told
+
+
 def formats(rosCas):
     return sorted(table.metadata.format for table in rosCas.getTopic("/scan").tables)
 

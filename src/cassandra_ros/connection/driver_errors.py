@@ -157,7 +157,10 @@ def translate(exc: BaseException, what: str, nodes: str = "") -> CassandraRosErr
     if isinstance(exc, InvalidRequest) and "keyspace" in str(exc).lower() and is_table_gone(exc):
         return KeyspaceNotFound(f"{what}: {exc}")
     if is_table_gone(exc):
-        return TopicNotFound(f"{what}: its table was removed meanwhile by another client")
+        return TopicNotFound(
+            f"{what}: its table was removed meanwhile by another client; if it is still listed, "
+            "Cassandra was killed while it made the table: stop and start Cassandra"
+        )
     if isinstance(exc, (InvalidRequest, SyntaxException, AlreadyExists)):
         return SchemaConflict(f"{what}: the server refuses the statement: {exc}")
     return StoreUnavailable(f"{what}: {type(exc).__name__}: {exc}")

@@ -24,7 +24,8 @@ from cassandra_ros.local_server.cluster_settings import (
     new_settings,
     save_settings,
 )
-from cassandra_ros.local_server.cql import schema_versions
+from cassandra_ros.local_server.commit_log import cut_torn_end
+from cassandra_ros.local_server.cql import CqlSession, half_made_tables, schema_versions
 from cassandra_ros.local_server.jars import (
     default_directory,
     find_java,
@@ -145,12 +146,15 @@ class LocalCluster:
             if self._stored is not None:
                 running = len(asleep) < self.settings.nodes
                 preflight.check_change(self.directory, self._stored, self.settings, running)
+            killed = [node for node in asleep if node.pid_file.exists()]
             if asleep:
                 self._tell_memory(len(asleep))
                 self._start_nodes(asleep, die_with_us)
             for node in self.nodes:
                 self._await_answer(node, offsets[node.number])
             self._await_neighbours([node.number for node in asleep], offsets)
+            for node in killed:
+                self._restart_half_made(node, die_with_us)
             if self.settings.secure:  # an earlier start may have been interrupted before this
                 self.security.ensure_users()
         return bool(asleep)
@@ -336,6 +340,7 @@ class LocalCluster:
         for node in asleep:
             if note := preflight.remove_stale_pid_file(node):
                 self._say(note)
+                self._cut_torn_end(node)
         java = self._check(asleep)
         storage_port = preflight.choose_storage_port(self.settings, [n.address for n in asleep])
         self.settings = self._stored = replace(self.settings, storage_port=storage_port)
@@ -352,6 +357,16 @@ class LocalCluster:
                 time.sleep(_STAGGER_SEC)
             self._start_node(replace(node, settings=self.settings), java, die_with_us)
 
+    def _cut_torn_end(self, node: Node) -> None:
+        try:
+            note = cut_torn_end(node.directory / "commitlog")
+        except OSError as exc:
+            raise ServerError(
+                f"the commit log of node {node.number} cannot be read: {exc}"
+            ) from exc
+        if note:
+            self._say(note)
+
     def _start_node(self, node: Node, java: str, die_with_us: bool) -> None:
         # C.UTF-8: Java encodes file names by the locale.
         environment = {**os.environ, "MALLOC_ARENA_MAX": "4", "LC_ALL": "C.UTF-8"}
@@ -363,6 +378,26 @@ class LocalCluster:
             node.pid_file.write_text(f"{child.pid}\n", encoding="ascii")
         except OSError as exc:
             raise ServerError(f"Cassandra node {node.number} cannot be started: {exc}") from exc
+
+    def _restart_half_made(self, node: Node, die_with_us: bool) -> None:
+        """Start a node once more if it was killed while it made a table; see half_made_tables."""
+        secure, port = self.settings.secure, self.settings.port
+        context, login = (
+            (self.security.context(), self.security.root_login()) if secure else (None, None)
+        )
+        with CqlSession(node.address, port, context, login) as session:
+            tables = half_made_tables(session)
+        pid = self._pid(node)
+        if not tables or not pid:
+            return
+        self._say(f"node {node.number} was killed while it made {tables[0]}: starting it once more")
+        processes.terminate(pid)
+        self._await_end(node, pid)
+        offset, java = log_size(node), self._check([node])
+        self._start_node(replace(node, settings=self.settings), java, die_with_us)
+        self._await_answer(node, offset)
+        offsets = {each.number: 0 for each in self.nodes}
+        self._await_neighbours([node.number], {**offsets, node.number: offset})
 
     def _await_answer(self, node: Node, offset: int) -> None:
         begun = time.monotonic()

@@ -16,10 +16,11 @@ import struct
 _HEADER = struct.Struct(">BBhBi")
 _VERSION = 4
 _ERROR, _STARTUP, _READY, _AUTHENTICATE, _OPTIONS, _SUPPORTED = 0, 1, 2, 3, 5, 6
-_QUERY, _RESULT, _AUTH_RESPONSE, _AUTH_SUCCESS = 7, 8, 15, 16
+_QUERY, _RESULT, _PREPARE, _AUTH_RESPONSE, _AUTH_SUCCESS = 7, 8, 9, 15, 16
 _STARTUP_OPTIONS = b"\0\1\0\x0bCQL_VERSION\0\x053.0.0"
 _CONSISTENCY_ONE = 1
-_MAX_FRAME = 1 << 20
+_MAX_FRAME = 1 << 28
+"""Maximum size of an answer, as in Cassandra, bytes."""
 _STATEMENT_SEC = 30.0
 
 
@@ -61,6 +62,11 @@ class CqlSession:
         text = statement.encode()
         body = struct.pack(">i", len(text)) + text + struct.pack(">HB", _CONSISTENCY_ONE, 0)
         return _call(self._connection, _QUERY, body, _RESULT)
+
+    def check(self, statement: str) -> None:
+        """Let the server check a statement without running it; raises CqlRefused."""
+        text = statement.encode()
+        _call(self._connection, _PREPARE, struct.pack(">i", len(text)) + text, _RESULT)
 
     def close(self) -> None:
         """Close the connection."""
@@ -108,6 +114,33 @@ def schema_versions(
     versions_of_peers = {row["peer"]: row["schema_version"] for row in peers if row["tokens"]}
     versions_of_peers["here"] = here[0]["schema_version"] if here else ""
     return {address: version for address, version in versions_of_peers.items() if version}
+
+
+def half_made_tables(session: CqlSession) -> list[str]:
+    """Return the tables that a node lists and cannot use, with their keyspaces.
+
+    A node that is killed while it makes or changes a table reads its schema at the next start
+    before it repeats what was not flushed: its system tables list the change, and it does not know
+    it until the start after that.
+    """
+    columns: dict[str, list[str]] = {}
+    # Cassandra makes the tables of keyspaces that begin with "system" itself.
+    for row in _select(session, "keyspace_name FROM system_schema.keyspaces"):
+        keyspace = row["keyspace_name"]
+        if keyspace.startswith("system"):
+            continue
+        where = f"WHERE keyspace_name = '{keyspace}'"
+        what = f"table_name, column_name FROM system_schema.columns {where}"
+        for column in _select(session, what):
+            table = f'"{keyspace}"."{column["table_name"]}"'
+            columns.setdefault(table, []).append(f'"{column["column_name"]}"')
+    half_made = []
+    for table, names in columns.items():
+        try:
+            session.check(f"SELECT {', '.join(names)} FROM {table}")  # noqa: S608 - names by the server
+        except CqlRefused:
+            half_made.append(table)
+    return half_made
 
 
 def _connect(
