@@ -292,9 +292,11 @@ class Trial:
         status = program.process.wait(VERB_SEC)
         return "" if not status else program.output.strip()[-2000:] or f"exit status {status}"
 
-    def drop(self, keyspace: str) -> None:
-        """Drop a keyspace."""
-        with contextlib.suppress(DriverException), self.store() as store:
+    def drop(self, keyspace: str, server: Server | None = None) -> None:
+        """Drop a keyspace; server None = the one of the trial."""
+        server = server or self.server
+        store = Store(server.hosts, server.port, keyspace)
+        with contextlib.suppress(DriverException), store:
             list(store.select(f"DROP KEYSPACE IF EXISTS {keyspace}"))
 
     def _store_options(self, place: Place) -> list[object]:

@@ -11,7 +11,7 @@ import time
 import psutil
 
 from faults.trial import START_NS, TOPIC, Trial
-from faults.world import Failed, Program
+from faults.world import Failed, Program, Server
 
 KILLS = 4, 20
 """Number of kills in the short and in the long form."""
@@ -127,11 +127,41 @@ def copy_store_killed(trial: Trial) -> None:
     trial.done("verify", "--keyspace", source, "--with", words[-1])
 
 
+def copy_target_killed(trial: Trial) -> None:
+    """Two Cassandras: the one to which is copied is killed while a copy runs, and started again."""
+    _copy_of_two_servers(trial, kill_target=True)
+
+
+def copy_source_killed(trial: Trial) -> None:
+    """The same with the one from which is copied."""
+    _copy_of_two_servers(trial, kill_target=False)
+
+
+def _copy_of_two_servers(trial: Trial, *, kill_target: bool) -> None:
+    source, _ = _source(trial, "ros")
+    robot, place = trial.server, trial.place
+    trial.server = Server(trial.folder / "home")
+    trial.open.callback(trial.server.stop)
+    trial.server.start()
+    target = f"{trial.place.host}:{trial.place.port}/{trial.keyspace}"
+    words = ["--keyspace", source, "--host", place.host, "--port", place.port, "--to", target]
+    copy = trial.verb("copy", *words)
+    _await_cpu(copy, 0.5 + trial.random.random() * trial.messages / PACE_HZ)
+    if copy.runs:
+        victim = trial.server if kill_target else robot
+        victim.kill()
+        trial.note("killed while the copy ran")
+        victim.start()
+    copy.process.wait()
+    trial.done("copy", *words)
+    trial.done("verify", *words[:-2], "--with", target)
+
+
 def _source(trial: Trial, form: str) -> tuple[str, list[object]]:
     """Import the messages into another keyspace; return its name, and the words of a copy of it."""
     source = f"{trial.keyspace}_robot"
     trial.done("import", trial.bag(), "--format", form, "--keyspace", source)
-    trial.open.callback(trial.drop, source)
+    trial.open.callback(trial.drop, source, trial.server)
     target = f"{trial.place.host}:{trial.place.port}/{trial.keyspace}"
     return source, ["--keyspace", source, "--to", target]
 
@@ -195,4 +225,6 @@ FAULTS = (
     copy_killed_converting,
     copies_at_once,
     copy_store_killed,
+    copy_target_killed,
+    copy_source_killed,
 )

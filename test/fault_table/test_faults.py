@@ -18,8 +18,8 @@ from faults.table import FAULTS, SHORT, try_fault
 from faults.world import World
 
 SLOW = [name for name, fault in FAULTS.items() if fault.group == "cluster"]
-SLOW += ["disk_full"]
-"""Faults of the campaign alone: three nodes; requests that time out, and a server stopped."""
+SLOW += ["disk_full", "copy_target_killed", "copy_source_killed"]
+"""Faults of the campaign alone: several servers; requests that time out, and a server stopped."""
 
 
 @pytest.fixture(scope="module")
