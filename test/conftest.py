@@ -66,7 +66,8 @@ ONE_BY_ONE = {
         "test_examples.py",
     },
     "programs": {"nodes", "rostest", "cli", "test_import_process.py"},
-    "servers": {"local_server", "fault_table"},
+    "servers": {"local_server", "test_slow_faults.py"},
+    "faults": {"test_faults.py"},
     "pages": {"browser"},
     "sources": {"test_imports.py"},
 }
@@ -155,8 +156,8 @@ def pytest_xdist_make_scheduler(config, log):
 
     class Scheduling(LoadScopeScheduling):
         # What starts programs and waits for them shares a worker, what replays another one: more at
-        # a time are too many for a small machine. So does what starts servers: two at once may
-        # choose the same port; and what looks at all sources, which are parsed once then.
+        # a time are too many for a small machine. So does what starts servers, in two parts; and
+        # what looks at all sources, which are parsed once then.
         def _split_scope(self, nodeid):
             module = nodeid.split("::")[0]
             for scope, places in ONE_BY_ONE.items():

@@ -31,14 +31,21 @@ def is_free(host: str, port: int) -> bool:
     return True
 
 
-def free_port(host: str = "127.0.0.1") -> int:
-    """Return a free port of the host that is never used for outgoing connections."""
+def free_port(*hosts: str) -> int:
+    """Return a port that is free on all hosts and never used for outgoing connections.
+
+    It is random, so that two servers that start at the same time choose different ones.
+
+    Args:
+        hosts: Addresses of this machine; none = 127.0.0.1.
+    """
+    hosts = hosts or ("127.0.0.1",)
     # The ports for outgoing connections are above this range. A client could take one of those
     # while a server that listened on it is restarted.
     for port in random.sample(_SERVER_PORTS, len(_SERVER_PORTS)):
-        if is_free(host, port):
+        if all(is_free(host, port) for host in hosts):
             return port
-    raise ServerError(f"no port of {host} from 18000 to 32767 is free")
+    raise ServerError(f"no port of {', '.join(hosts)} from 18000 to 32767 is free")
 
 
 def await_the_dead(host: str, port: int) -> bool:

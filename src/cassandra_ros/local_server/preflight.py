@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from pathlib import Path
 
@@ -118,12 +117,7 @@ def choose_storage_port(settings: Settings, addresses: list[str]) -> int:
             f"port {known}, by which the nodes speak to each other, is taken by "
             f"{ports.port_owner(known, taken)}; end that first"
         )
-    # Random, so that two clusters that start at the same time choose different ports.
-    first = os.getpid() % 100
-    for port in [7000, *(17000 + (first + number) % 100 for number in range(100))]:
-        if all(ports.is_free(address, port) for address in addresses):
-            return port
-    raise ServerError("no port from 17000 to 17099 is free for the traffic between the nodes")
+    return ports.free_port(*addresses)
 
 
 _TAIL_LINES = 15
