@@ -11,12 +11,14 @@ import pytest
 from geometry_msgs.msg import Twist
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from proxy import Proxy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
 
-from cassandra_ros import Fleet, RosCassandra
+from cassandra_ros import Fleet
 from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import (
+    ConnectionFailed,
     InvalidKey,
     InvalidOption,
     InvalidQuery,
@@ -52,7 +54,8 @@ def messages(seed, count=120):
     rand, found = random.Random(seed), []
     for number in range(count):
         t = T0 + rand.randrange(40) * SEC // 4
-        found.append((t, rand.choice(["", "husky"]), rand.choice([3, 7]), number, twist(number)))
+        counter = 1000 * seed + number  # a writer gives each number once
+        found.append((t, rand.choice(["", "husky"]), rand.choice([3, 7]), counter, twist(number)))
     return found
 
 
@@ -200,3 +203,246 @@ def test_each_message_counts_once_in_info(mixed):
     assert [i.count for i in fleet.info(["t1"], nodeID="husky", run=7)] == [
         i.count for i in whole.info(["t1"], nodeID="husky", run=7)
     ]
+
+
+def fill(store, topic, numbers, **added):
+    casTopic = store.addTopic(topic, **added)
+    for n in numbers:
+        casTopic.addData(String(str(n)), key=T0 + n * SEC)
+    store.catalog.adder.close()
+
+
+def test_copies_are_the_same_messages_also_under_names(stores, connect):
+    robot, home, other = stores
+    fill(robot, "/s", range(6))
+    robot.addTopic("/map", key_format="manual").addData(String("old"), key="kitchen")
+    robot.addTopic("/h", key_format="hash").addData(String("equal"))
+    robot.catalog.adder.close()
+    Replicator(robot, home).copy()
+    robot.getTopic("/map").addData(String("new"), key="kitchen")
+    fill(robot, "/s", range(6, 9))
+    other.addTopic("/h", key_format="hash").addData(String("equal"))
+    fill(other, "/s", [3], nodeID="jackal")
+    for asked in (stores, [home, robot, other], [home, robot]):
+        with fleet_of(*asked) as fleet:
+            rows = list(fleet.rows("s"))
+            values = [row.message().data for row in rows]
+            assert values == [str(n) for n in (0, 1, 2, 3, *[3] * (len(asked) > 2), 4, 5, 6, 7, 8)]
+            assert rows[0].stores == [n for n in map(place, asked) if n != place(other)]
+            assert [msg.data for _, msg in fleet.items("map")] == ["old", "new"]
+            assert fleet.getData("map", "kitchen") == String("new")
+            for reverse in (False, True):
+                assert [m for _, m in fleet.items("h", reverse=reverse)] == [String("equal")]
+            assert fleet.executeCQL("SELECT count(*) FROM h") == [(1,)]
+            assert len(list(fleet.readMessages(["h", "map"]))) == 3
+            assert len(list(fleet.readMessages(received=True))) == 3 + len(values)
+
+
+def test_who_lacks_a_topic_is_not_missing_and_if_all_do_all_are_named(stores, connect, cassandra):
+    first, second, _ = stores
+    fill(first, "/a", [1])
+    nowhere = f"{cassandra.host}:{cassandra.port}/is_not_there"
+    names = [place(first), place(second), nowhere]
+    with Fleet(names) as fleet:
+        rows = fleet.rows("a")
+        assert (len(list(rows)), rows.missing, rows.partial) == (1, {}, False)
+        for ask in (fleet.rows, fleet.getData, lambda t, *_: fleet.readMessages([t])):
+            with pytest.raises(TopicNotFound) as caught:
+                ask("b", T0)
+            assert all(name in str(caught.value) for name in names)
+        with pytest.raises(InvalidQuery) as caught:
+            fleet.executeCQL("SELECT * FROM b")
+        assert all(name in str(caught.value) for name in names)
+        with pytest.raises(RunNotFound):
+            fleet.rows("a", run="is not there")
+
+
+def test_what_has_no_common_meaning_is_refused(stores):
+    first, second, _ = stores
+    fill(first, "/a", [1])
+    second.addTopic("/a", key_format="manual").addData(String("x"), key="name")
+    second.catalog.adder.close()
+    fill(second, "/b", [1])
+    fill(first, "/b", [2])
+    with fleet_of(first, second) as fleet:
+        with pytest.raises(SchemaConflict, match="time in .*manual in "):
+            fleet.rows("a")
+        with pytest.raises(InvalidQuery, match="only read"):
+            fleet.executeCQL("DELETE FROM b WHERE KEY > 5")
+        with pytest.raises(InvalidQuery, match="NEAR is answered by one store"):
+            fleet.executeCQL("SELECT * FROM b WHERE NEAR(1, 2, 3)")
+        with pytest.raises(InvalidQuery, match="data.x"):
+            fleet.executeCQL("SELECT data.x FROM b")
+        with pytest.raises(InvalidOption, match="which is not read"):
+            fleet.readMessages(["b"], where={"a": "data = 'x'"})
+
+
+def test_events_of_all_stores_count(stores):
+    first, second, _ = stores
+    fill(first, "/a", range(10))
+    Replicator(first, second).copy()
+    first.addEvent("bump", T0, T0 + 2 * SEC)
+    second.addEvent("bump", T0 + 5 * SEC, T0 + 6 * SEC)
+    with fleet_of(first, second) as fleet:
+        found = fleet.executeCQL("SELECT data FROM a WHERE EVENT 'bump' ORDER BY KEY DESC")
+    assert [data for (data,) in found] == ["6", "5", "2", "1", "0"]
+
+
+def test_an_index_of_one_store_is_not_looked_for_in_another(stores):
+    """Tables of the same name, of which one has an index under the name of the other's."""
+    first, second, _ = stores
+    for store, field in ((first, "linear.x"), (second, "linear.y")):
+        store.addTopic("/a", msg_type="geometry_msgs/Twist", index=[field])
+        write(store, "/a", "ros", messages(1)[:: 2 if store is first else 3])
+    whole = sorted({number for n in (2, 3) for *_, msg in messages(1)[::n] for number in [int(msg.linear.y)]})
+    with fleet_of(first, second) as fleet:
+        for field, least in (("linear.x", 4), ("linear.y", 60)):
+            found = fleet.executeCQL(f"SELECT linear.y FROM a WHERE {field} > {least}")
+            kept = [n for n in whole if (n % 7 if field == "linear.x" else n) > least]
+            assert sorted(y for (y,) in found) == kept
+
+
+@pytest.fixture
+def away(stores, cassandra, proxied):
+    """A fleet of two stores, of which the second is behind a proxy, and that store's name."""
+    first, second, _ = stores
+    name = f"{proxied.host}:{proxied.port}/{second.keyspace}"
+    with Fleet([place(first), name], answer_sec=2.0) as fleet:
+        yield first, second, fleet, name
+
+
+@pytest.fixture
+def proxied(cassandra):
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        yield proxy
+
+
+def answers(fleet):
+    """What a fleet answers of topic /s, by each of its doors."""
+    yield fleet.rows("s"), 5
+    yield fleet.items("s", reverse=True), 5
+    yield fleet.readMessages(), 5
+    yield fleet.executeCQL("SELECT data FROM s"), 5
+    yield fleet.getData("s", T0, T0 + 10**12), 5
+    yield fleet.topics(), 1
+    yield fleet.info(), 1
+
+
+@pytest.mark.fault
+def test_a_store_that_is_away_is_named_and_asked_again(away, proxied):
+    first, second, fleet, name = away
+    fill(first, "/s", range(5))
+    fill(second, "/s", range(5, 9))
+    proxied.cut()
+    for answer, count in answers(fleet):
+        assert len(list(answer)) == count
+        assert (answer.partial, list(answer.missing)) == (True, [name])
+    assert fleet.executeCQL("SELECT count(*) FROM s") == [(5,)]
+    with pytest.raises(MessageNotFound, match=name):
+        fleet.getData("s", T0 + 7 * SEC)
+    with pytest.raises(TopicNotFound, match=f"do not answer: {name}"):
+        fleet.rows("unknown")
+    row = fleet.getRow("s", T0)
+    assert (row.partial, list(row.missing)) == (True, [name])
+    proxied.mend()
+    assert (fleet.executeCQL("SELECT count(*) FROM s"), fleet.topics().partial) == ([(9,)], False)
+    proxied.freeze()
+    answer = fleet.executeCQL("SELECT count(*) FROM s")
+    assert (answer, list(answer.missing)) == ([(5,)], [name])
+
+
+def test_if_no_store_answers_that_is_an_error(proxied):
+    proxied.cut()
+    with Fleet([f"{proxied.host}:{proxied.port}/ros"], answer_sec=1.0) as fleet:
+        with pytest.raises(StoreUnavailable, match="no store of the fleet answers"):
+            fleet.topics()
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("end", ["cut", "freeze"])
+def test_a_store_that_goes_in_the_middle_of_a_stream_is_named(away, proxied, end):
+    first, second, fleet, name = away
+    for store, step in ((first, 2), (second, 3)):
+        rows = [(T0 + n * SEC // 10, "", 3, n, twist(n)) for n in range(0, 30_000, step)]
+        write(store, "/s", "ros", rows)
+    whole = [n for n in range(30_000) if n % 2 == 0 or n % 3 == 0]
+    for ask, number_of in (
+        (lambda: fleet.rows("s"), lambda row: int(row.message().linear.y)),
+        (lambda: fleet.iterCQL("SELECT linear.y FROM s"), lambda row: int(row[0])),
+    ):
+        rows = ask()
+        begin = [number_of(next(rows)) for _ in range(1000)]
+        assert begin == whole[:1000]
+        assert not rows.partial
+        getattr(proxied, end)()
+        rest = [number_of(row) for row in rows]
+        assert (rows.partial, list(rows.missing)) == (True, [name])
+        # All of the first store, and of the other one what had come, in order.
+        assert [n for n in rest if n % 2 == 0] == [n for n in whole[1000:] if n % 2 == 0]
+        odd = [n for n in rest if n % 2]
+        expected = [n for n in whole[1000:] if n % 2]
+        assert odd == expected[: len(odd)]
+        assert len(odd) < len(expected)
+        if end == "cut":
+            proxied.mend()
+        assert next(fleet.rows("s", limit=1)) is not None
+
+
+@pytest.mark.fault
+def test_large_messages_come_from_the_store_that_still_answers(stores, proxied):
+    """Of the first store, which goes away, their rows were read, and not yet their chunks."""
+    first, second, _ = stores
+    casTopic = first.addTopic("/image", format="binary")
+    for n in range(6):
+        casTopic.addData(Image(height=n, data=bytes([n]) * (1 << 20)), key=T0 + n * SEC)
+    first.catalog.adder.close()
+    Replicator(first, second).copy()
+    first.addTopic("/image").addData(Image(height=6, data=bytes(1 << 20)), key=T0 + 6 * SEC)
+    first.catalog.adder.close()
+    name = f"{proxied.host}:{proxied.port}/{first.keyspace}"
+    with Fleet([name, place(second)], answer_sec=2.0) as fleet:
+        rows = fleet.rows("image")
+        waiting = [next(rows) for _ in range(4)]
+        proxied.cut()
+        found = [(row.message().height, row.message().data[0]) for row in (*waiting, *rows)]
+        assert found == [(n, n) for n in range(6)]
+        assert list(rows.missing) == [name]
+
+
+def test_a_file_names_stores_with_their_logins(stores, tmp_path):
+    first, second, _ = stores
+    fill(first, "/a", [1])
+    fill(second, "/a", [2])
+    file = tmp_path / "stores"
+    file.write_text(f"[home]\nplace = {place(first)}\ncqlshrc = {tmp_path / 'none'}\n")
+    with Fleet(["home", place(second)], file=str(file)) as fleet:
+        answer = fleet.rows("a")
+        assert len(list(answer)) == 1
+        assert "there is no file" in answer.missing["home"]
+    (tmp_path / "none").write_text("[connection]\n")
+    with Fleet(["home", place(second)], file=str(file)) as fleet:
+        assert len(list(fleet.rows("a"))) == 2
+    for names, text in (
+        (["home", "home"], "given twice"),
+        (["home", place(first)], "the same place"),
+        (["a b"], "is not the place"),
+        ([], "at least one store"),
+        ("home", "stores"),
+    ):
+        with pytest.raises(InvalidOption, match=text):
+            Fleet(names, file=str(file))
+    file.write_text("[home]\npassword = x\n")
+    with pytest.raises(InvalidOption, match="there are place, cqlshrc, credentials"):
+        Fleet(["home"], file=str(file))
+    with pytest.raises(InvalidOption, match="answer_sec"):
+        Fleet(["home"], answer_sec=0)
+
+
+def test_a_closed_fleet_says_so(stores):
+    fill(stores[0], "/a", range(3))
+    fleet = fleet_of(*stores)
+    assert len(list(fleet.rows("a"))) == 3
+    fleet.close()
+    fleet.close()
+    with pytest.raises(ConnectionFailed, match="closed"):
+        fleet.topics()

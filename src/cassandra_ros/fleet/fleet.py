@@ -389,7 +389,9 @@ def _whose(answer: FleetAnswer, node: str | None, run: RunName) -> Whose:
 
 
 def _all_names(answer: FleetAnswer) -> list[str]:
-    return sorted(set().union(*answer.each(answer.catalogs, lambda c: c.names(fresh=False)).values()))
+    return sorted(
+        set().union(*answer.each(answer.catalogs, lambda c: c.names(fresh=False)).values())
+    )
 
 
 def _topics(answer: FleetAnswer, names: Sequence[str] | None) -> list[FleetTopic]:
@@ -489,9 +491,7 @@ def _find(
     return next(_rows_of(found, replace(read, reverse=newest, wanted=1), where), None)
 
 
-def _nearest(
-    topic: FleetTopic, read: Read, nearest: str, where: Where | None
-) -> FleetRow | None:
+def _nearest(topic: FleetTopic, read: Read, nearest: str, where: Where | None) -> FleetRow | None:
     if nearest not in NEAREST:
         raise InvalidKey(f"nearest={nearest!r} is not one of {', '.join(NEAREST)}")
     if read.only is not None:

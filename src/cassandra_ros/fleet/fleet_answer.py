@@ -180,7 +180,9 @@ class FleetList(List[_T]):
         missing: The stores that did not answer, or not to the end → why.
     """
 
-    def __init__(self, items: Iterable[_T], answer: FleetAnswer, columns: Sequence[str] = ()) -> None:
+    def __init__(
+        self, items: Iterable[_T], answer: FleetAnswer, columns: Sequence[str] = ()
+    ) -> None:
         super().__init__(items)
         self.columns = tuple(columns)
         self.missing = answer.missing

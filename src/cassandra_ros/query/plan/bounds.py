@@ -111,9 +111,7 @@ class Bounds:
         return replace(self, read=replace(self.read, only=Named(name)), empty=self.empty or clash)
 
 
-def bounds_of(
-    select: Select, read: Read = EVERYTHING, tables: Sequence[Table] = ()
-) -> Bounds:
+def bounds_of(select: Select, read: Read = EVERYTHING, tables: Sequence[Table] = ()) -> Bounds:
     """Return the bounds of a statement, inside of a read.
 
     Args:
@@ -232,7 +230,9 @@ def _places_of(near: Near, asked: _ReadScope) -> Callable[[Sequence[Table]], Sta
     def find(tables: Sequence[Table]) -> Stays:
         places, *others = _distinct(table.places for table in tables)
         if others:
-            reason = "NEAR is answered by one store, which knows where its robots were: ask each alone"
+            reason = (
+                "NEAR is answered by one store, which knows where its robots were: ask each alone"
+            )
             raise StatementError(near.position, reason)
         return places.stays(disk, whose.node, whose.writers)
 
