@@ -480,9 +480,9 @@ def _find(
 ) -> FleetRow | None:
     """Return the row that getData means by a key."""
     whose, found = _whose(answer, node, run), find_topic(answer, topic)
-    read = found.read_of_one(key, whose)
     if nearest is not None:
-        return _nearest(found, read, nearest, where)
+        return _nearest(found, found.read_of(key, None, whose), nearest, where)
+    read = found.read_of_one(key, whose)
     if is_ours(key) and whose.has(key):
         at = key.t if isinstance(read.only, Named) else key.ns
         rows = _rows_of(found, read, where)
