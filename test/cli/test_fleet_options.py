@@ -5,12 +5,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
+import rosbag
+from mcap.reader import make_reader
 from proxy import Proxy
 from std_msgs.msg import String
 
 from cassandra_ros.copying.replicator import Replicator
+from cassandra_ros.messages.classes import serialize
 
 T0 = 1_500_000_000 * 10**9
 
@@ -32,6 +36,17 @@ def places(rosCas, cassandra, keyspaces, connect):
 
 def both(places):
     return [word for place in places for word in ("--store", place)]
+
+
+def contents(path):
+    """Bytes and time of the messages of a file, read by others than we."""
+    if path.suffix == ".bag":
+        with rosbag.Bag(str(path)) as bag:
+            yield from ((raw[1], t.to_nsec()) for _, raw, t in bag.read_messages(raw=True))
+        return
+    with path.open("rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages():
+            yield message.data, message.log_time
 
 
 def test_a_statement_is_answered_over_all_stores(call, places, tmp_path):
@@ -68,6 +83,25 @@ def test_a_store_that_does_not_answer_is_named_with_a_status_of_its_own(call, pl
     assert (status, list(json.loads(out)["missing"])) == (3, [gone])
     assert gone in err
     assert call("query", "SELECT * FROM a", "--store", gone, "--store-timeout", "1")[0] == 1
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_file_gets_each_message_once(call, places, connect, tmp_path, kind):
+    with connect(keyspace=places[1].split("/")[1]) as robot:
+        event = robot.addEvent("bump", T0 + 2, T0 + 3)
+        with connect(keyspace=places[0].split("/")[1]) as home:
+            home.endEvent(home.catalog.keyspace.events.put(replace(event, end_ns=None)), T0 + 3)
+    path = tmp_path / f"out.{kind}"
+    status, out, err = call("export", path, *both(places), "--json")
+    assert (status, err) == (0, "")
+    report = json.loads(out)
+    assert (report["messages"], report["missing"]) == ({"/a": 6}, {})
+    assert report["events"] == (kind == "mcap")
+    assert list(contents(path)) == [(serialize(String(str(n))), T0 + n) for n in range(6)]
+    asked = ["--start", "1500000000.000000002", "--no-latched", "-f", "-q"]
+    assert call("export", path, *both(places), *asked)[0] == 0
+    status, _, err = call("export", path, *both(places), "--start", "1500000000", "-f")
+    assert (status, "--no-latched" in err) == (2, True)
 
 
 @pytest.mark.parametrize("option", ["--explain", "--allow-writes"])

@@ -295,7 +295,9 @@ def test_an_index_of_one_store_is_not_looked_for_in_another(stores):
     for store, field in ((first, "linear.x"), (second, "linear.y")):
         store.addTopic("/a", msg_type="geometry_msgs/Twist", index=[field])
         write(store, "/a", "ros", messages(1)[:: 2 if store is first else 3])
-    whole = sorted({number for n in (2, 3) for *_, msg in messages(1)[::n] for number in [int(msg.linear.y)]})
+    whole = sorted(
+        {number for n in (2, 3) for *_, msg in messages(1)[::n] for number in [int(msg.linear.y)]}
+    )
     with fleet_of(first, second) as fleet:
         for field, least in (("linear.x", 4), ("linear.y", 60)):
             found = fleet.executeCQL(f"SELECT linear.y FROM a WHERE {field} > {least}")

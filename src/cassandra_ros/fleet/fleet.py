@@ -8,7 +8,7 @@ import heapq
 import logging
 from dataclasses import replace
 from functools import partial
-from itertools import islice
+from itertools import groupby, islice
 from operator import itemgetter
 from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence, TypeVar
 
@@ -32,6 +32,7 @@ from cassandra_ros.messages.stamps import Time
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import LAST_NS, Named, Read, TimeRange, Whose
+from cassandra_ros.tables.event_table import Event
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.query_result import Condition, QueryResult
 from cassandra_ros.topics.row_finder import (
@@ -299,6 +300,37 @@ class Fleet:
             read = Read(range_between(key, to_key), _whose(answer, nodeID, run))
             found = _topics(answer, names)
             return _merged(answer, found, read, _conditions(answer, found, where), received)
+
+        return FleetRows(_settled(answer, begin), answer)
+
+    def events(
+        self,
+        name: str | None = None,
+        key: Time | None = None,
+        to_key: Time | None = None,
+        *,
+        like: str | None = None,
+        nodeID: str | None = None,
+        run: RunName = None,
+    ) -> FleetRows[Event]:
+        """Read events lazily, in order of their starts, each once.
+
+        If an event has ended in one store and lasts in a copy, it has ended.
+
+        Args:
+            name, key, to_key, like, nodeID, run: As in RosCassandra.events, also the errors.
+        """
+        answer = FleetAnswer(self._stores)
+
+        def begin() -> Iterator[Event]:
+            within, whose = range_between(key, to_key), _whose(answer, nodeID, run)
+            finders = {store: c.keyspace.events.find for store, c in answer.catalogs.items()}
+            begins = {
+                store: partial(find, name, like, within, whose) for store, find in finders.items()
+            }
+            merged = heapq.merge(*answer.rows(begins).values(), key=Event.order)
+            copies = (list(group) for _, group in groupby(merged, key=Event.order))
+            return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
 
         return FleetRows(_settled(answer, begin), answer)
 

@@ -143,12 +143,13 @@ class FleetRows(Iterator[_T], Generic[_T]):
     Attributes:
         columns: Names of the columns of a statement's result, else empty.
         missing: The stores that did not answer so far, or not to the end → why.
+        answer: The stores that are asked.
     """
 
     def __init__(
         self, rows: Iterator[_T], answer: FleetAnswer, columns: Sequence[str] = ()
     ) -> None:
-        self._rows, self._answer = rows, answer
+        self._rows, self.answer = rows, answer
         self.columns = tuple(columns)
         self.missing = answer.missing
 
@@ -165,11 +166,11 @@ class FleetRows(Iterator[_T], Generic[_T]):
 
     def mapped(self, work: Callable[[Iterator[_T]], Iterator[_S]]) -> FleetRows[_S]:
         """Return the results of a function of the rows, with the same ``missing``."""
-        return FleetRows(work(self._rows), self._answer)
+        return FleetRows(work(self._rows), self.answer)
 
     def listed(self, work: Callable[[_T], _S]) -> FleetList[_S]:
         """Return a list of the results of a function of each row."""
-        return FleetList(map(work, self._rows), self._answer, self.columns)
+        return FleetList(map(work, self._rows), self.answer, self.columns)
 
 
 class FleetList(List[_T]):
