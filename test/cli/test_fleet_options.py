@@ -50,7 +50,7 @@ def contents(path):
 
 
 def test_a_statement_is_answered_over_all_stores(call, places, tmp_path):
-    statement = "SELECT data FROM /a WHERE KEY > 5 ORDER BY KEY DESC LIMIT 3"
+    statement = "SELECT data FROM /a WHERE KEY > 5.0 ORDER BY KEY DESC LIMIT 3"
     status, out, err = call("query", statement, *both(places), "--output", "csv")
     assert (status, out.split(), err) == (0, ["data", "5", "4", "3"], "")
     file = tmp_path / "stores"

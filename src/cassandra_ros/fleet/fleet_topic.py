@@ -33,13 +33,16 @@ class FleetTopic:
 
     Raises:
         SchemaConflict: The stores have different key formats.
+        StoreUnavailable: No store with the topic answers any more.
     """
 
     def __init__(self, answer: FleetAnswer, topics: Mapping[str, CassandraTopic]) -> None:
         self._answer = answer
         tables_by_store = answer.each(topics, lambda topic: list(topic.tables))
+        self.name = next(iter(topics.values())).name
         self._topics = {name: topics[name] for name in tables_by_store}
-        self.name = next((topic.name for topic in self._topics.values()), "")
+        if not self._topics:
+            raise self._lost()
         self.tables = [table for tables in tables_by_store.values() for table in tables]
         self.key_format = _key_format(self.name, tables_by_store)
 
@@ -67,9 +70,12 @@ class FleetTopic:
 
         reads = self._answer.each({name: name for name in self._topics}, ask)
         if not reads:
-            missing = told(self._answer.missing)
-            raise StoreUnavailable(f"no store with topic {self.name} answers any more: {missing}")
+            raise self._lost()
         return next(iter(reads.values()))
+
+    def _lost(self) -> StoreUnavailable:
+        missing = told(self._answer.missing)
+        return StoreUnavailable(f"no store with topic {self.name} answers any more: {missing}")
 
     def read(self, read: Read) -> Iterator[FleetRow]:
         """Yield the messages of a read in its order, each once.
