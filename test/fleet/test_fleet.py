@@ -19,6 +19,7 @@ from cassandra_ros import Fleet
 from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import (
     ConnectionFailed,
+    CorruptMessage,
     InvalidKey,
     InvalidOption,
     InvalidQuery,
@@ -117,7 +118,7 @@ WHERE = st.sampled_from([None, "linear.x > 3", "linear.y < 50.0 AND NODE = 'husk
 
 
 @pytest.mark.campaign
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(topic=TOPICS, low=TIMES, high=TIMES, limit=LIMITS, robot=ROBOTS, where=WHERE, data=st.data())
 def test_a_fleet_answers_like_one_store_with_all_messages(
     mixed, topic, low, high, limit, robot, where, data
@@ -411,6 +412,21 @@ def test_large_messages_come_from_the_store_that_still_answers(stores, proxied):
         found = [(row.message().height, row.message().data[0]) for row in (*waiting, *rows)]
         assert found == [(n, n) for n in range(6)]
         assert list(rows.missing) == [name]
+
+
+def test_of_a_damaged_copy_the_sound_one_is_read(stores, cql):
+    first, second, _ = stores
+    image = Image(height=1, data=bytes(1 << 20))
+    first.addTopic("/image", format="binary").addData(image, key=T0)
+    first.catalog.adder.close()
+    Replicator(first, second).copy()
+    (table,) = first.getTopic("/image").tables
+    cql.execute(f'TRUNCATE {first.keyspace}."{table.name}_c"')
+    with fleet_of(first, second) as fleet:
+        assert fleet.getData("image", T0) == image
+        assert fleet.executeCQL("SELECT height FROM image") == [(1,)]
+    with fleet_of(first) as fleet, pytest.raises(CorruptMessage):
+        fleet.getData("image", T0)
 
 
 def test_a_file_names_stores_with_their_logins(stores, tmp_path):

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Mapping
 from cassandra_ros.cli.options import hurry_on_interrupt, read_seconds
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.target_options import PLACE
+from cassandra_ros.connection.address import ANSWER_SEC
 
 if TYPE_CHECKING:
     from cassandra_ros.fleet.fleet import Fleet
 
 STORE_MISSING = 3
 """Exit status if a store of --store did not answer."""
-_ANSWER_SEC = 10.0
 
 
 def add_fleet_options(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +47,7 @@ def add_fleet_options(parser: argparse.ArgumentParser) -> None:
         "--store-timeout",
         metavar="SECONDS",
         type=read_seconds,
-        default=_ANSWER_SEC,
+        default=ANSWER_SEC,
         help="maximum time to wait for the answer of a store of --store (default: %(default)g)",
     )
 

@@ -13,7 +13,7 @@ from operator import itemgetter
 from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence, TypeVar
 
 from cassandra_ros.arguments import check_limit, check_nodes, check_seconds, check_topics
-from cassandra_ros.connection.address import DEFAULT_KEYSPACE
+from cassandra_ros.connection.address import ANSWER_SEC, DEFAULT_KEYSPACE
 from cassandra_ros.errors import (
     DefinitionError,
     InvalidKey,
@@ -49,8 +49,6 @@ from cassandra_ros.topics.stored_row import Key, StoredRow
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 _REQUIRED = object()
-ANSWER_SEC = 10.0
-"""Default time limit for the answer of a store, s."""
 
 
 class Fleet:

@@ -8,7 +8,7 @@ import heapq
 from itertools import groupby, repeat
 from typing import Any, Callable, Iterator, Mapping, Sequence, Tuple, TypeVar
 
-from cassandra_ros.errors import MessageNotFound
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
 from cassandra_ros.fleet.fleet_answer import AWAY, FleetAnswer, Missing, told
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import deserialize
@@ -70,15 +70,18 @@ class FleetRow:
         return self._answer.partial
 
     def _ask(self, work: Callable[[StoredRow], _T]) -> _T:
-        """Return what the first store that answers says of its row."""
+        """Return what the first store says that answers, and whose copy is sound."""
         missing = self._answer.missing
+        problem: CassandraRosError | None = None
         # What was read of a store that is away now can still be used: last.
         for name, row in sorted(self._copies, key=lambda copy: copy[0] in missing):
             try:
                 return work(row)
             except AWAY as exc:
                 self._answer.lose(name, exc)
-        raise MessageNotFound(
+            except (MessageNotFound, CorruptMessage) as exc:
+                problem = problem or exc
+        raise problem or MessageNotFound(
             f"the message of topic {self.topic} at {self.t} is only in stores that do not answer "
             f"any more: {told(missing)}"
         )
@@ -112,7 +115,9 @@ class FleetRow:
     def wire(self) -> bytes:
         """The serialised message, byte for byte as it was sent.
 
-        Raises MessageNotFound if no store that has it answers any more.
+        Raises:
+            MessageNotFound: It was deleted meanwhile, or no store that has it answers any more.
+            CorruptMessage: It is damaged in each store.
         """
         return self._ask(lambda row: row.wire)
 
