@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import random
+import socket
 
 import pytest
 from geometry_msgs.msg import Twist
@@ -353,6 +354,15 @@ def test_a_store_that_is_away_is_named_and_asked_again(away, proxied):
     proxied.freeze()
     answer = fleet.executeCQL("SELECT count(*) FROM s")
     assert (answer, list(answer.missing)) == ([(5,)], [name])
+
+
+def test_a_place_that_takes_connections_and_is_silent_is_named(stores):
+    fill(stores[0], "/a", [1])
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        name = f"127.0.0.1:{silent.getsockname()[1]}"
+        with Fleet([place(stores[0]), name], answer_sec=1.0) as fleet:
+            rows = fleet.rows("a")
+            assert (len(list(rows)), list(rows.missing)) == (1, [name])
 
 
 def test_if_no_store_answers_that_is_an_error(proxied):
