@@ -100,8 +100,12 @@ def test_a_file_gets_each_message_once(call, places, connect, tmp_path, kind):
     assert list(contents(path)) == [(serialize(String(str(n))), T0 + n) for n in range(6)]
     asked = ["--start", "1500000000.000000002", "--no-latched", "-f", "-q"]
     assert call("export", path, *both(places), *asked)[0] == 0
-    status, _, err = call("export", path, *both(places), "--start", "1500000000", "-f")
-    assert (status, "--no-latched" in err) == (2, True)
+    asked = ["--event", "bump", "--after", "1s", "--no-latched", "-f", "-q"]
+    assert call("export", path, *both(places), *asked)[0] == 0
+    assert [t for _, t in contents(path)] == [T0 + n for n in (2, 3, 4, 5)]
+    for option in (("--start", "1500000000"), ("--event", "bump")):
+        status, _, err = call("export", path, *both(places), *option, "-f")
+        assert (status, "--no-latched" in err) == (2, True)
 
 
 @pytest.mark.parametrize("option", ["--explain", "--allow-writes"])

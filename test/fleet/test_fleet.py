@@ -21,6 +21,7 @@ from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import (
     ConnectionFailed,
     CorruptMessage,
+    EventNotFound,
     InvalidKey,
     InvalidOption,
     InvalidQuery,
@@ -288,7 +289,12 @@ def test_events_of_all_stores_count(stores):
     second.addEvent("bump", T0 + 5 * SEC, T0 + 6 * SEC)
     with fleet_of(first, second) as fleet:
         found = fleet.executeCQL("SELECT data FROM a WHERE EVENT 'bump' ORDER BY KEY DESC")
-    assert [data for (data,) in found] == ["6", "5", "2", "1", "0"]
+        assert [data for (data,) in found] == ["6", "5", "2", "1", "0"]
+        rows = fleet.readMessages(event=("bump", 0, 1.0), where={"a": "data <> '6'"})
+        assert [row.message().data for row in rows] == ["0", "1", "2", "3", "5", "7"]
+        assert [event.start_ns for event in fleet.events(like="b%")] == [T0, T0 + 5 * SEC]
+        with pytest.raises(EventNotFound, match="no store of the fleet has an event"):
+            fleet.readMessages(event="is not there")
 
 
 def test_an_index_of_one_store_is_not_looked_for_in_another(stores):

@@ -19,6 +19,7 @@ from cassandra_ros.fleet.fleet_answer import FleetAnswer, Missing
 from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.run_finder import RunName
 
 
@@ -42,26 +43,29 @@ def export_fleet(
     progress: MessageProgress | None = None,
     where: Conditions = None,
     run: RunName = None,
+    event: EventRule = None,
 ) -> FleetExportReport:
     """Write the messages of several stores into a bag of format 2.0, or into an MCAP.
 
-    As export_bag, but without the messages that were latched before the start. The file is also
+    As export_bag, but without the messages that were latched before the start, or before an event.
+    Events that meet the time of the messages are written into an MCAP. The file is also
     written if a store does not answer; the report names it.
 
     Args:
-        path, topics, start, end, nodeID, compression, force, progress, where, run: As in
+        path, topics, start, end, nodeID, compression, force, progress, where, run, event: As in
             export_bag.
 
     Raises:
         MessageNotFound: There are no messages to export. No file is created or replaced.
         BagError: The file exists, or cannot be written.
         StoreUnavailable: No store answers.
-        TopicNotFound, RunNotFound, InvalidOption, InvalidQuery: As in Fleet.readMessages.
+        TopicNotFound, RunNotFound, EventNotFound, InvalidOption, InvalidQuery: As in
+            Fleet.readMessages.
     """
     if os.path.exists(path) and not force:
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
     rows = fleet.readMessages(
-        topics, start, end, nodeID=nodeID, received=True, where=where, run=run
+        topics, start, end, nodeID=nodeID, received=True, where=where, run=run, event=event
     )
     report = FleetExportReport(os.fspath(path), missing=rows.missing)
     first = list(islice(rows, 1))

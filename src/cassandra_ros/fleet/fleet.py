@@ -8,7 +8,7 @@ import heapq
 import logging
 from dataclasses import replace
 from functools import partial
-from itertools import groupby, islice
+from itertools import chain, groupby, islice
 from operator import itemgetter
 from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence, TypeVar
 
@@ -16,6 +16,7 @@ from cassandra_ros.arguments import check_limit, check_nodes, check_seconds, che
 from cassandra_ros.connection.address import ANSWER_SEC, DEFAULT_KEYSPACE
 from cassandra_ros.errors import (
     DefinitionError,
+    EventNotFound,
     InvalidKey,
     InvalidOption,
     InvalidQuery,
@@ -34,6 +35,8 @@ from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import LAST_NS, Named, Read, TimeRange, Whose
 from cassandra_ros.tables.event_table import Event
 from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.event_finder import MOST_EVENTS, EventChoice, EventRule
+from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.query_result import Condition, QueryResult
 from cassandra_ros.topics.row_finder import (
     NEAREST,
@@ -279,16 +282,19 @@ class Fleet:
         received: bool = False,
         where: Conditions = None,
         run: RunName = None,
+        event: EventRule = None,
     ) -> FleetRows[FleetRow]:
         """Read the rows of several topics lazily, merged by time.
 
         A row unpacks like a message of rosbag: ``for topic, msg, t in fleet.readMessages()``.
 
         Args:
-            topics, key, to_key, nodeID, received, where, run: As in RosCassandra.readMessages.
+            topics, key, to_key, nodeID, received, where, run, event: As in
+                RosCassandra.readMessages; the events are those of all stores.
 
         Raises:
             TopicNotFound: No store has one of the topics; the text names all stores.
+            EventNotFound: No store has such an event of that time, robot and run.
             RunNotFound, InvalidOption, InvalidQuery, InvalidName, InvalidKey: As in
                 RosCassandra.readMessages.
         """
@@ -297,7 +303,11 @@ class Fleet:
         def begin() -> Iterator[FleetRow]:
             read = Read(range_between(key, to_key), _whose(answer, nodeID, run))
             found = _topics(answer, names)
-            return _merged(answer, found, read, _conditions(answer, found, where), received)
+            conditions = _conditions(answer, found, where)
+            parts = _during(answer, event, read)
+            return chain.from_iterable(
+                _merged(answer, found, part, conditions, received) for part in parts
+            )
 
         return FleetRows(_settled(answer, begin), answer)
 
@@ -321,14 +331,8 @@ class Fleet:
         answer = FleetAnswer(self._stores)
 
         def begin() -> Iterator[Event]:
-            within, whose = range_between(key, to_key), _whose(answer, nodeID, run)
-            finders = {store: c.keyspace.events.find for store, c in answer.catalogs.items()}
-            begins = {
-                store: partial(find, name, like, within, whose) for store, find in finders.items()
-            }
-            merged = heapq.merge(*answer.rows(begins).values(), key=Event.order)
-            copies = (list(group) for _, group in groupby(merged, key=Event.order))
-            return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
+            whose = _whose(answer, nodeID, run)
+            return _events(answer, name, like, range_between(key, to_key), whose)
 
         return FleetRows(_settled(answer, begin), answer)
 
@@ -416,6 +420,39 @@ def _whose(answer: FleetAnswer, node: str | None, run: RunName) -> Whose:
         away = f"; these do not answer: {told(answer.missing)}" if answer.partial else ""
         raise RunNotFound(f"no store of the fleet has run {run!r:.80} – {'; '.join(reasons)}{away}")
     return Whose(nodes, writers)
+
+
+def _events(
+    answer: FleetAnswer, name: str | None, like: str | None, within: TimeRange, whose: Whose
+) -> Iterator[Event]:
+    """Yield the events of all stores in order of their starts, each once."""
+    finders = {store: c.keyspace.events.find for store, c in answer.catalogs.items()}
+    begins = {store: partial(find, name, like, within, whose) for store, find in finders.items()}
+    merged = heapq.merge(*answer.rows(begins).values(), key=Event.order)
+    copies = (list(group) for _, group in groupby(merged, key=Event.order))
+    # It may have ended in one store and last in a copy.
+    return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
+
+
+def _during(answer: FleetAnswer, rule: EventRule, read: Read) -> Sequence[Read]:
+    """Return the reads of messages during events; without a rule the whole read."""
+    choice = EventChoice.of(rule)
+    if choice is None:
+        return [read]
+    name, before, after = choice
+    low, high = read.time_range
+    within = TimeRange(max(0, low - after), min(LAST_NS, high + before))
+    events = list(islice(_events(answer, name, None, within, read.whose), MOST_EVENTS + 1))
+    if len(events) > MOST_EVENTS:
+        raise InvalidOption(
+            f"there are more than {MOST_EVENTS} events {name!r:.80}: give a shorter time range"
+        )
+    if not events:
+        away = f"; these do not answer: {told(answer.missing)}" if answer.partial else ""
+        raise EventNotFound(
+            f"no store of the fleet has an event {name!r:.80} of this time, robot and run{away}"
+        )
+    return EventTimes(events, before, after).reads(read)
 
 
 def _all_names(answer: FleetAnswer) -> list[str]:

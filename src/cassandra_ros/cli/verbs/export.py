@@ -18,8 +18,8 @@ leaves them out.
 Events that meet the time of the messages go into an MCAP as metadata; a bag cannot hold them.
 
 With --store, given once or several times, the file gets the messages of all these stores, each
-once. It is also written if a store does not answer. Give --no-latched with --start then, for
-latched messages are only found in one store.
+once. It is also written if a store does not answer. Give --no-latched with --start or --event then,
+for latched messages are only found in one store.
 
 An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. Each publisher of a topic
 is a channel, whose metadata hold the connection header. cassandra_bag import restores all of it.
@@ -129,9 +129,10 @@ def _tell(options: argparse.Namespace, report: ExportReport, begun: float) -> No
 def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
     from cassandra_ros.bag.fleet_export import export_fleet
 
-    latched = options.start and options.latched
-    refuse(options, {"--event": options.event, "--start without --no-latched": latched})
-    where, (start, end) = read_where(options), read_times(options)
+    if options.latched:
+        told = {"--start": options.start, "--event": options.event}
+        refuse(options, {f"{name} without --no-latched": value for name, value in told.items()})
+    where, (start, end), event = read_where(options), read_times(options), read_event(options)
     with open_fleet(options) as fleet, MessageBar(f"exporting {path}") as bar:
         present = fleet.topics()
         report = export_fleet(
@@ -146,6 +147,7 @@ def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
             progress=bar.add,
             where=where,
             run=options.run,
+            event=event,
         )
     report.missing = {**present.missing, **report.missing}
     _tell(options, report, begun)
