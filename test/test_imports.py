@@ -43,11 +43,12 @@ BELOW = {
     "upkeep": {*TOPICS, "overview"},
     "client": {*TOPICS, "overview", "upkeep", "sql"},
     "copying": {*TOPICS, "overview", "upkeep", "client"},
+    "fleet": {*TOPICS, "client"},
     "spool": {"bag", "tables", "messages"},
     "recording": {"spool", *TOPICS},
     "playing": {*TOPICS, "overview"},
     "history": {"recording", *TOPICS},
-    "bag": {*TOPICS, "overview", "client"},
+    "bag": {*TOPICS, "overview", "client", "fleet"},
     "local_server": set(),
     "nodes": {
         *("recording", "playing", "history", "copying", "client", "overview", "sql"),
@@ -58,7 +59,7 @@ BELOW = {
     "viewing": {"drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", *TOPICS},
     "cli": {
         *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),
-        *("copying", "client", "upkeep", "overview", "spool", "sql"),
+        *("copying", "fleet", "client", "upkeep", "overview", "spool", "sql"),
         *TOPICS,
     },
 }

@@ -13,6 +13,7 @@ _PUBLIC = {
     "Bag": "cassandra_ros.bag.stored_bag",
     "Cassandra": "cassandra_ros.connection.cassandra",
     "CassandraTopic": "cassandra_ros.topics.cassandra_topic",
+    "Fleet": "cassandra_ros.fleet.fleet",
     "HistorySubscriber": "cassandra_ros.nodes.history_subscriber",
     "MapOptions": "cassandra_ros.mapping.map_builder",
     "OccupancyMap": "cassandra_ros.mapping.occupancy",

@@ -39,9 +39,15 @@ SIGNS = {"=": operator.eq, "<=": operator.le, ">=": operator.ge}
 KINDS_HERE = ("every", "tf", "diagnostics", "scan", "joints", "log", "mixed", "uint64", "string")
 
 
+class Table(SimpleNamespace):
+    """What the language needs of a table; as there, each is another one."""
+
+    __hash__ = object.__hash__
+
+
 def tableOf(types):
     definition = parse_definition(types.name, types.text)
-    return SimpleNamespace(
+    return Table(
         name=types.md5sum,
         definition=definition,
         named=False,

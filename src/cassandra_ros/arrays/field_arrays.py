@@ -153,8 +153,7 @@ def _masked(kind: ArrayType, values: AnyArray, missing: AnyArray) -> AnyArray:
 
 def _with_places(select: Select, tables: Sequence[Table], whose: Whose) -> Select:
     """Return a statement whose NEAR and EVENT conditions know their times."""
-    named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
-    bounds = bounds_of(select, Read(whose=whose), named, runs)
+    bounds = bounds_of(select, Read(whose=whose), tables)
     return with_stays(select, tables, bounds.read)
 
 

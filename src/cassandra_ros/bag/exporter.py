@@ -8,7 +8,7 @@ import os
 from bisect import bisect_right
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
-from typing import Iterable, Iterator, Mapping, Sequence
+from typing import Iterable, Iterator, Mapping, Sequence, Union
 
 from cassandra_ros.bag.file_formats import make_file
 from cassandra_ros.bag.file_writer import FileWriter
@@ -16,6 +16,7 @@ from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.bag.publish_times import PublishTimeFinder
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import BagError, MessageNotFound
+from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
@@ -30,6 +31,8 @@ from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
 
+ExportedRow = Union[StoredRow, FleetRow]
+"""A message of one store, or of several."""
 _RUN_NUMBERS = 1 << 16
 """Number of connection numbers that are reserved for each recording or import."""
 
@@ -225,14 +228,17 @@ class ConnectionNumbers:
 
     def __init__(self, writer: FileWriter) -> None:
         self._writer = writer
-        self._numbers: dict[tuple[int, str, int], int] = {}
+        self._numbers: dict[tuple[int, str, str, int], int] = {}
         self._bases: dict[int, int] = {}
         self._free = 0
 
-    def of(self, row: StoredRow) -> int:
-        """Return the number of a row's connection."""
+    def of(self, row: ExportedRow) -> int:
+        """Return the number of a row's connection, the same in all tables and stores that have it.
+
+        Raises MessageNotFound if no store with the row answers any more.
+        """
         run = split_seq(row.seq)[0]
-        key = (run, row.table.name, row.conn)
+        key = (run, row.topic, row.md5sum, row.conn)
         number = self._numbers.get(key)
         if number is None:
             number = self._numbers[key] = self._add(row, run)
@@ -245,10 +251,10 @@ class ConnectionNumbers:
         """
         return self._next(_connection(row).latched_from(row.received))
 
-    def _add(self, row: StoredRow, run: int) -> int:
+    def _add(self, row: ExportedRow, run: int) -> int:
         connection = _connection(row)
         if connection.number < 0:
-            shared = (0, row.table.name, row.conn)  # 0 is not the id of any writer
+            shared = (0, row.topic, row.md5sum, row.conn)  # 0 is not the id of any writer
             if shared not in self._numbers:
                 self._numbers[shared] = self._next(connection)
             return self._numbers[shared]
@@ -260,13 +266,13 @@ class ConnectionNumbers:
         try:
             number = self._writer.connection(connection, preferred)
         except BagError:
-            # The topic is stored in two formats, or another bag has over 65,535 connections.
+            # Another bag has over 65,535 connections.
             number = self._writer.connection(connection)
         self._free = max(self._free, number + 1)
         return number
 
 
-def _connection(row: StoredRow) -> Connection:
+def _connection(row: ExportedRow) -> Connection:
     """Return the connection of a row, with the current name of its topic."""
     connection = row.connection
     return connection if connection.topic == row.topic else replace(connection, topic=row.topic)

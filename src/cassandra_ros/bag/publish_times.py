@@ -10,6 +10,7 @@ from typing import Iterator
 import numpy as np
 
 from cassandra_ros.bag.message_file import MessageFile
+from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import split_seq
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.sent_times import STRIPE, SendTimes, SendTimeStore
@@ -51,7 +52,7 @@ class PublishTimeFinder:
         self._any = enabled and table.any()
         self._get = lru_cache(maxsize=_STRIPES_HELD)(table.get)
 
-    def of(self, row: StoredRow, t_ns: int) -> tuple[int, int]:
+    def of(self, row: StoredRow | FleetRow, t_ns: int) -> tuple[int, int]:
         """Return publish_time minus log_time of a message, ns, and its sequence number.
 
         Return 0 and 0 if they are unknown, or if ``t_ns`` is not the receive time of the message.

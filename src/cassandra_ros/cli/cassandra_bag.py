@@ -21,6 +21,9 @@ from cassandra_ros.cli.verbs import VERBS
 from cassandra_ros.errors import CassandraRosError, InvalidQuery
 
 PROGRAM = "cassandra_bag"
+_STORE_MISSING = (
+    "  3    a store of --store did not answer; what the others have was printed or written"
+)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -29,7 +32,7 @@ def make_parser() -> argparse.ArgumentParser:
     def add_arguments(name: str, parser: argparse.ArgumentParser) -> None:
         VERBS[name].add_arguments(parser)
 
-    return verbs_parser(PROGRAM, __doc__, VERBS, add_arguments)
+    return verbs_parser(PROGRAM, __doc__, VERBS, add_arguments, _STORE_MISSING)
 
 
 class _ErrorLines(logging.Formatter):
@@ -46,8 +49,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program's name; None = the arguments of the process.
 
     Returns:
-        Exit status: 0 = success, 1 = the verb failed, or verify found a difference. Wrong usage
-        ends the program with status 2.
+        Exit status: 0 = success, 1 = the verb failed, or verify found a difference, 3 = one of
+        several stores did not answer. Wrong usage ends the program with status 2.
     """
     parser = make_parser()
     answer_shell(parser)

@@ -16,7 +16,7 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Callable, Iterator, Protocol, Sequence
 
 from cassandra_ros.cli.readers import seconds
 from cassandra_ros.connection.address import (
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from concurrent.futures import Future
 
     from cassandra_ros.client.ros_cassandra import RosCassandra
-    from cassandra_ros.connection.outage import Outage
     from cassandra_ros.messages.stamps import Stamp
     from cassandra_ros.topics.event_finder import EventRule
 
@@ -177,7 +176,7 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     ros_cas = _connect(options)
     # Find the directories now: those of a server that has ended cannot be found.
     ros_cas.cassandra.outage.tell_reason(partial(_trouble, _local_directories(options)))
-    _hurry_on_interrupt(ros_cas.cassandra.outage)
+    hurry_on_interrupt(ros_cas.cassandra.outage)
     if not make:
         try:
             ros_cas.catalog.keyspace.side_tables.require_keyspace()
@@ -204,7 +203,14 @@ def foreign_keyspace(ros_cas: RosCassandra, before: str = "") -> str:
     return f"{before}{whose}: its tables are {named}{more}"
 
 
-def _hurry_on_interrupt(outage: Outage) -> None:
+class Hurried(Protocol):
+    """What waits for answers of a store."""
+
+    def hurry(self) -> None:
+        """End all waits soon."""
+
+
+def hurry_on_interrupt(outage: Hurried) -> None:
     """Let Ctrl-C also end the waits for the store while a program closes what it has open."""
 
     def interrupted(number: int, frame: FrameType | None) -> None:

@@ -62,8 +62,8 @@ class RosCassandra:
         keyspace: Keyspace to connect; None = CASSANDRA_ROS_KEYSPACE. The first write makes it.
         clock: Returns the time of messages without a key; None = that of a ROS node in this
             process, else wall clock.
-        login: ``username password ssl_context cqlshrc credentials consistency``, as in class
-            Cassandra.
+        login: ``username password ssl_context cqlshrc credentials consistency answer_sec``, as in
+            class Cassandra.
 
     Raises:
         ConnectionFailed: No server answers there, or it refuses the login.

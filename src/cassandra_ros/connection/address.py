@@ -13,6 +13,8 @@ from cassandra_ros.errors import InvalidOption
 DEFAULT_HOST = "127.0.0.1"
 DEFAULT_PORT = 9042
 DEFAULT_KEYSPACE = "ros"
+ANSWER_SEC = 10.0
+"""Default time limit for the answer of one of several stores that are asked together, s."""
 
 
 def from_environment(name: str) -> str:

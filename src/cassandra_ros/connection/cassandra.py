@@ -112,6 +112,8 @@ class Cassandra:
         cqlshrc: A file like cqlsh's; None = CASSANDRA_ROS_CQLSHRC, else ~/.cassandra/cqlshrc.
         credentials: A file with user name and password; None = the one that the cqlshrc names,
             else ~/.cassandra/credentials.
+        answer_sec: Maximum time to wait for a connection, and for the answer to a read with its
+            retries, s; None = as long as is usual, up to 30 s.
 
     Raises:
         ConnectionFailed: No server answers there, or the name cannot be resolved.
@@ -131,13 +133,20 @@ class Cassandra:
         ssl_context: ssl.SSLContext | None = None,
         cqlshrc: str | None = None,
         credentials: str | None = None,
+        answer_sec: float | None = None,
     ) -> None:
         self._login = login = read_login(host, port, cqlshrc, credentials, username, password)
         self.hosts = login.hosts
         self.port = login.port
         self._where = f"{','.join(self.hosts)} port {self.port}"
+        limit_sec = math.inf if answer_sec is None else answer_sec
+        self._request_sec = min(REQUEST_TIMEOUT_SEC, limit_sec)
+        self._connect_sec = min(CONNECT_TIMEOUT_SEC, limit_sec)
         self.outage = Outage(
-            self._where, self._nodes_now, lambda silent_sec: self._links.failed(silent_sec)
+            self._where,
+            self._nodes_now,
+            lambda silent_sec: self._links.failed(silent_sec),
+            limit_sec,
         )
         self.schema_changes = SchemaChanges()
         self.consistency = _consistency_level(consistency)
@@ -191,7 +200,7 @@ class Cassandra:
                 DCAwareRoundRobinPolicy(), shuffle_replicas=True
             ),
             consistency_level=self.consistency,
-            request_timeout=REQUEST_TIMEOUT_SEC,
+            request_timeout=self._request_sec,
             row_factory=tuple_factory,
         )
         return Cluster(
@@ -212,8 +221,8 @@ class Cassandra:
             schema_event_refresh_window=-1,
             # Without this option batches stall for 40 ms each on delayed acknowledgements.
             sockopts=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
-            connect_timeout=CONNECT_TIMEOUT_SEC,
-            control_connection_timeout=CONNECT_TIMEOUT_SEC,
+            connect_timeout=self._connect_sec,
+            control_connection_timeout=self._connect_sec,
             idle_heartbeat_interval=5,
             idle_heartbeat_timeout=5,
             reconnection_policy=ExponentialReconnectionPolicy(0.5, 10),
@@ -499,7 +508,7 @@ class Cassandra:
         """Send a bound or batch statement; the rows of its answer are undecoded bytes."""
         self.require_open()
         raw_session = self._links.current.raw_session
-        return raw_session.execute_async(statement, timeout=REQUEST_TIMEOUT_SEC)
+        return raw_session.execute_async(statement, timeout=self._request_sec)
 
     def ask_raw(self, statement: Statement) -> ResponseFuture:
         """Send a statement like send_raw, without a timer; the caller waits with ``answered``."""

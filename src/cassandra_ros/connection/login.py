@@ -131,7 +131,7 @@ def read_login(
     """
     named = cqlshrc or from_environment("CQLSHRC")
     config_file = os.path.expanduser(named or CQLSHRC)
-    config = _read(config_file, "cqlshrc", must_exist=bool(named))
+    config = read_sections(config_file, "cqlshrc", must_exist=bool(named))
     keys_named = credentials or config.get("authentication", "credentials", fallback="")
     keys_file = os.path.expanduser(keys_named or CREDENTIALS)
     ignored = "" if is_private(keys_file) else keys_file
@@ -140,7 +140,7 @@ def read_login(
             f"{ignored} is not used: others can read it, or it belongs to another user; "
             f"make it yours alone: chmod 600 {ignored}"
         )
-    keys = _read("" if ignored else keys_file, "credentials", must_exist=bool(keys_named))
+    keys = read_sections("" if ignored else keys_file, "credentials", must_exist=bool(keys_named))
     user, secret = _user(config, config_file, keys, username, password)
     return Login(
         hosts=host_names(host, config.get("connection", "hostname", fallback="")),
@@ -161,7 +161,7 @@ def is_private(name: str) -> bool:
     try:
         status = os.stat(name)
     except OSError:
-        return True  # _read reports a file that cannot be read
+        return True  # read_sections reports a file that cannot be read
     ours = os.getuid() in (0, status.st_uid)
     return ours and not status.st_mode & (stat.S_IRGRP | stat.S_IROTH)
 
@@ -173,8 +173,8 @@ def _warn(text: str) -> None:
         _log.warning("%s", text)
 
 
-def _read(name: str, option: str, *, must_exist: bool) -> configparser.ConfigParser:
-    """Read one of the two files; empty if it is missing.
+def read_sections(name: str, option: str, *, must_exist: bool) -> configparser.ConfigParser:
+    """Read a file of sections, as cqlsh's two are; empty if it is missing.
 
     A % in a password is an ordinary character.
     """

@@ -33,12 +33,18 @@ class Outage:
             all or none do.
         failing: Called after each failure with the time since which no server has answered at
             all, not even with an error, s; must not block.
+        limit_sec: Maximum time that a read waits for an answer, with its retries, s.
     """
 
     def __init__(
-        self, where: str, nodes: Callable[[], str] = str, failing: Callable[[float], object] = float
+        self,
+        where: str,
+        nodes: Callable[[], str] = str,
+        failing: Callable[[float], object] = float,
+        limit_sec: float = math.inf,
     ) -> None:
         self._where = where
+        self.limit_sec = limit_sec
         self.nodes = nodes
         self._failing = failing
         self._waiting: Callable[[], str] = str

@@ -106,6 +106,8 @@ def retried(
             now = time.monotonic()
             trying_sec = now - begun
             ends = seconds.ends(begun) if isinstance(seconds, Patience) else begun + seconds
+            if outage is not None:
+                ends = min(ends, begun + outage.limit_sec)
             over = outage is not None and outage.left_sec <= 0
             if not is_passing(exc) or now + pause > ends or over:
                 nodes = outage.nodes() if outage is not None else ""
@@ -148,7 +150,8 @@ def answered(future: ResponseFuture, outage: Outage | None = None) -> ResultSet:
     Args:
         outage: Tells when the waits of the program have to end.
     """
-    ends = time.monotonic() + REQUEST_TIMEOUT_SEC
+    limit_sec = REQUEST_TIMEOUT_SEC if outage is None else outage.limit_sec
+    ends = time.monotonic() + min(REQUEST_TIMEOUT_SEC, limit_sec)
     while not future._event.wait(LOOK_SEC):
         if time.monotonic() >= ends or (outage is not None and outage.left_sec <= 0):
             future._on_timeout()

@@ -124,11 +124,10 @@ def read_series(
     """
     tables = topic.tables
     plain = analyse_select(select, tables)
-    named, runs = any(t.named for t in tables), next((t.runs for t in tables), None)
-    bounds = bounds_of(plain, Read(whose=asker.whose), named, runs)
+    bounds = bounds_of(plain, Read(whose=asker.whose), tables)
     settled = with_stays(plain, tables, bounds.read)
     drawn = drawn_columns(settled, tables)
-    if named:
+    if any(table.named for table in tables):
         return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))
     if settled.gathers or settled.limit is not None:
         return _of_rows(topic, select, drawn, window, asker)

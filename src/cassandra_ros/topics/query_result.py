@@ -78,8 +78,7 @@ class Condition:
 
     def bounds(self, tables: Sequence[Table] = (), read: Read = EVERYTHING) -> Bounds:
         """Return the bounds of the condition in the tables of a topic, see bounds_of."""
-        named, runs = any(table.named for table in tables), next((t.runs for t in tables), None)
-        return bounds_of(self._select, read, named, runs)
+        return bounds_of(self._select, read, tables)
 
     def test(self, tables: Sequence[Table], whose: Whose = EVERYBODY) -> Callable[[Row], bool]:
         """Return a function that checks the condition on a row of these tables.
@@ -199,11 +198,9 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         if select.gathers:
             select = analyse_select(select, tables)
         self._source, self._watch = source, watch
-        named = any(table.named for table in tables)
-        runs = next((table.runs for table in tables), None)
-        bounds = bounds_of(select, Read(whose=whose), named, runs)
+        bounds = bounds_of(select, Read(whose=whose), tables)
         self.select = select = with_stays(select, tables, bounds.read)
-        if not named:
+        if not any(table.named for table in tables):
             _warn_of_seconds(select)
         self._place = place = read_place(after)
         self._given = self._skip = 0

@@ -49,7 +49,7 @@ _NEAR_NS = 256
 """Maximum error of a present time after its conversion to a float, ns."""
 
 
-def _is_ours(key: AnyKey) -> bool:
+def is_ours(key: AnyKey) -> bool:
     """Return whether a key was given by the store and so belongs to one message."""
     return isinstance(key, (RowName, Stamp)) and bool(key.table)
 
@@ -115,7 +115,7 @@ class Finder:
             )
         if key is None or to_key is not None:
             return self._remove(self.read_of(key, to_key))
-        if _is_ours(key):
+        if is_ours(key):
             # Only this message, not others of the same time.
             row = self._exact(key, self._table_of(key)) if self.whose.has(key) else None
             count = 0 if row is None else delete_rows(self.keyspace, [row])
@@ -161,7 +161,7 @@ class Finder:
 
     def _is_exact(self, key: AnyKey) -> bool:
         """Return whether the store gave this key, which then identifies its row."""
-        return _is_ours(key) and self.whose.has(key)
+        return is_ours(key) and self.whose.has(key)
 
     def _near(self, key: AnyKey, nearest: str) -> StoredRow | None:
         if nearest not in NEAREST:
@@ -326,6 +326,16 @@ Where = Union[str, Tuple[str, Sequence[Any]]]
 """A condition: the text after WHERE in CQL, or the text and the values of its ``?``."""
 
 
+def checked_where(where: Where) -> tuple[str, Sequence[Any]]:
+    """Return the text and the parameters of a condition. Raises InvalidQuery."""
+    given = (where, ()) if isinstance(where, str) else where
+    pair = isinstance(given, (tuple, list)) and len(given) == 2
+    if not (pair and isinstance(given[0], str)):
+        wanted = "where= takes a condition as text, or a pair (text, parameters)"
+        raise InvalidQuery(repr(where)[:200], 0, wanted)
+    return given
+
+
 class Filter:
     """The rows of one topic that satisfy a condition.
 
@@ -340,12 +350,7 @@ class Filter:
         where: Where,
         whose: Whose = EVERYBODY,
     ) -> None:
-        given = (where, ()) if isinstance(where, str) else where
-        pair = isinstance(given, (tuple, list)) and len(given) == 2
-        if not (pair and isinstance(given[0], str)):
-            wanted = "where= takes a condition as text, or a pair (text, parameters)"
-            raise InvalidQuery(repr(where)[:200], 0, wanted)
-        self.text, params = given
+        self.text, params = checked_where(where)
         self._topic = topic
         self._condition = Condition(self.text, params)
         self.test = self._condition.test(topic.tables, whose)

@@ -17,6 +17,10 @@ leaves them out.
 
 Events that meet the time of the messages go into an MCAP as metadata; a bag cannot hold them.
 
+With --store, given once or several times, the file gets the messages of all these stores, each
+once. It is also written if a store does not answer. Give --no-latched with --start or --event then,
+for latched messages are only found in one store.
+
 An MCAP has the profile ros1, so Foxglove and the mcap tools can read it. Each publisher of a topic
 is a channel, whose metadata hold the connection header. cassandra_bag import restores all of it.
 """
@@ -27,6 +31,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
+from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_message_options,
@@ -37,7 +42,7 @@ from cassandra_ros.cli.options import (
     read_where,
 )
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_bytes, format_table
-from cassandra_ros.cli.topic_options import add_topics_option, stored_topics
+from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, topics_among
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -81,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("-q", "--quiet", action="store_true", help="print errors only")
     add_json_option(parser)
     add_store_options(parser)
+    add_fleet_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -90,6 +96,8 @@ def run(options: argparse.Namespace) -> int:
     where, (start, end) = read_where(options), read_times(options)
     event = read_event(options)
     path, begun = _path(options), time.monotonic()
+    if options.stores:
+        return _export_fleet(options, path, begun)
     with open_store(options) as ros_cas, MessageBar(f"exporting {path}") as bar:
         report = export_bag(
             ros_cas,
@@ -106,12 +114,44 @@ def run(options: argparse.Namespace) -> int:
             run=options.run,
             event=event,
         )
+    _tell(options, report, begun)
+    return 0
+
+
+def _tell(options: argparse.Namespace, report: ExportReport, begun: float) -> None:
     if options.json:
         print_json(report)
     elif not options.quiet:
         since = None if options.event else options.start
         _print_report(report, since, time.monotonic() - begun)
-    return 0
+
+
+def _export_fleet(options: argparse.Namespace, path: str, begun: float) -> int:
+    from cassandra_ros.bag.fleet_export import export_fleet
+
+    if options.latched:
+        told = {"--start": options.start, "--event": options.event}
+        refuse(options, {f"{name} without --no-latched": value for name, value in told.items()})
+    where, (start, end), event = read_where(options), read_times(options), read_event(options)
+    with open_fleet(options) as fleet, MessageBar(f"exporting {path}") as bar:
+        present = fleet.topics()
+        report = export_fleet(
+            fleet,
+            path,
+            topics=topics_among(options, set(present), "the fleet"),
+            start=start,
+            end=end,
+            nodeID=options.node_id,
+            compression=options.compression,
+            force=options.force,
+            progress=bar.add,
+            where=where,
+            run=options.run,
+            event=event,
+        )
+    report.missing = {**present.missing, **report.missing}
+    _tell(options, report, begun)
+    return tell_missing(report.missing)
 
 
 def _path(options: argparse.Namespace) -> str:

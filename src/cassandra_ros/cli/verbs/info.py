@@ -22,6 +22,10 @@ YAML and JSON have the keys of rosbag info -y (duration, start, end, size, messa
 and keyspace, start_ns, end_ns, losses and runs. JSON also has activity: the numbers of messages per
 time step that the bars show. Each topic has connections and frequency (Hz, 1 / median period, as in
 rosbag), which are computed from its first 10,000 messages, and the mean rate, rate_hz.
+
+With --store, given once or several times, the topics of all these stores are listed as one: each
+message counts once, and the last column says how many each store has. If several stores have
+messages of a robot in a topic, the keys of all of these are read.
 """
 
 from __future__ import annotations
@@ -31,6 +35,7 @@ import sys
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Iterator, Sequence
 
+from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, tell_missing
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store, store_place
 from cassandra_ros.cli.terminal_text import (
@@ -42,7 +47,7 @@ from cassandra_ros.cli.terminal_text import (
     format_time,
     sparkline,
 )
-from cassandra_ros.cli.topic_options import add_topics, stored_topics
+from cassandra_ros.cli.topic_options import add_topics, stored_topics, topics_among
 from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
@@ -117,12 +122,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = "accepted as by rosbag info; the rate of each topic is always printed"
     parser.add_argument("--freq", action="store_true", help=text)
     add_store_options(parser)
+    add_fleet_options(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the description."""
     if options.key is not None and not (options.yaml or options.json):
         options.parser.error("-k goes with -y or --json")
+    if options.stores:
+        return _tell_fleet(options)
     description = _find(options)
     if options.yaml or options.json:
         answers = _answer(description)
@@ -149,6 +157,22 @@ def run(options: argparse.Namespace) -> int:
         if len(description.runs) > _RUNS_SHOWN:
             print(f"… and {len(description.runs) - _RUNS_SHOWN} earlier ones")
     return 0
+
+
+def _tell_fleet(options: argparse.Namespace) -> int:
+    from cassandra_ros.cli.fleet_report import answer_of, print_infos
+
+    with open_fleet(options) as fleet:
+        present = fleet.topics()
+        names = topics_among(options, set(present), "the fleet")
+        infos = fleet.info(names, nodeID=options.node_id, run=options.run)
+    missing = {**present.missing, **infos.missing}
+    if options.yaml or options.json:
+        answer = _chosen(answer_of(infos, missing), options.key)
+        (_print_yaml if options.yaml else print_json)(answer)
+    else:
+        print_infos(infos)
+    return tell_missing(missing)
 
 
 def _find(options: argparse.Namespace) -> _Description:

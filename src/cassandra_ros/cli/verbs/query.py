@@ -19,6 +19,8 @@ Formats, all written while the rows are read:
   parquet  to a file (-O): types are kept, times are timestamps in ns (needs pyarrow)
 
 DELETE, TRUNCATE, CREATE INDEX and DROP INDEX need --allow-writes.
+
+With --store, given once or several times, the statement is answered over all these stores as one.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Sequence
 
+from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
 from cassandra_ros.cli.json_answer import print_json
 from cassandra_ros.cli.options import add_origin_options, add_store_options, open_store
 from cassandra_ros.errors import InvalidExpression, InvalidOption
@@ -51,6 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--allow-writes", action="store_true", help="allow statements that change stored data")
     add_store_options(parser)
+    add_fleet_options(parser)
 
 
 def add_output_options(parser: argparse.ArgumentParser) -> None:
@@ -85,6 +89,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the statement, and write its rows."""
     check_outputs(options)
     params = [read_parameter(text) for text in options.params]
+    if options.stores:
+        return _answer_of_fleet(options, params)
     with open_store(options) as ros_cas:
         if options.explain:
             asked = {"nodeID": options.node_id, "run": options.run}
@@ -122,6 +128,20 @@ def read_parameter(text: str) -> object:
         return from_json(text)
     except InvalidExpression:
         return text
+
+
+def _answer_of_fleet(options: argparse.Namespace, params: Sequence[object]) -> int:
+    from cassandra_ros.arrays.array_types import ArrayType
+    from cassandra_ros.cli.results import write
+
+    given = {"--explain": options.explain, "--allow-writes": options.allow_writes}
+    refuse(options, {**given, "--output parquet": options.output == "parquet"})
+    asked = {"nodeID": options.node_id, "run": options.run, "limit": options.limit}
+    with open_fleet(options) as fleet:
+        result = fleet.iterCQL(options.statement, params, **asked)
+        kinds = [(name, ArrayType("mixed")) for name in result.columns]
+        write(kinds, result, options.output, options.output_file, options.force)
+    return tell_missing(result.missing)
 
 
 def _answer(ros_cas: RosCassandra, options: argparse.Namespace, params: Sequence[object]) -> None:

@@ -18,7 +18,7 @@ import math
 from dataclasses import dataclass, replace
 from itertools import chain
 from numbers import Real
-from typing import Callable, Iterator, NamedTuple, Sequence, Tuple
+from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, Tuple, TypeVar
 
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery
@@ -111,21 +111,20 @@ class Bounds:
         return replace(self, read=replace(self.read, only=Named(name)), empty=self.empty or clash)
 
 
-def bounds_of(
-    select: Select, read: Read = EVERYTHING, named: bool = False, runs: Runs | None = None
-) -> Bounds:
+def bounds_of(select: Select, read: Read = EVERYTHING, tables: Sequence[Table] = ()) -> Bounds:
     """Return the bounds of a statement, inside of a read.
 
     Args:
         select: The statement.
         read: Time range, nodes and writers of the messages that are read.
-        named: Whether the messages are kept under names.
-        runs: Finds runs by their names; without it RUN does not narrow the bounds.
+        tables: Tables of its topic, which may be in several keyspaces; without one RUN does not
+            narrow the bounds.
 
     Raises:
         InvalidQuery: KEY, NODE or RUN is compared with a value of another kind.
     """
     bounds = Bounds(read, empty=read.whose.empty).within(0, MAX_NS)
+    named, runs = any(table.named for table in tables), _distinct(table.runs for table in tables)
     try:
         for part in conjuncts(select.condition):
             bounds = _narrowed(bounds, part, named, runs)
@@ -149,10 +148,11 @@ def meant_as_seconds(condition: Expression | None) -> Iterator[Literal]:
             yield literal
 
 
-def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Runs | None) -> Bounds:
+def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Sequence[Runs]) -> Bounds:
     if isinstance(part, Compare) and isinstance(part.operand, RunOperand) and part.operator == "=":
-        if runs is not None:
-            return bounds.of(Whose(None, runs.called(fit_to_text(part.value, "RUN"))))
+        if runs:
+            name = fit_to_text(part.value, "RUN")
+            return bounds.of(Whose(None, frozenset().union(*(each.called(name) for each in runs))))
     if isinstance(part, Compare) and isinstance(part.operand, NodeOperand) and part.operator == "=":
         try:
             return bounds.of(Whose.of(check_node(fit_to_text(part.value, "NODE"))))
@@ -219,22 +219,63 @@ def _with_stays_of(leaf: Timed, asked: _ReadScope) -> Timed:
     if not asked.tables:
         return leaf
     try:
-        return replace(leaf, stays=find(asked.tables[0]))
+        return replace(leaf, stays=find(asked.tables))
     except (InvalidName, InvalidOption) as exc:
         raise StatementError(leaf.position, str(exc)) from exc
 
 
-def _places_of(near: Near, asked: _ReadScope) -> Callable[[Table], Stays]:
+def _places_of(near: Near, asked: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
     disk, whose = disk_of(near), asked.read.whose
-    return lambda table: table.places.stays(disk, whose.node, whose.writers)
+
+    def find(tables: Sequence[Table]) -> Stays:
+        places, *others = _distinct(table.places for table in tables)
+        if others:
+            reason = (
+                "NEAR is answered by one store, which knows where its robots were: ask each alone"
+            )
+            raise StatementError(near.position, reason)
+        return places.stays(disk, whose.node, whose.writers)
+
+    return find
 
 
-def _events_of(leaf: InEvent, asked: _ReadScope) -> Callable[[Table], Stays]:
+def _events_of(leaf: InEvent, asked: _ReadScope) -> Callable[[Sequence[Table]], Stays]:
     name = leaf.name.value
     if not isinstance(name, str):
         reason = f"the name of an event is a text in quotes, as 'bump', not {leaf.name.text}"
         raise StatementError(leaf.name.position, reason)
-    return lambda table: table.events.times(name, leaf.like, asked.read)
+
+    def find(tables: Sequence[Table]) -> Stays:
+        keyspaces = _distinct(table.events for table in tables)
+        return _joined_stays([each.times(name, leaf.like, asked.read) for each in keyspaces])
+
+    return find
+
+
+class _JoinedStays(NamedTuple):
+    """The times of the events of several keyspaces, each with some of the events."""
+
+    every: Sequence[Stays]
+
+    def holds(self, node: str, run: str, t: int) -> bool:
+        """Return whether a keyspace has an event of the robot at a time."""
+        return any(stays.holds(node, run, t) for stays in self.every)
+
+    def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[NsRange]:
+        """Yield the time ranges of the events of all keyspaces, as in Stays."""
+        return _united([stays.spans for stays in self.every])(low, high, reverse)
+
+
+def _joined_stays(every: Sequence[Stays]) -> Stays:
+    return every[0] if len(every) == 1 else _JoinedStays(every)
+
+
+_T = TypeVar("_T")
+
+
+def _distinct(lookups: Iterable[_T]) -> list[_T]:
+    """Return the lookups of the keyspaces of some tables, each once."""
+    return list({id(each): each for each in lookups}.values())
 
 
 def disk_of(near: Near) -> Disk:

@@ -335,14 +335,15 @@ class Pushdown:
         self._expression = expression
         self._plan = plan
         self._watch = watch
-        self._branches: dict[str, list[Branch] | None] = {}
-        self._sifts: dict[str, Sift | None] = {}
-        self._many: set[str] = set()
-        self._dense: set[str] = set()
-        self._crowded: set[str] = set()
-        self._idle: set[str] = set()
-        self._opened: Counter[str] = Counter()
-        self._passed: Counter[str] = Counter()
+        # By the table itself: two stores may have tables of one name, with other indexes.
+        self._branches: dict[Table, list[Branch] | None] = {}
+        self._sifts: dict[Table, Sift | None] = {}
+        self._many: set[Table] = set()
+        self._dense: set[Table] = set()
+        self._crowded: set[Table] = set()
+        self._idle: set[Table] = set()
+        self._opened: Counter[Table] = Counter()
+        self._passed: Counter[Table] = Counter()
         self.indexed = self.filtered = self.whole = self.skipped = 0
         self.blocks = self.unpacked = self.kept = self.held = 0
         self.used: Used = {}
@@ -373,35 +374,35 @@ class Pushdown:
 
     def few(self, table: Table) -> bool:
         """Return whether only few rows were found so far."""
-        return table.name not in self._many
+        return table not in self._many
 
     def learn(self, table: Table, bucket: Sequence[_Bucket], found: int) -> None:
         """Record the rows found in a bucket; after many rows the next buckets are checked less."""
         every = sum(row.rows for row in bucket)
         if table.packed:
-            opened, passed = self._opened[table.name], self._passed[table.name] + every
-            self._passed[table.name] = passed
+            opened, passed = self._opened[table], self._passed[table] + every
+            self._passed[table] = passed
             if opened > DENSE_ROWS and opened > ZONES_SHARE * passed:
-                self._idle.add(table.name)
+                self._idle.add(table)
         if found > FEW_ROWS and found > FEW_SHARE * every:
-            self._many.add(table.name)
+            self._many.add(table)
         if found > DENSE_ROWS and found > DENSE_SHARE * every:
-            self._dense.add(table.name)
+            self._dense.add(table)
             if found > CROWDED_SHARE * every:
-                self._crowded.add(table.name)
+                self._crowded.add(table)
 
     def sift(self, table: Table) -> Sift | None:
         """Return the filter of blocks for a table; None if it would leave no message out."""
         if self._plan == "client" or self._expression is None or table.definition is None:
             return None
-        if table.name not in self._sifts:
-            self._sifts[table.name] = compile_sift(self._expression, table.definition)
-        return self._sifts[table.name]
+        if table not in self._sifts:
+            self._sifts[table] = compile_sift(self._expression, table.definition)
+        return self._sifts[table]
 
     def opened(self, table: Table, messages: int, kept: int) -> None:
         """Record an unpacked block: its number of messages, and how many became rows."""
         self._watch()
-        self._opened[table.name] += messages
+        self._opened[table] += messages
         self.blocks += 1
         self.unpacked += messages
         self.kept += kept
@@ -409,14 +410,14 @@ class Pushdown:
     def _chosen(self, table: Table, bucket: Sequence[_Bucket]) -> list[Query] | None:
         if self._plan == "client" or self._expression is None:
             return None
-        if table.name not in self._branches:
-            self._branches[table.name] = _branches(self._expression, table)
-        branches = self._branches[table.name]
+        if table not in self._branches:
+            self._branches[table] = _branches(self._expression, table)
+        branches = self._branches[table]
         if branches is None:
             return None
-        if self._plan == "auto" and table.name in self._idle:
+        if self._plan == "auto" and table in self._idle:
             return None
-        dense = self._plan == "auto" and table.name in self._dense
+        dense = self._plan == "auto" and table in self._dense
         filled = frozenset.intersection(*(row.filled for row in bucket))
         if self._plan == "filter" or (dense and table.by_field):
             filled = frozenset()
@@ -427,7 +428,7 @@ class Pushdown:
             if found is None or len(queries) + len(found) > MAX_QUERIES:
                 return None
             queries.extend(found)
-        if self._plan == "auto" and len(queries) > 1 and table.name in self._crowded:
+        if self._plan == "auto" and len(queries) > 1 and table in self._crowded:
             return None
         self.used.update(used)
         if any(row.odd or not row.closed for row in bucket):

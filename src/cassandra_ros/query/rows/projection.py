@@ -390,7 +390,10 @@ class Projection:
 
     def values(self, row: Row) -> Iterator[RowValues]:
         """Yield the values of a row, once or for each unnested element; None = missing."""
-        own = self.own(row)
+        try:
+            own = self.own(row)
+        except MessageNotFound:
+            return  # of several stores the only one with the message does not answer any more
         if self.extractor is None:
             yield own
             return
@@ -456,7 +459,7 @@ class Projections:
     def __init__(self, select: Select, tables: Sequence[Table]) -> None:
         self._select = select
         findings = Findings(select.text)
-        made = {table.name: Projection.compile(select, table, findings) for table in tables}
+        made = {table: Projection.compile(select, table, findings) for table in tables}
         findings.check()
         self.names = [[selected.text] for selected in select.asked if selected is not None]
         if made:
@@ -467,17 +470,18 @@ class Projections:
                 names or ([] if selected is None or selected.is_path else [selected.text])
                 for names, selected in zip(found, select.asked)
             ]
-        self._made = {name: each.showing(self.names) for name, each in made.items()}
+        # By the table itself: two stores may have tables of one name, with other columns.
+        self._made = {table: each.showing(self.names) for table, each in made.items()}
 
     def __iter__(self) -> Iterator[Projection]:
         return iter(self._made.values())
 
     def of(self, table: Table) -> Projection:
         """Return the projection of a table, with the columns ``names`` whatever fields it has."""
-        if table.name not in self._made:  # the table was added later
+        if table not in self._made:  # the table was added later
             projection = Projection.compile(self._select, table, Findings(self._select.text))
-            self._made[table.name] = projection.showing(self.names)
-        return self._made[table.name]
+            self._made[table] = projection.showing(self.names)
+        return self._made[table]
 
     def columns(self, table: Table) -> Sequence[str] | None:
         """Return the columns of a table that are read, in order; None = all."""
@@ -581,15 +585,15 @@ def _compile_rows(
         fills = layouts.get(len(held))
         if fills is None:
             return None
-        values: list[Any] = [*own(row), *blank]
         try:
+            values: list[Any] = [*own(row), *blank]
             if not fills[0](held, values):
                 return None
             if check(values) is not True:
                 return _NONE
             if not fills[1](held, values):
                 return None
-        except BUILD_ERRORS:
+        except (*BUILD_ERRORS, MessageNotFound):
             return None
         return [show(row, values)]
 

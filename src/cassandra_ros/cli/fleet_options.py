@@ -1,0 +1,92 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Options of verbs that may ask several stores as one, and the connection to these."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Mapping
+
+from cassandra_ros.cli.options import hurry_on_interrupt, read_seconds
+from cassandra_ros.cli.parsers import error_line
+from cassandra_ros.cli.target_options import PLACE
+from cassandra_ros.connection.address import ANSWER_SEC
+
+if TYPE_CHECKING:
+    from cassandra_ros.fleet.fleet import Fleet
+
+STORE_MISSING = 3
+"""Exit status if a store of --store did not answer."""
+
+
+def add_fleet_options(parser: argparse.ArgumentParser) -> None:
+    """Add --store and what goes with it; open_fleet reads them."""
+    group = parser.add_argument_group(
+        "several stores",
+        "each message comes once, in the order of time, though several stores have it; a store "
+        f"that does not answer is named, and the exit status is {STORE_MISSING}",
+    )
+    group.add_argument(
+        "--store",
+        dest="stores",
+        metavar=PLACE,
+        action="append",
+        default=[],
+        help="ask this store, in place of --host and --port; may be repeated (default: port 9042, "
+        "and the keyspace of --keyspace). With --store-file also the name of one of its sections",
+    )
+    group.add_argument(
+        "--store-file",
+        metavar="FILE",
+        type=lambda text: text or None,
+        help="file of stores: a section for each, with its place, cqlshrc and credentials "
+        "(default: none; --cqlshrc and --credentials are for all stores)",
+    )
+    group.add_argument(
+        "--store-timeout",
+        metavar="SECONDS",
+        type=read_seconds,
+        default=ANSWER_SEC,
+        help="maximum time to wait for the answer of a store of --store (default: %(default)g)",
+    )
+
+
+def open_fleet(options: argparse.Namespace) -> Fleet:
+    """Return the stores of --store. The caller closes them (a context manager).
+
+    Raises:
+        InvalidOption: A store is given twice or is no place, or the file is not valid.
+    """
+    from cassandra_ros.fleet.fleet import Fleet
+
+    fleet = Fleet(
+        options.stores,
+        file=options.store_file,
+        keyspace=options.keyspace,
+        answer_sec=options.store_timeout,
+        cqlshrc=options.cqlshrc,
+        credentials=options.credentials,
+        consistency=options.consistency,
+    )
+    hurry_on_interrupt(fleet)
+    return fleet
+
+
+def refuse(options: argparse.Namespace, names: Mapping[str, object]) -> None:
+    """End the program if options are given that ask one store only.
+
+    Args:
+        names: Option → its value; one that is not given is false.
+    """
+    given = next((name for name, value in names.items() if value), None)
+    if given is not None:
+        options.parser.error(f"{given} asks one store: it goes without --store")
+
+
+def tell_missing(missing: Mapping[str, str]) -> int:
+    """Print which stores did not answer; return the exit status."""
+    for name, reason in missing.items():
+        text = f"store {name} did not answer, what only it has is left out: {reason}"
+        print(error_line("cassandra_bag", text), file=sys.stderr)
+    return STORE_MISSING if missing else 0

@@ -1,0 +1,192 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A message that one store of a fleet has, or several, and rows of several stores merged."""
+
+from __future__ import annotations
+
+import heapq
+from itertools import groupby, repeat
+from typing import Any, Callable, Iterator, Mapping, Sequence, Tuple, TypeVar
+
+from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
+from cassandra_ros.fleet.fleet_answer import AWAY, FleetAnswer, Missing, told
+from cassandra_ros.keys import Position
+from cassandra_ros.messages.classes import deserialize
+from cassandra_ros.messages.connection_header import Connection
+from cassandra_ros.messages.stamps import Stamp, iso_time
+from cassandra_ros.topics.stored_row import Key, MessageIdentity, StoredRow
+
+_T = TypeVar("_T")
+StoreRow = Tuple[str, StoredRow]
+"""Name of a store, and its row of a message."""
+Order = Tuple[int, str, int]
+"""Time, ns, node and seq: the same for the rows of one message in all stores."""
+
+
+class FleetRow:
+    """One message. Unpacks like rosbag's: ``topic, msg, t = row``; t is the key time.
+
+    Bytes that were not read yet come from the first store that answers, in the order of the fleet.
+
+    Attributes:
+        t, received: Key time and receive time, ns since 1970.
+        node: nodeID; '' = not given.
+        seq: Writer id << 32 | counter.
+        name: Name of the message; '' in topics with a time key.
+        size: Number of serialised bytes.
+        columns, conn: As in the first store, see StoredRow.
+        table: Its TopicTable in the first store.
+    """
+
+    __slots__ = "_answer _copies columns conn name node received seq size t table".split()
+
+    def __init__(self, copies: Sequence[StoreRow], answer: FleetAnswer) -> None:
+        row = copies[0][1]
+        self._copies, self._answer = copies, answer
+        self.t, self.node, self.seq, self.name = row.t, row.node, row.seq, row.name
+        self.received, self.size, self.conn = row.received, row.size, row.conn
+        self.columns, self.table = row.columns, row.table
+
+    def __iter__(self) -> Iterator[Any]:
+        t = Stamp.from_ns(self.t, self.node, self.seq, self.table.name)
+        return iter((self.topic, self.message(), t))
+
+    def __repr__(self) -> str:
+        return f"<FleetRow {self.topic} {iso_time(self.t)}: in {', '.join(self.stores)}>"
+
+    @property
+    def stores(self) -> list[str]:
+        """Names of the stores that gave the message."""
+        return [name for name, _ in self._copies]
+
+    @property
+    def missing(self) -> Missing:
+        """The stores that did not answer so far → why."""
+        return self._answer.missing
+
+    @property
+    def partial(self) -> bool:
+        """Whether a store did not answer so far."""
+        return self._answer.partial
+
+    def _ask(self, work: Callable[[StoredRow], _T]) -> _T:
+        """Return what the first store says that answers, and whose copy is sound."""
+        missing = self._answer.missing
+        problem: CassandraRosError | None = None
+        # What was read of a store that is away now can still be used: last.
+        for name, row in sorted(self._copies, key=lambda copy: copy[0] in missing):
+            try:
+                return work(row)
+            except AWAY as exc:
+                self._answer.lose(name, exc)
+            except (MessageNotFound, CorruptMessage) as exc:
+                problem = problem or exc
+        raise problem or MessageNotFound(
+            f"the message of topic {self.topic} at {self.t} is only in stores that do not answer "
+            f"any more: {told(missing)}"
+        )
+
+    @property
+    def topic(self) -> str:
+        """Name of the topic in which the message is stored."""
+        return self._copies[0][1].topic
+
+    @property
+    def run(self) -> str:
+        """Name of the run that stored the message, or its writer id if the run has no name."""
+        return self._ask(lambda row: row.run)
+
+    @property
+    def position(self) -> Position:
+        """Position of the row in the first store."""
+        return self._copies[0][1].position
+
+    @property
+    def place(self) -> MessageIdentity:
+        """Identity of the message in all stores."""
+        return (self.t, self.node, self.seq, self.name)
+
+    @property
+    def key(self) -> Key:
+        """Row key: exact time or name, with the place of the row in the first store."""
+        return self._copies[0][1].key
+
+    @property
+    def wire(self) -> bytes:
+        """The serialised message, byte for byte as it was sent.
+
+        Raises:
+            MessageNotFound: It was deleted meanwhile, or no store that has it answers any more.
+            CorruptMessage: It is damaged in each store.
+        """
+        return self._ask(lambda row: row.wire)
+
+    @property
+    def connection(self) -> Connection:
+        """The connection over which the message came."""
+        return self._ask(lambda row: row.connection)
+
+    @property
+    def type(self) -> str:
+        """Message type as its connection names it, 'pkg/Name'."""
+        return self.connection.type
+
+    @property
+    def md5sum(self) -> str:
+        """md5 of the message definition."""
+        return self.table.metadata.md5sum
+
+    def message_class(self) -> Any:
+        """Return the class of the message: installed, generated, or RawMessage."""
+        return self._ask(lambda row: row.message_class())
+
+    def message(self) -> Any:
+        """Deserialise the message.
+
+        Raises:
+            CorruptMessage: The bytes are not a message of the type.
+            MessageNotFound: No store that has it answers any more.
+        """
+        wire = self.wire
+        return deserialize(self.message_class(), wire)
+
+
+def key_order(row: StoredRow | FleetRow) -> Order:
+    """Return the place of a message in the order of key times."""
+    return row.t, row.node, row.seq
+
+
+def arrival_order(row: StoredRow | FleetRow) -> Order:
+    """Return the place of a message in the order of receive times."""
+    return row.received, row.node, row.seq
+
+
+def merged_rows(
+    answer: FleetAnswer,
+    streams: Mapping[str, Callable[[], Iterator[StoredRow]]],
+    order: Callable[[StoredRow], Order] = key_order,
+    *,
+    reverse: bool = False,
+) -> Iterator[FleetRow]:
+    """Yield the messages of several stores in one order, each once.
+
+    Copies keep time, node and seq, so the rows of one message follow one another. Rows of different
+    tables of a store do so, too, if it has one message in two formats.
+
+    Args:
+        streams: Name of a store → function that begins to read its rows, in this order.
+        order: Returns the place of a row.
+        reverse: Whether they come from the last to the first.
+    """
+
+    def place(pair: StoreRow) -> Order:
+        return order(pair[1])
+
+    # With equal places the first store of the fleet comes first.
+    pairs = [zip(repeat(name), rows) for name, rows in answer.rows(streams).items()]
+    for _, group in groupby(heapq.merge(*pairs, key=place, reverse=reverse), key=place):
+        copies: dict[tuple[str, str], list[StoreRow]] = {}
+        for name, row in group:
+            copies.setdefault((row.topic, row.name), []).append((name, row))
+        for rows in copies.values():
+            yield FleetRow(rows, answer)
