@@ -106,11 +106,15 @@ def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list
         if all(row.closed for row in group) and not table.metadata.ttl:
             settled.extend(group)
             continue
+        # Of the entries that a recount compares itself with, as they are before it.
+        left = {row.writer for row in group if not row.closed and row.age_sec > STALE_SEC}
+        found = directory.find(table.name, node, bucket) if left else []
         counted = recount(table, node, bucket)
+        for row in found:
+            if row.writer in left and row.age_sec > STALE_SEC:
+                _write_back(directory, table, row, counted.get(row.writer, BucketTotals()))
         for row in group:
             totals = counted.get(row.writer, BucketTotals())
-            if not row.closed and row.age_sec > STALE_SEC:
-                _write_back(directory, table, row, totals)
             settled.append(row._replace(**vars(totals)))
     return settled
 

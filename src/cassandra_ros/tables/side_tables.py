@@ -64,6 +64,14 @@ SIDE_TABLES = {
         "t_max bigint, odd bigint, deleted boolean, filled frozen<set<text>>, "
         "PRIMARY KEY ((tbl, node, slot), bucket, writer)"
     ),
+    # The same entries in the order of time, for questions about all robots; see
+    # tables/directory.py.
+    "cr_active": (
+        "tbl text, slot bigint, bucket bigint, node text, writer bigint, state text, "
+        "heartbeat timestamp, n bigint, bytes bigint, largest bigint, t_min bigint, "
+        "t_max bigint, odd bigint, deleted boolean, filled frozen<set<text>>, "
+        "PRIMARY KEY ((tbl, slot), bucket, node, writer)"
+    ),
     # Recordings and imports; the writer id is the upper half of the _seq of their rows.
     "cr_run": (
         "node text, writer bigint, kind text, name text, source text, format text, "

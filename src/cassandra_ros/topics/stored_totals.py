@@ -134,10 +134,12 @@ def _described(
             rows = _names_as_buckets(table, whose)
         else:
             rows = settle(directory, table, buckets_of(directory, table, whose))
-        nodes = sorted({row.node for row in rows})
-        for node in nodes or [table.metadata.nodeID] * (whose == EVERYBODY):
+        by_node: dict[str, list[BucketRow]] = {}
+        for row in rows:
+            by_node.setdefault(row.node, []).append(row)
+        for node in sorted(by_node) or [table.metadata.nodeID] * (whose == EVERYBODY):
             missing = lost[table.metadata.topic, node]
-            infos.append(_describe(table, node, [r for r in rows if r.node == node], missing))
+            infos.append(_describe(table, node, by_node.get(node, []), missing))
     return infos
 
 
@@ -148,7 +150,8 @@ def buckets_of(
     ends: tuple[int, int] = (-(2**63), 2**63 - 1),
 ) -> list[BucketRow]:
     """Return the buckets of a table with messages of ``whose``, one row for each writer."""
-    rows = directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
+    metadata = table.metadata
+    rows = directory.buckets(table.name, *ends, whose.nodes, metadata.ttl, by_time=metadata.by_time)
     return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
 
 
