@@ -355,8 +355,11 @@ class _Check:
     def _put_by_time(
         self, table: TopicTable, row: BucketRow, since_us: int, *, listed: bool
     ) -> None:
+        directory, mended = self._space.directory, False
         if self._repair:
-            self._space.directory.list_by_time(table.name, [row], table.metadata.ttl, since_us)
+            directory.list_by_time(table.name, [row], table.metadata.ttl, since_us)
+            found = directory.find_active(table.name, row.node, row.bucket)
+            mended = not _differs(row, next((r for r in found if r.writer == row.writer), None))
         said = "has other counts" if listed else "is missing"
         self._note(
             DamageKind.COUNT if listed else DamageKind.UNLISTED,
@@ -366,7 +369,7 @@ class _Check:
             row.rows,
             f"the entry of {row.rows} messages of writer {row.writer} {said} in the directory by "
             "time, so reads of all robots may miss them; --repair puts the directory right",
-            mended=self._repair,
+            mended=mended,
         )
 
     def _list_by_time(self, table: TopicTable) -> None:
