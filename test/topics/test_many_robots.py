@@ -260,16 +260,23 @@ def test_a_question_about_an_hour_reads_no_other_entries(rosCas, monkeypatch):
     fleet.close()
     topic = rosCas.getTopic(fleet.topic)
     asked = []
-    begin = Directory.begin_active
 
-    def noted(self, table, slot, first, last, *args, **options):
-        asked.append((first, last))
-        return begin(self, table, slot, first, last, *args, **options)
+    def note(name):
+        method = getattr(Directory, name)
 
-    monkeypatch.setattr(Directory, "begin_active", noted)
-    monkeypatch.setattr(Directory, "begin_buckets", None)
+        def noted(self, table, *args, **options):
+            asked.append((name, *args))
+            return method(self, table, *args, **options)
+
+        monkeypatch.setattr(Directory, name, noted)
+
+    for name in ("begin_active", "count_closed", "begin_buckets", "begin_nodes"):
+        note(name)
     t = T0 + 2 * SEC
     bucket = topic.tables[0].bucket_of(t)
     assert topic.countTopicData(t, t + 2 * SEC - 1) == 4
     assert topic.getRow(t) is not None
-    assert asked == [(bucket, bucket + 1), (bucket, bucket)]
+    assert asked == [
+        ("count_closed", bucket, bucket + 1),
+        ("begin_active", slot_of(bucket), bucket, bucket),
+    ]

@@ -39,7 +39,12 @@ from typing import (
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.connection.requests import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.tables.bucket_columns import BucketColumns, SlotRange, read_columns
+from cassandra_ros.tables.bucket_columns import (
+    BucketColumns,
+    SlotRange,
+    count_closed,
+    read_columns,
+)
 from cassandra_ros.tables.row_table import RowTable
 from cassandra_ros.tables.side_tables import SideTables
 
@@ -359,6 +364,20 @@ class Directory:
         params = (table, slot, first, last, limit)
         answer = self._cassandra.begin(cql, params, what=what, retry_sec=retry_sec)
         return lambda: [_bucket_row(row[0], row[1:]) for row in answer()]
+
+    def count_closed(self, table: str, first: int, last: int) -> tuple[int, list[BucketRow]]:
+        """Count the messages of all robots in the closed buckets in [first, last].
+
+        Only of a table that is read by time.
+
+        Returns:
+            The number of messages, and the rows of the buckets that are not counted: in these some
+            writer's counts are not final.
+        """
+        slots = self._slots_between(table, slot_of(first), slot_of(last))
+        wanted = ((table, slot, first, last) for slot in slots)
+        count, others = count_closed(self._cassandra, self._active_table, wanted)
+        return count, [row for place in sorted(others) for row in self.find_active(table, *place)]
 
     def find_active(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """Return the rows of all writers for one bucket, from cr_active."""
