@@ -363,14 +363,14 @@ def keys_by_shadow(
         row_keys = [key for key in row_keys if nodes is None or key.position.node in nodes]
         yield from sorted(row_keys, key=lambda key: key.position)
         return
-    by_time: dict[int, set[str]] = {}
+    buckets: dict[int, set[str]] = {}
     by_time = table.metadata.by_time
     for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes, by_time=by_time):
-        by_time.setdefault(row.bucket, set()).add(row.node)
+        buckets.setdefault(row.bucket, set()).add(row.node)
     statement = table.select_shadow(shadow, bucket=True)
-    for bucket in sorted(by_time):
+    for bucket in sorted(buckets):
         row_keys = []
-        for node in by_time[bucket]:
+        for node in buckets[bucket]:
             values = (*table.place(node, bucket), value)
             row_keys += table.collect(bind(statement, values, KEY_PAGE_ROWS), keys)
         yield from sorted(row_keys, key=lambda key: key.position)

@@ -316,6 +316,7 @@ class Directory:
             ttl: Lifetime of the table's rows, seconds; buckets with only expired rows are left out.
             by_time: Whether cr_active lists all buckets of the table; see TopicMetadata.
         """
+        asked: Iterable[Callable[[], list[BucketRow]]]
         if self.reads_by_time(by_time, nodes):
             slots = self._slots_between(table, slot_of(first), slot_of(last))
             asked = (self.begin_active(table, slot, first, last) for slot in slots)

@@ -83,7 +83,8 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
     first = ends[0] if low <= 0 else -(-low // length)
     last = ends[1] if high >= MAX_NS else (high + 1) // length - 1
     metadata = table.metadata
-    count, rows = 0, []
+    count = 0
+    rows: list[BucketRow] = []
     if (
         whose.writers is None
         and not metadata.ttl
