@@ -97,13 +97,16 @@ def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list
 
     A recount is written back if the bucket has no living writer any more.
     """
+    # In a table with a TTL rows expire one by one, which the directory does not know.
+    final = not table.metadata.ttl
+    if final and all(row.closed for row in rows):
+        return rows
     by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
     for row in rows:
         by_bucket.setdefault((row.node, row.bucket), []).append(row)
     settled: list[BucketRow] = []
     for (node, bucket), group in by_bucket.items():
-        # In a table with a TTL rows expire one by one, which the directory does not know.
-        if all(row.closed for row in group) and not table.metadata.ttl:
+        if final and all(row.closed for row in group):
             settled.extend(group)
             continue
         # Of the entries that a recount compares itself with, as they are before it.

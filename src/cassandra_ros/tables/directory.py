@@ -378,7 +378,13 @@ class Directory:
         slots = self._slots_between(table, slot_of(first), slot_of(last))
         wanted = ((table, slot, first, last) for slot in slots)
         count, others = count_closed(self._cassandra, self._active_table, wanted)
-        return count, [row for place in sorted(others) for row in self.find_active(table, *place)]
+        # In which some writer may have closed its rows meanwhile.
+        again = (
+            self.begin_active(table, slot_of(bucket), bucket, bucket)
+            for bucket in sorted({bucket for _, bucket in others})
+        )
+        rows = (row for answer in sent_ahead(again, AT_ONCE) for row in answer())
+        return count, [row for row in rows if (row.node, row.bucket) in others]
 
     def find_active(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """Return the rows of all writers for one bucket, from cr_active."""
