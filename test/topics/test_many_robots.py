@@ -12,6 +12,7 @@ from bag.truth import string_connection, string_wire
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from cassandra_ros.tables.active_entry import ActiveEntry
 from cassandra_ros.tables.directory import CLOCKS_SEC, BucketTotals, Directory, slot_of
 
 SEC = 10**9
@@ -214,7 +215,8 @@ def test_an_entry_that_is_missing_by_time_is_found_and_listed_again(rosCas, conn
     where = "WHERE tbl = %s AND slot = %s AND bucket = %s AND node = %s AND writer = %s"
     active = f"{rosCas.keyspace}.cr_active"
     cql.execute(f"DELETE FROM {active} {where}", entry(lost))
-    cql.execute(f"UPDATE {active} SET n = 77 {where}", entry(wrong))
+    bad = ActiveEntry(True, (77, 9, 9, wrong[0], wrong[0], 0)).encoded()
+    cql.execute(f"UPDATE {active} SET entry = %s {where}", (bad, *entry(wrong)))
     with connect(keyspace=rosCas.keyspace) as other:
         count = len(fleet.messages) - 1 + 76
         assert other.getTopic(fleet.topic).countTopicData() == count
@@ -245,7 +247,7 @@ def test_a_recount_does_not_hide_a_later_deletion(rosCas):
     directory.mark((*place, row.writer), 0, deleted=True)
     # As if a recount of another client had closed cr_bucket before, and cr_active comes now.
     directory._cassandra.execute(
-        f"UPDATE {directory._active_table} USING TIMESTAMP ? SET state = 'closed', "
+        f"UPDATE {directory._active_table} USING TIMESTAMP ? SET "
         "deleted = false WHERE tbl = ? AND slot = ? AND bucket = ? AND node = ? AND writer = ?",
         (closed.marked_us + 1, table.name, slot_of(bucket), bucket, message[1], row.writer),
     )

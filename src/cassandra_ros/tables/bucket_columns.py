@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra
 from cassandra_ros.connection.requests import RawRow, answered, retried, sent_ahead
+from cassandra_ros.tables.active_entry import is_closed, messages_in
 from cassandra_ros.tables.row_table import decode_long
 
 Longs = NDArray[np.int64]
@@ -115,15 +116,16 @@ def count_closed(
         final, which are not counted.
     """
     cql = (
-        f"SELECT node, bucket, state, deleted, n FROM {table} "
+        f"SELECT node, bucket, entry, deleted FROM {table} "
         "WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
     )
     total, others = 0, set()
     asked = (_ask_rows(cassandra, cql, each, ACTIVE_PAGE_ROWS) for each in wanted)
     for answer in sent_ahead(asked, AT_ONCE):
         rows = answer()
-        moving = {row[:2] for row in rows if row[2] != b"closed" or row[3] == b"\1"}
-        total += int(_longs([row[4] for row in rows if row[:2] not in moving]).sum())
+        moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
+        entries = [row[2] for row in rows if row[:2] not in moving]
+        total += int(_longs([messages_in(entry) for entry in entries if entry]).sum())
         others |= {((node or b"").decode(), decode_long(bucket)) for node, bucket in moving}
     return total, others
 

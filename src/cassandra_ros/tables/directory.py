@@ -39,6 +39,7 @@ from typing import (
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.connection.requests import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.tables.active_entry import UNKNOWN, ActiveEntry, decode_entry
 from cassandra_ros.tables.bucket_columns import (
     BucketColumns,
     SlotRange,
@@ -148,10 +149,8 @@ def slot_of(bucket: int) -> int:
 
 
 _OWN_TABLES = ("cr_node", "cr_bucket")
-_COLUMNS = (
-    "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled, "
-    "toTimestamp(now())"
-)
+_COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
+_ACTIVE_COLUMNS = "bucket, node, writer, entry, deleted, heartbeat, toTimestamp(now())"
 _EVER = (-(2**63), 2**63 - 1)
 MOST_SLOTS = 16
 """Maximum number of slots that are read without a list of those that have buckets."""
@@ -188,6 +187,11 @@ class BucketRow(NamedTuple):
     """Whether rows were deleted since the bucket was counted."""
     marked_us: int = 0
     """When the server wrote the heartbeat, us; 0 = the row was read from cr_active."""
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Messages, bytes, largest, t_min, t_max and odd."""
+        return self[5:11]
 
     def expired(self, ttl: int) -> bool:
         """Return whether all rows of this writer in the bucket have expired; ttl in seconds."""
@@ -358,13 +362,13 @@ class Directory:
         """
         order = " ORDER BY bucket DESC, node DESC, writer DESC" * reverse
         cql = (
-            f"SELECT node, {_COLUMNS} FROM {self._active_table} "
+            f"SELECT {_ACTIVE_COLUMNS} FROM {self._active_table} "
             f"WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?{order} LIMIT ?"
         )
         what, retry_sec = "reading the directory of buckets by time", self._tables.retry_sec
         params = (table, slot, first, last, limit)
         answer = self._cassandra.begin(cql, params, what=what, retry_sec=retry_sec)
-        return lambda: [_bucket_row(row[0], row[1:]) for row in answer()]
+        return lambda: list(map(_active_row, answer()))
 
     def count_closed(self, table: str, first: int, last: int) -> tuple[int, list[BucketRow]]:
         """Count the messages of all robots in the closed buckets in [first, last].
@@ -390,8 +394,8 @@ class Directory:
         """Return the rows of all writers for one bucket, from cr_active."""
         where = "tbl = ? AND slot = ? AND bucket = ? AND node = ?"
         params, what = (table, slot_of(bucket), bucket, node), "reading the directory by time"
-        rows = self._tables.select("cr_active", _COLUMNS, where, params, what=what)
-        return [_bucket_row(node, row) for row in rows]
+        rows = self._tables.select("cr_active", _ACTIVE_COLUMNS, where, params, what=what)
+        return list(map(_active_row, rows))
 
     def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
         """Return the rows of all writers for one bucket."""
@@ -412,7 +416,8 @@ class Directory:
         if not self._is_made():
             return
         cql = (
-            f"SELECT {_COLUMNS}, WRITETIME(heartbeat) FROM {self._bucket_table} "
+            f"SELECT {_COLUMNS}, toTimestamp(now()), WRITETIME(heartbeat) "
+            f"FROM {self._bucket_table} "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
             f"{' ORDER BY bucket DESC' * reverse} LIMIT ?"
         )
@@ -505,29 +510,27 @@ class Directory:
                 It is a separate column because a living writer closes the bucket with its own
                 counts.
         """
-        columns = _key(place)
+        columns, active = _key(place), _key(place)
         if deleted:
-            columns["deleted"] = True
+            columns["deleted"] = active["deleted"] = True
         else:
             columns.update(state="closed" if closed else "open", filled=set(filled))
             columns.update(totals.columns() if totals is not None else {})
-        names = ", ".join(columns)
-        marks = ", ".join("?" * len(columns))
-        inserts = [
-            f"INSERT INTO {listing} ({names}, heartbeat) VALUES ({marks}, toTimestamp(now())) "
-            "USING TTL ?"
-            for listing in self._listings()
-        ]
+            counts = UNKNOWN if totals is None else tuple(totals.columns().values())
+            active["entry"] = ActiveEntry(closed, counts, filled).encoded()
+        both = [(self._bucket_table, columns)]
+        if self._tables.has("cr_active"):  # it is missing until this release has written once
+            both.append((self._active_table, active))
         # One request, which is acknowledged when both are written; both get one write time.
-        cql = f"BEGIN UNLOGGED BATCH {'; '.join(inserts)}; APPLY BATCH"
-        params = (*columns.values(), _ttl(ttl)) * len(inserts)
+        inserts = "; ".join(
+            f"INSERT INTO {listing} ({', '.join(some)}, heartbeat) "
+            f"VALUES ({', '.join('?' * len(some))}, toTimestamp(now())) USING TTL ?"
+            for listing, some in both
+        )
+        params = [value for _, some in both for value in (*some.values(), _ttl(ttl))]
         what, retry_sec = "writing the directory of buckets", self._tables.retry_sec
+        cql = f"BEGIN UNLOGGED BATCH {inserts}; APPLY BATCH"
         self._cassandra.execute(cql, params, what=what, retry_sec=retry_sec)
-
-    def _listings(self) -> list[str]:
-        """Return the tables that list buckets; cr_active is missing until this release writes."""
-        active = [self._active_table] if self._tables.has("cr_active") else []
-        return [self._bucket_table, *active]
 
     def put_recount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
         """Close a bucket that has no living writer; return whether that was done.
@@ -537,24 +540,24 @@ class Directory:
         """
         columns = {"filled": set(row.filled), **totals.columns()}
         key = _key((table, row.node, row.bucket, row.writer))
-        changes = (
-            f"SET state = 'closed', {''.join(f'{name} = ?, ' for name in columns)}deleted = false, "
-            "heartbeat = toTimestamp(now()) "
+        rest = (
+            "deleted = false, heartbeat = toTimestamp(now()) "
             f"WHERE {' AND '.join(f'{name} = ?' for name in key)}"
         )
-        values = (*columns.values(), *key.values())
         what = "closing a bucket in the directory"
         answer = self._cassandra.execute_once(
-            f"UPDATE {self._bucket_table} USING TTL ? {changes} IF heartbeat = ?",
-            (_ttl(ttl), *values, row.heartbeat),
+            f"UPDATE {self._bucket_table} USING TTL ? SET state = 'closed', "
+            f"{''.join(f'{name} = ?, ' for name in columns)}{rest} IF heartbeat = ?",
+            (_ttl(ttl), *columns.values(), *key.values(), row.heartbeat),
             what=what,
         )
         done = bool(answer[0][0])
         if done and self._tables.has("cr_active"):
+            entry = ActiveEntry(True, tuple(totals.columns().values()), row.filled).encoded()
             # Later than what was read, and earlier than each mark since, whose values then stay.
             self._cassandra.execute(
-                f"UPDATE {self._active_table} USING TIMESTAMP ? AND TTL ? {changes}",
-                (row.marked_us + 1, _ttl(ttl), *values),
+                f"UPDATE {self._active_table} USING TIMESTAMP ? AND TTL ? SET entry = ?, {rest}",
+                (row.marked_us + 1, _ttl(ttl), entry, *key.values()),
                 what=what,
                 retry_sec=self._tables.retry_sec,
             )
@@ -568,15 +571,12 @@ class Directory:
             since_us: Server time before the rows were read, us: what was marked later stays.
         """
         since_us -= int(CLOCKS_SEC * 10**6)
-        names = ("state", "deleted", "heartbeat", "n", "bytes", "largest", "t_min", "t_max", "odd")
-        key = ("tbl", "slot", "bucket", "node", "writer")
-        columns = (*key, *names, "filled")
+        columns = ("tbl", "slot", "bucket", "node", "writer", "entry", "deleted", "heartbeat")
         values = [
             (
                 *(table, slot_of(row.bucket), row.bucket, row.node, row.writer),
-                *("open" if row.writing else "closed", row.cut, row.heartbeat),
-                *(row.rows, row.bytes, row.largest, row.t_min, row.t_max, row.odd),
-                *(set(row.filled), since_us, _ttl(ttl)),
+                ActiveEntry(not row.writing, row.counts, row.filled).encoded(),
+                *(row.cut, row.heartbeat, since_us, _ttl(ttl)),
             )
             for row in rows
         ]
@@ -762,14 +762,30 @@ def _ttl(ttl: int) -> int:
 
 
 def _bucket_rows(node: str, answer: Callable[[], list[CqlRow]]) -> list[BucketRow]:
-    return [_bucket_row(node, row[:-1], row[-1]) for row in answer()]
+    return [_bucket_row(node, row) for row in answer()]
 
 
-def _bucket_row(node: str, row: CqlRow, marked_us: int | None = 0) -> BucketRow:
-    bucket, writer, state, deleted, beat, n, size, largest, t_min, t_max, odd, filled, now = row
+def _bucket_row(node: str, row: CqlRow) -> BucketRow:
+    """Return a row of cr_bucket."""
+    bucket, writer, state, deleted, beat, n, size, largest, t_min, t_max, odd, filled, *times = row
     closed = state == "closed" and not deleted
     latest = -1 if t_max is None else t_max
     counts = (n or 0, size or 0, largest or 0, t_min or 0, latest, odd or 0)
-    age_sec = STALE_SEC + 1 if beat is None else (now - beat).total_seconds()
-    said = node, bucket, writer, closed, beat, *counts, age_sec, frozenset(filled or ())
+    now, marked_us = times
+    said = node, bucket, writer, closed, beat, *counts, _age(beat, now), frozenset(filled or ())
     return BucketRow(*said, state == "open", bool(deleted), marked_us or 0)
+
+
+def _active_row(row: CqlRow) -> BucketRow:
+    """Return a row of cr_active."""
+    bucket, node, writer, entry, deleted, beat, now = row
+    closed, counts, filled = ActiveEntry(False) if entry is None else decode_entry(entry)
+    n, size, largest, t_min, t_max, odd = counts
+    said = node, bucket, writer, closed and not deleted, beat, n, size, largest, t_min, t_max, odd
+    writing = entry is not None and not closed
+    return BucketRow(*said, _age(beat, now), frozenset(filled), writing, bool(deleted))
+
+
+def _age(heartbeat: datetime | None, now: datetime) -> float:
+    """Return the time since a heartbeat, s."""
+    return STALE_SEC + 1 if heartbeat is None else (now - heartbeat).total_seconds()

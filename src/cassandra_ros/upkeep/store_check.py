@@ -532,8 +532,7 @@ def _entry(row: BucketRow) -> tuple[str, int, int]:
 
 def _differs(row: BucketRow, active: BucketRow | None) -> bool:
     """Return whether an entry by time is missing, or has other final counts."""
-    counts = (r[5:11] for r in (row, active or row))
-    return active is None or (active.closed and (not row.closed or len(set(counts)) > 1))
+    return active is None or (active.closed and (not row.closed or row.counts != active.counts))
 
 
 def _sign(row: BucketRow) -> tuple[int, bool, object]:
