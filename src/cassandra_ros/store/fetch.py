@@ -148,24 +148,29 @@ def beside(
     """
     streams: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
 
-    def ask(table: RowTable, way: int, some: Iterable[str]) -> None:
+    def ask(table: RowTable, some: Iterable[str], way: int) -> None:
         streams[way] += [(table, node, _ask_side(table, node, t, ways[way])) for node in some]
 
-    every = range(len(ways))
-    by_time = [t_ for t_ in tables if directory.reads_by_time(t_.metadata.by_time, nodes)]
-    by_node = [t_ for t_ in tables if t_ not in by_time and nodes is None]
-    buckets = [(t_, *directory.begin_bucket(t_.name, t_.bucket_of(t))) for t_ in by_time]
-    slots = [(t_, *directory.begin_slot(t_.name, slot_of(t_.bucket_of(t)))) for t_ in by_node]
-    known = [(table, seen) for table, seen, _ in (*buckets, *slots)]
-    for table, some in known if nodes is None else [(table, nodes) for table in tables]:
-        for way in every:
-            ask(table, way, some)
-    if any(set(seen) != set(listed()) for _, seen, listed in slots):
+    slots: list[tuple[Sequence[str], Callable[[], Sequence[str]]]] = []
+    buckets: list[tuple[RowTable, Callable[[], list[BucketRow]]]] = []
+    for table in tables:
+        bucket = table.bucket_of(t)
+        seen = nodes or ()
+        if nodes is None:
+            few = directory.has_few_nodes(table.name, slot_of(bucket))
+            if not few and directory.reads_by_time(table.metadata.by_time, nodes):
+                buckets.append((table, directory.begin_bucket(table.name, bucket)))
+                continue
+            seen, listed = directory.begin_slot(table.name, slot_of(bucket))
+            slots.append((seen, listed))
+        for way in range(len(ways)):
+            ask(table, seen, way)
+    for table, rows in buckets:
+        found_rows = rows()
+        for way, reverse in enumerate(ways):
+            ask(table, sorted(_nearest(table, found_rows, t, reverse)), way)
+    if any(set(seen) != set(listed()) for seen, listed in slots):
         return None
-    for table, seen, rows in buckets:
-        listed_rows = rows()
-        for way in every:
-            ask(table, way, sorted(_nearest(table, listed_rows, t, ways[way]).difference(seen)))
     found = [_best_side(*each) for each in zip(streams, ways)]
     low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)
     high = min((table.bucket_of(t) + 1) * table.metadata.bucket_ns for table in tables)

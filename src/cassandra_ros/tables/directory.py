@@ -447,25 +447,28 @@ class Directory:
 
         return self.seen.get(table, {}).get(slot, ()), nodes
 
-    def begin_bucket(
-        self, table: str, bucket: int
-    ) -> tuple[tuple[str, ...], Callable[[], list[BucketRow]]]:
-        """Request one bucket of all nodes from cr_active.
+    def has_few_nodes(self, table: str, slot: int) -> bool:
+        """Return whether a slot had nodes when it was listed last, and so few that all are asked.
 
-        Return the nodes that probably have it, and a function that waits for the answer.
+        Then its nodes are listed by ``begin_slot`` again, which takes less than the rows of one
+        bucket.
         """
+        return 0 < len(self.seen.get(table, {}).get(slot, ())) <= FEW_NODES
+
+    def begin_bucket(self, table: str, bucket: int) -> Callable[[], list[BucketRow]]:
+        """Request one bucket of all nodes from cr_active; note the nodes that have it."""
         slot = slot_of(bucket)
         answer = self.begin_active(table, slot, bucket, bucket)
-        known = self.seen.get(table, {}).get(slot, ())
 
         def rows() -> list[BucketRow]:
             found = answer()
+            known = self.seen.get(table, {}).get(slot, ())
             nodes = {*known, *(row.node for row in found)}
             if len(nodes) > len(known):
                 self.keep_slots(table, range(slot, slot + 1), [(slot, tuple(sorted(nodes)))])
             return found
 
-        return known if len(known) <= FEW_NODES else (), rows
+        return rows
 
     def columns(
         self, wanted: Iterable[SlotRange], *, single: bool = False
