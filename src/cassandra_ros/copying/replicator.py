@@ -48,7 +48,6 @@ from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.upkeep.table_copy import Progress
 
@@ -304,8 +303,9 @@ class Replicator:
             return _Work(pair, rule, selection, [], {}, len(rows), size)
         low, high = selection.time_range
         ends = source.bucket_of(low), source.bucket_of(min(high, MAX_NS))
-        whose = selection.whose
-        rows_here = buckets_of(self._here.directory, source, Whose(whose.nodes), ends)
+        whose, ttl = selection.whose, source.metadata.ttl
+        # By robot: the books have the heartbeats of cr_bucket.
+        rows_here = self._here.directory.buckets(source.name, *ends, whose.nodes, ttl)
         entries = [r for r in rows_here if whose.writers is None or r.writer in whose.writers]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows_here})
         found = {
