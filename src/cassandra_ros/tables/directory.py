@@ -11,8 +11,8 @@ Each entry is kept twice. ``cr_bucket`` lists the buckets of one robot, and is w
 compares itself with. ``cr_active`` lists the buckets of all robots in the order of time: of a
 thousand robots few are active at any time, and a question about a time reads only their entries.
 Both are written by one request, so the rules above hold for each of them. The two heartbeats of an
-entry may differ by milliseconds: compare those of cr_bucket. A table of schema version 1 has entries
-that only cr_bucket lists, and is read by robot (``TopicMetadata.by_time``).
+entry may differ by milliseconds: compare those of cr_bucket. A table of schema version 1 has
+entries that only cr_bucket lists, and is read by robot (``TopicMetadata.by_time``).
 
 A topic that was recorded for a year has half a million buckets of a minute, and a read of its last
 message needs one of them. So a read goes through the directory slot by slot, in windows that grow
