@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-trees bench-mechanisms deb clean distclean
+.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-fleet bench-trees bench-mechanisms deb clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -42,6 +42,7 @@ help:
 	@echo "make bench-formats  measure formats on messages of real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
+	@echo "make bench-fleet    measure questions about 1 to 1,000 robots in one keyspace (ARGS=\"--robots 1 100 --topics 2\")"
 	@echo "make bench-trees    compare two checkouts: ARGS=\"EARLIER LATER\""
 	@echo "make bench-mechanisms  compare conversions of many messages together with one by one"
 	@echo "make deb            build/cassandra-ros_*.deb for Debian's own ROS 1 (needs what debian/control names)"
@@ -114,6 +115,9 @@ bench-play: setup
 
 bench-viewer: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_viewer.py $(ARGS)
+
+bench-fleet: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_fleet.py $(ARGS)
 
 bench-trees: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_trees.py $(ARGS)

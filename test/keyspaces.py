@@ -16,6 +16,7 @@ KEYS = {
     "cr_definition": ("md5sum", "hash"),
     "cr_node": ("tbl",),
     "cr_bucket": ("tbl", "node", "slot"),
+    "cr_active": ("tbl", "slot"),
     "cr_run": ("writer",),
     "cr_loss": ("topic",),
     "cr_context": ("writer",),

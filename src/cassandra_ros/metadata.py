@@ -16,7 +16,9 @@ from cassandra_ros.keys import KEY_FORMATS, NAMED_FORMATS
 
 _log = logging.getLogger(__name__)
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""Version 2: the buckets of a table are listed in cr_active too. Earlier releases do not list them
+there, so they refuse a table of version 2."""
 _OURS, _FILLING = "cassandra_ros", "cassandra_ros_filling"
 FORMAT_NAMES = ("binary", "string", "yaml", "json", "ros", "packed")
 """Names of all storage formats; formats/table.py has the same names."""
@@ -90,6 +92,11 @@ class TopicMetadata:
     def packed(self) -> bool:
         """Whether a row is a block of messages."""
         return self.span_ns > 0
+
+    @property
+    def by_time(self) -> bool:
+        """Whether cr_active lists all buckets of the table in the order of time."""
+        return self.version > 1
 
     @property
     def partition(self) -> str:

@@ -31,6 +31,8 @@ KEYSPACE = f"rows_v{SCHEMA_VERSION}"
 FOLDER = Path(__file__).with_name(KEYSPACE)
 T0 = 1_500_000_000 * 10**9
 SIDE_TABLES = ("cr_connection", "cr_definition", "cr_node", "cr_bucket")
+SIDE_TABLES_2 = ("cr_active",)
+"""Those of schema version 2 in addition."""
 THING = "int32 number\nstring[] names\nlost_msgs/Part[] parts\n" + "=" * 80
 THING += "\nMSG: lost_msgs/Part\ntime stamp\nfloat32 value\n"
 THING_WIRE = b"\7\0\0\0" + b"\1\0\0\0\2\0\0\0hi" + b"\1\0\0\0" + bytes(8) + b"\0\0\x80?"
@@ -188,7 +190,7 @@ def main(host, port, *forms):
                 names[table] = f"{part}_{values['md5sum'][:4]}"
                 names[table + "_c"] = names[table] + "_chunks"
         for table, comment in tables:
-            if table in names or table in SIDE_TABLES:
+            if table in names or table in (*SIDE_TABLES, *SIDE_TABLES_2):
                 path = FOLDER / f"{names.get(table, table)}.json"
                 keep(path, dump(rosCas, table, comment), bool(forms))
         keep(FOLDER / "expected.json", expected(rosCas), bool(forms))

@@ -57,6 +57,7 @@ def age(cql, keyspace, seconds=STALE_SEC + 5):
     for table, column, key in (
         ("cr_run", "started", ("writer", "node")),
         ("cr_bucket", "heartbeat", ("tbl", "node", "slot", "bucket", "writer")),
+        ("cr_active", "heartbeat", ("tbl", "slot", "bucket", "node", "writer")),
         ("cr_context", "heartbeat", ("writer", "node")),
     ):
         where = " AND ".join(f"{name} = %s" for name in key)

@@ -20,7 +20,6 @@ from cassandra_ros.tables.directory import BucketRow, slot_of
 from cassandra_ros.tables.registry import Loss, LossKind
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.removal import delete_time_range
-from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.upkeep.retention_rules import Retained
 
@@ -88,7 +87,9 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
     for table in catalog.tables(None):
         if table.named:
             continue
-        rows = [row for row in settle(directory, table, buckets_of(directory, table)) if row.rows]
+        # By robot: the books have the heartbeats of cr_bucket.
+        listed = directory.buckets(table.name, -(2**63), 2**63 - 1, ttl=table.metadata.ttl)
+        rows = [row for row in settle(directory, table, listed) if row.rows]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
         known: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
         for target in targets:

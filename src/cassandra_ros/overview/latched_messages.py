@@ -149,8 +149,9 @@ class LatchedFinder:
             if metadata.named or metadata.own_time:
                 continue  # their rows are not ordered by receive time
             length = metadata.bucket_ns
+            ends, ttl = (t // length, to // length), metadata.ttl
             listed = self._keyspace.directory.buckets(
-                name, t // length, to // length, self._whose.nodes, metadata.ttl
+                name, *ends, self._whose.nodes, ttl, by_time=metadata.by_time
             )
             writers = self._whose.writers
             rows = [row for row in listed if writers is None or row.writer in writers]

@@ -11,6 +11,7 @@ from cassandra_ros.read import EVERYBODY, Nodes, Read, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.directory import BucketRow
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 
 
@@ -43,9 +44,8 @@ def stored_ranges(
 
 
 def _by_buckets(keyspace: Keyspace, table: TopicTable, nodes: Nodes) -> list[StoredRange]:
-    ends, ttl = (-(2**63), 2**63 - 1), table.metadata.ttl
     by_run: dict[tuple[str, int], list[BucketRow]] = {}
-    for row in keyspace.directory.buckets(table.name, *ends, nodes, ttl):
+    for row in buckets_of(keyspace.directory, table, Whose(nodes)):
         by_run.setdefault((row.node, row.writer), []).append(row)
     ranges: list[StoredRange] = []
     for (node, writer), rows in by_run.items():

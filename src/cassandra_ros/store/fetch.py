@@ -9,7 +9,7 @@ whole table, and some 300 bytes of memory a message.
 from __future__ import annotations
 
 import heapq
-from typing import Iterable, Iterator, NamedTuple, Sequence, Union
+from typing import Callable, Collection, Iterable, Iterator, NamedTuple, Sequence, Union
 
 from cassandra.cluster import ResultSet
 from cassandra.query import BoundStatement
@@ -21,7 +21,7 @@ from cassandra_ros.connection.requests import PagedRead, RawRow, sent_ahead
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.keys import Position
 from cassandra_ros.tables.checksum import crc32
-from cassandra_ros.tables.directory import Directory, slot_of
+from cassandra_ros.tables.directory import FEW_NODES, BucketRow, Directory, slot_of
 from cassandra_ros.tables.row_table import (
     FIRST,
     LAST,
@@ -83,18 +83,41 @@ def first_at(
     First the nodes that are known to write to a table are asked: one round trip. If they have no
     row, the directory is asked for other nodes, so no row is missed. If two nodes have a row with
     this time, one that this process has not met yet is not preferred, even if it is first in order.
+    Of a table that many nodes write to, the directory is asked first.
     """
-    known = [(t_, n) for t_ in tables for n in sorted(t_.known_nodes if nodes is None else nodes)]
+    known = [
+        (table, node)
+        for table in tables
+        for node in sorted(_probable(directory, table) if nodes is None else nodes)
+    ]
     row = _best(known, t)
     if row is not None or nodes is not None:
         return row
     others: list[tuple[RowTable, str]] = []
-    for table in tables:
-        slot = slot_of(table.bucket_of(t))
-        found = {node for _, node in directory.nodes(table.name, slot, slot)}
-        others.extend((table, node) for node in sorted(found - table.known_nodes))
+    for table, listed in [(table, _begin_listing(directory, table, t)) for table in tables]:
+        found = listed()
+        asked = {node for each, node in known if each is table}
+        others.extend((table, node) for node in sorted(found - asked))
         table.known_nodes.update(found)
     return _best(others, t)
+
+
+def _probable(directory: Directory, table: RowTable) -> Collection[str]:
+    """Return the nodes that are asked before the directory tells which have rows."""
+    many = len(table.known_nodes) > FEW_NODES
+    by_time = many and directory.reads_by_time(table.metadata.by_time, None)
+    return () if by_time else table.known_nodes
+
+
+def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[], set[str]]:
+    """Request the nodes that may have rows with a key time; return what waits for the answer."""
+    bucket = table.bucket_of(t)
+    slot = slot_of(bucket)
+    if directory.reads_by_time(table.metadata.by_time, None):
+        rows = directory.begin_active(table.name, slot, bucket, bucket)
+        return lambda: {r.node for r in rows() if not r.closed or r.t_min <= t <= r.t_max}
+    listed = directory.begin_nodes(table.name, (slot, slot))
+    return lambda: {node for _, node in listed()}
 
 
 def _best(places: list[tuple[RowTable, str]], t: int) -> TableRow | None:
@@ -112,7 +135,7 @@ def beside(
     nodes: Sequence[str] | None,
     ways: Sequence[bool],
 ) -> list[TableRow] | None:
-    """Return the rows nearest to a time, ns, in one round trip; None if that did not work.
+    """Return the rows nearest to a time, ns, in one or two round trips; None if that did not work.
 
     The nodes that were writing at this time are asked for rows of the bucket of this time, while
     the directory is asked whether there are other nodes.
@@ -123,15 +146,30 @@ def beside(
     Returns:
         One row for each way; of several rows with the same time the first.
     """
-    listings = [
-        (table, directory.begin_slot(table.name, slot_of(table.bucket_of(t)))) for table in tables
-    ]
     streams: list[list[tuple[RowTable, str, _Side]]] = [[] for _ in ways]
-    for table, (seen, _) in listings:
-        for node in (node for node in seen if nodes is None or node in nodes):
-            for reverse, asked in zip(ways, streams):
-                asked.append((table, node, _ask_side(table, node, t, reverse)))
-    if any(set(seen) != set(now()) for _, (seen, now) in listings):
+
+    def ask(table: RowTable, some: Iterable[str], way: int) -> None:
+        streams[way] += [(table, node, _ask_side(table, node, t, ways[way])) for node in some]
+
+    slots: list[tuple[Sequence[str], Callable[[], Sequence[str]]]] = []
+    buckets: list[tuple[RowTable, Callable[[], list[BucketRow]]]] = []
+    for table in tables:
+        bucket = table.bucket_of(t)
+        seen = nodes or ()
+        if nodes is None:
+            few = directory.has_few_nodes(table.name, slot_of(bucket))
+            if not few and directory.reads_by_time(table.metadata.by_time, nodes):
+                buckets.append((table, directory.begin_bucket(table.name, bucket)))
+                continue
+            seen, listed = directory.begin_slot(table.name, slot_of(bucket))
+            slots.append((seen, listed))
+        for way in range(len(ways)):
+            ask(table, seen, way)
+    for table, rows in buckets:
+        found_rows = rows()
+        for way, reverse in enumerate(ways):
+            ask(table, sorted(_nearest(table, found_rows, t, reverse)), way)
+    if any(set(seen) != set(listed()) for seen, listed in slots):
         return None
     found = [_best_side(*each) for each in zip(streams, ways)]
     low = max(table.bucket_of(t) * table.metadata.bucket_ns for table in tables)
@@ -139,6 +177,25 @@ def beside(
     # Outside of this range another table may have a nearer row in its next bucket.
     near = [row for row in found if row is not None and low <= row.t < high]
     return near if len(near) == len(ways) else None
+
+
+def _nearest(table: RowTable, rows: Sequence[BucketRow], t: int, reverse: bool) -> set[str]:
+    """Return the nodes of which one has the nearest row to a time, by the rows of one bucket.
+
+    Args:
+        reverse: False = at or after the time, True = at or before it.
+    """
+    sign = -1 if reverse else 1
+    # Each closed bucket has a message between its near end and its far end.
+    ends: list[tuple[int, int, str]] = []
+    for row in rows:
+        first, last = sorted((sign * row.t_min, sign * row.t_max))
+        if not row.closed or table.metadata.ttl:
+            ends.append((sign * t, 2**63, row.node))  # where its messages are is not known
+        elif row.rows and last >= sign * t:
+            ends.append((max(first, sign * t), first if first >= sign * t else last, row.node))
+    far = min((far for _, far, _ in ends), default=0)
+    return {node for near, _, node in ends if near <= far}
 
 
 def _ask_side(table: RowTable, node: str, t: int, reverse: bool) -> _Side:
@@ -311,13 +368,14 @@ def keys_by_shadow(
         row_keys = [key for key in row_keys if nodes is None or key.position.node in nodes]
         yield from sorted(row_keys, key=lambda key: key.position)
         return
-    by_time: dict[int, set[str]] = {}
-    for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes):
-        by_time.setdefault(row.bucket, set()).add(row.node)
+    buckets: dict[int, set[str]] = {}
+    by_time = table.metadata.by_time
+    for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes, by_time=by_time):
+        buckets.setdefault(row.bucket, set()).add(row.node)
     statement = table.select_shadow(shadow, bucket=True)
-    for bucket in sorted(by_time):
+    for bucket in sorted(buckets):
         row_keys = []
-        for node in by_time[bucket]:
+        for node in buckets[bucket]:
             values = (*table.place(node, bucket), value)
             row_keys += table.collect(bind(statement, values, KEY_PAGE_ROWS), keys)
         yield from sorted(row_keys, key=lambda key: key.position)

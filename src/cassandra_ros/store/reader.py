@@ -468,6 +468,7 @@ def _walk(directory: Directory, table: RowTable, read: Read) -> BucketWalk:
         table.metadata.ttl,
         reverse=read.reverse,
         few=_takes_few(read),
+        by_time=table.metadata.by_time,
     )
 
 

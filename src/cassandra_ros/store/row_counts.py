@@ -97,20 +97,27 @@ def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list
 
     A recount is written back if the bucket has no living writer any more.
     """
+    # In a table with a TTL rows expire one by one, which the directory does not know.
+    final = not table.metadata.ttl
+    if final and all(row.closed for row in rows):
+        return rows
     by_bucket: dict[tuple[str, int], list[BucketRow]] = {}
     for row in rows:
         by_bucket.setdefault((row.node, row.bucket), []).append(row)
     settled: list[BucketRow] = []
     for (node, bucket), group in by_bucket.items():
-        # In a table with a TTL rows expire one by one, which the directory does not know.
-        if all(row.closed for row in group) and not table.metadata.ttl:
+        if final and all(row.closed for row in group):
             settled.extend(group)
             continue
+        # Of the entries that a recount compares itself with, as they are before it.
+        left = {row.writer for row in group if not row.closed and row.age_sec > STALE_SEC}
+        found = directory.find(table.name, node, bucket) if left else []
         counted = recount(table, node, bucket)
+        for row in found:
+            if row.writer in left and row.age_sec > STALE_SEC:
+                _write_back(directory, table, row, counted.get(row.writer, BucketTotals()))
         for row in group:
             totals = counted.get(row.writer, BucketTotals())
-            if not row.closed and row.age_sec > STALE_SEC:
-                _write_back(directory, table, row, totals)
             settled.append(row._replace(**vars(totals)))
     return settled
 

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra
 from cassandra_ros.connection.requests import RawRow, answered, retried, sent_ahead
+from cassandra_ros.tables.active_entry import is_closed, messages_in
+from cassandra_ros.tables.row_table import decode_long
 
 Longs = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -23,8 +25,12 @@ SlotKey = Tuple[str, str, int]
 SlotRange = Tuple[SlotKey, Sequence[int], int]
 """A partition; its buckets, as the ends of a range (both included) or one by one; row limit."""
 
+ActiveRange = Tuple[str, int, int, int]
+"""Table and slot: a partition of cr_active; first and last of its buckets."""
+
 COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, t_min, t_max, toTimestamp(now())"
 PAGE_ROWS = 5000
+ACTIVE_PAGE_ROWS = 20_000
 _NO_LONG = bytes(8)
 _NEVER = (-(2**63)).to_bytes(8, "big", signed=True)
 
@@ -76,16 +82,52 @@ def _ask(
 ) -> Callable[[], BucketColumns]:
     place, buckets, limit = wanted
     values = (*place, list(buckets), limit) if single else (*place, *buckets, limit)
+    rows = _ask_rows(cassandra, cql, values, PAGE_ROWS)
+    return lambda: columns_of(rows())
+
+
+def _ask_rows(
+    cassandra: Cassandra, cql: str, values: Sequence[object], page_rows: int
+) -> Callable[[], list[RawRow]]:
+    """Request rows as Cassandra stores their values; return what waits for all of them."""
     bound = cassandra.prepare(cql).bind(values)
-    bound.fetch_size = PAGE_ROWS
+    bound.fetch_size = page_rows
     sent = [cassandra.send_raw(bound)]
 
-    def run() -> BucketColumns:
+    def run() -> list[RawRow]:
         future = sent.pop() if sent else cassandra.send_raw(bound)
-        return columns_of(list(answered(future, outage)))
+        return list(answered(future, outage))
 
     outage = cassandra.outage
     return partial(retried, "reading the directory of buckets", run, outage=outage)
+
+
+def count_closed(
+    cassandra: Cassandra, table: str, wanted: Iterable[ActiveRange]
+) -> tuple[int, set[tuple[str, int]]]:
+    """Count the messages in closed buckets of all robots.
+
+    Args:
+        table: Qualified name of cr_active.
+        wanted: The partitions and their buckets.
+
+    Returns:
+        The number of messages; node and bucket of those in which some writer's counts are not
+        final, which are not counted.
+    """
+    cql = (
+        f"SELECT node, bucket, entry, deleted FROM {table} "
+        "WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
+    )
+    total, others = 0, set()
+    asked = (_ask_rows(cassandra, cql, each, ACTIVE_PAGE_ROWS) for each in wanted)
+    for answer in sent_ahead(asked, AT_ONCE):
+        rows = answer()
+        moving = {row[:2] for row in rows if not is_closed(row[2]) or row[3] == b"\1"}
+        entries = [row[2] for row in rows if row[:2] not in moving]
+        total += int(_longs([messages_in(entry) for entry in entries if entry]).sum())
+        others |= {((node or b"").decode(), decode_long(bucket)) for node, bucket in moving}
+    return total, others
 
 
 def columns_of(rows: Sequence[RawRow]) -> BucketColumns:

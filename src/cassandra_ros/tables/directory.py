@@ -7,6 +7,13 @@ before its first data row, so the directory lists every bucket that has rows, an
 have none. The counts of a *closed* bucket are final, those of an open one are estimates. Heartbeats
 have the server's time, because clocks of robots are wrong.
 
+Each entry is kept twice. ``cr_bucket`` lists the buckets of one robot, and is what a recount
+compares itself with. ``cr_active`` lists the buckets of all robots in the order of time: of a
+thousand robots few are active at any time, and a question about a time reads only their entries.
+Both are written by one request, so the rules above hold for each of them. The two heartbeats of an
+entry may differ by milliseconds: compare those of cr_bucket. A table of schema version 1 has
+entries that only cr_bucket lists, and is read by robot (``TopicMetadata.by_time``).
+
 A topic that was recorded for a year has half a million buckets of a minute, and a read of its last
 message needs one of them. So a read goes through the directory slot by slot, in windows that grow
 (``BucketWalk``). A read of all rows gets a whole slot at once.
@@ -33,7 +40,13 @@ from typing import (
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.connection.requests import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.tables.bucket_columns import BucketColumns, SlotRange, read_columns
+from cassandra_ros.tables.active_entry import UNKNOWN, ActiveEntry, decode_entry
+from cassandra_ros.tables.bucket_columns import (
+    BucketColumns,
+    SlotRange,
+    count_closed,
+    read_columns,
+)
 from cassandra_ros.tables.row_table import RowTable
 from cassandra_ros.tables.side_tables import SideTables
 
@@ -65,8 +78,13 @@ NOTE_MARGIN_SEC = 7200
 """How much longer than a data row that is written now its row of cr_node must stay, s."""
 FEW_BUCKETS = 8
 """Number of rows in the first window of buckets, for each node."""
+FEW_NODES = 4
+"""Maximum number of nodes that are asked before the directory tells who was active. Of more, most
+had nothing to tell."""
 FEW_SLOTS = 64
 """Number of rows in the first window of slots and their nodes."""
+MANY_NODES = 8
+"""Maximum number of nodes for which the first window of the buckets of all nodes has rows."""
 MANY_SLOTS = 1024
 """Maximum number of slots cached for one table."""
 WIDER = 4
@@ -133,6 +151,10 @@ def slot_of(bucket: int) -> int:
 
 _OWN_TABLES = ("cr_node", "cr_bucket")
 _COLUMNS = "bucket, writer, state, deleted, heartbeat, n, bytes, largest, t_min, t_max, odd, filled"
+_ACTIVE_COLUMNS = "bucket, node, writer, entry, deleted, heartbeat, toTimestamp(now())"
+_EVER = (-(2**63), 2**63 - 1)
+MOST_SLOTS = 16
+"""Maximum number of slots that are read without a list of those that have buckets."""
 BucketKey = Tuple[str, str, int, int]
 """Table, node, bucket and writer: the key of a row of cr_bucket."""
 
@@ -164,6 +186,13 @@ class BucketRow(NamedTuple):
     ``writing`` may both be false."""
     cut: bool = False
     """Whether rows were deleted since the bucket was counted."""
+    marked_us: int = 0
+    """When the server wrote the heartbeat, us; 0 = the row was read from cr_active."""
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Messages, bytes, largest, t_min, t_max and odd."""
+        return self[5:11]
 
     def expired(self, ttl: int) -> bool:
         """Return whether all rows of this writer in the bucket have expired; ttl in seconds."""
@@ -216,8 +245,9 @@ BucketGroup = Tuple[int, Group]
 """A bucket and its group. An empty group means that the directory was read up to here."""
 _Slot = Tuple[int, Tuple[str, ...]]
 """A slot, and the nodes that have buckets in it."""
-_Answers = Iterator[Callable[[], List[BucketRow]]]
-"""Functions that wait for the buckets of one node each."""
+_Asked = Tuple[Iterator[Callable[[], List[BucketRow]]], int]
+"""Functions that wait for the buckets of one node each, or of all; maximum number of rows of each
+answer."""
 
 
 class Directory:
@@ -227,10 +257,11 @@ class Directory:
         self._cassandra = cassandra
         self._tables = side_tables
         self._node_table, self._bucket_table = map(side_tables.qualified, _OWN_TABLES)
+        self._active_table = side_tables.qualified("cr_active")
         self._made = False
         self._noted: dict[tuple[str, int, str], float] = {}
         self.seen: dict[str, dict[int, tuple[str, ...]]] = {}
-        """Table → slot → nodes, as listed last; may be out of date."""
+        """Table → slot → nodes, as listed last; may be out of date, or only some of many."""
         self.first: dict[tuple[str, bool], tuple[Sequence[str], Sequence[Sequence[BucketRow]]]] = {}
         """Table and whether newest rows come first → nodes and buckets in which the last read of
         few rows began; see ``foresee`` in store/."""
@@ -264,33 +295,113 @@ class Directory:
         what, retry_sec = "reading the directory of nodes", self._tables.retry_sec
         return self._cassandra.begin(cql, (table, *slots, limit), what=what, retry_sec=retry_sec)
 
+    def reads_by_time(self, by_time: bool, nodes: Sequence[str] | None) -> bool:
+        """Return whether the buckets of a table are read from cr_active.
+
+        Args:
+            by_time: Whether cr_active lists all of them; see TopicMetadata.
+            nodes: The nodeIDs to read; None = all.
+        """
+        return by_time and nodes is None and self._tables.has("cr_active")
+
     def buckets(
-        self, table: str, first: int, last: int, nodes: Sequence[str] | None = None, ttl: int = 0
+        self,
+        table: str,
+        first: int,
+        last: int,
+        nodes: Sequence[str] | None = None,
+        ttl: int = 0,
+        *,
+        by_time: bool = False,
     ) -> list[BucketRow]:
         """Return the buckets of a table in [first, last], one row for each writer.
 
         Args:
             nodes: The nodeIDs to read; None = all.
             ttl: Lifetime of the table's rows, seconds; buckets with only expired rows are left out.
+            by_time: Whether cr_active lists all buckets of the table; see TopicMetadata.
         """
-        listed = self.nodes(table, slot_of(first), slot_of(last))
-        found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
-        every = self._buckets([(table, node, slot, first, last) for slot, node in found])
+        asked: Iterable[Callable[[], list[BucketRow]]]
+        if self.reads_by_time(by_time, nodes):
+            slots = self._slots_between(table, slot_of(first), slot_of(last))
+            asked = (self.begin_active(table, slot, first, last) for slot in slots)
+        else:
+            listed = self.nodes(table, slot_of(first), slot_of(last))
+            found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
+            asked = self.begin_buckets((table, node, slot, first, last) for slot, node in found)
+        every = [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
         return every if not ttl else [row for row in every if not row.expired(ttl)]
 
-    def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
-        """Return the rows of all writers for one bucket."""
-        return self._buckets([(table, node, slot_of(bucket), bucket, bucket)])
+    def _slots_between(self, table: str, first: int, last: int) -> Iterable[int]:
+        """Return the slots in [first, last] that may have buckets of a table."""
+        if last - first < MOST_SLOTS:
+            return range(first, last + 1)
+        if not self._is_made():
+            return ()
+        cql = (
+            f"SELECT slot FROM {self._node_table} "
+            "WHERE tbl = ? AND slot >= ? AND slot <= ? GROUP BY tbl, slot"
+        )
+        what, retry_sec = "reading the directory of nodes", self._tables.retry_sec
+        params = (table, first, last)
+        rows = self._cassandra.execute(cql, params, what=what, retry_sec=retry_sec)
+        return [slot for (slot,) in rows]
 
-    def _buckets(
+    def begin_active(
         self,
-        params: Sequence[tuple[str, str, int, int, int]],
+        table: str,
+        slot: int,
+        first: int,
+        last: int,
         limit: int = ALL_ROWS,
         *,
         reverse: bool = False,
-    ) -> list[BucketRow]:
-        asked = self.begin_buckets(params, limit, reverse=reverse)
-        return [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
+    ) -> Callable[[], list[BucketRow]]:
+        """Request the buckets of all robots of a slot in [first, last] in the order of time.
+
+        The answer has at most ``limit`` rows, from the first bucket on or (reverse) from the last.
+        """
+        order = " ORDER BY bucket DESC, node DESC, writer DESC" * reverse
+        cql = (
+            f"SELECT {_ACTIVE_COLUMNS} FROM {self._active_table} "
+            f"WHERE tbl = ? AND slot = ? AND bucket >= ? AND bucket <= ?{order} LIMIT ?"
+        )
+        what, retry_sec = "reading the directory of buckets by time", self._tables.retry_sec
+        params = (table, slot, first, last, limit)
+        answer = self._cassandra.begin(cql, params, what=what, retry_sec=retry_sec)
+        return lambda: list(map(_active_row, answer()))
+
+    def count_closed(self, table: str, first: int, last: int) -> tuple[int, list[BucketRow]]:
+        """Count the messages of all robots in the closed buckets in [first, last].
+
+        Only of a table that is read by time.
+
+        Returns:
+            The number of messages, and the rows of the buckets that are not counted: in these some
+            writer's counts are not final.
+        """
+        slots = self._slots_between(table, slot_of(first), slot_of(last))
+        wanted = ((table, slot, first, last) for slot in slots)
+        count, others = count_closed(self._cassandra, self._active_table, wanted)
+        # In which some writer may have closed its rows meanwhile.
+        again = (
+            self.begin_active(table, slot_of(bucket), bucket, bucket)
+            for bucket in sorted({bucket for _, bucket in others})
+        )
+        rows = (row for answer in sent_ahead(again, AT_ONCE) for row in answer())
+        return count, [row for row in rows if (row.node, row.bucket) in others]
+
+    def find_active(self, table: str, node: str, bucket: int) -> list[BucketRow]:
+        """Return the rows of all writers for one bucket, from cr_active."""
+        where = "tbl = ? AND slot = ? AND bucket = ? AND node = ?"
+        params, what = (table, slot_of(bucket), bucket, node), "reading the directory by time"
+        rows = self._tables.select("cr_active", _ACTIVE_COLUMNS, where, params, what=what)
+        return list(map(_active_row, rows))
+
+    def find(self, table: str, node: str, bucket: int) -> list[BucketRow]:
+        """Return the rows of all writers for one bucket."""
+        asked = self.begin_buckets([(table, node, slot_of(bucket), bucket, bucket)])
+        return [row for answer in asked for row in answer()]
 
     def begin_buckets(
         self,
@@ -306,7 +417,8 @@ class Directory:
         if not self._is_made():
             return
         cql = (
-            f"SELECT {_COLUMNS}, toTimestamp(now()) FROM {self._bucket_table} "
+            f"SELECT {_COLUMNS}, toTimestamp(now()), WRITETIME(heartbeat) "
+            f"FROM {self._bucket_table} "
             "WHERE tbl = ? AND node = ? AND slot = ? AND bucket >= ? AND bucket <= ?"
             f"{' ORDER BY bucket DESC' * reverse} LIMIT ?"
         )
@@ -335,6 +447,29 @@ class Directory:
             return found
 
         return self.seen.get(table, {}).get(slot, ()), nodes
+
+    def has_few_nodes(self, table: str, slot: int) -> bool:
+        """Return whether a slot had nodes when it was listed last, and so few that all are asked.
+
+        Then its nodes are listed by ``begin_slot`` again, which takes less than the rows of one
+        bucket.
+        """
+        return 0 < len(self.seen.get(table, {}).get(slot, ())) <= FEW_NODES
+
+    def begin_bucket(self, table: str, bucket: int) -> Callable[[], list[BucketRow]]:
+        """Request one bucket of all nodes from cr_active; note the nodes that have it."""
+        slot = slot_of(bucket)
+        answer = self.begin_active(table, slot, bucket, bucket)
+
+        def rows() -> list[BucketRow]:
+            found = answer()
+            known = self.seen.get(table, {}).get(slot, ())
+            nodes = {*known, *(row.node for row in found)}
+            if len(nodes) > len(known):
+                self.keep_slots(table, range(slot, slot + 1), [(slot, tuple(sorted(nodes)))])
+            return found
+
+        return rows
 
     def columns(
         self, wanted: Iterable[SlotRange], *, single: bool = False
@@ -379,32 +514,83 @@ class Directory:
                 It is a separate column because a living writer closes the bucket with its own
                 counts.
         """
-        columns = _key(place)
+        columns, active = _key(place), _key(place)
         if deleted:
-            columns["deleted"] = True
+            columns["deleted"] = active["deleted"] = True
         else:
             columns.update(state="closed" if closed else "open", filled=set(filled))
             columns.update(totals.columns() if totals is not None else {})
-        what = "writing the directory of buckets"
-        self._tables.insert("cr_bucket", columns, what, now=["heartbeat"], ttl=_ttl(ttl))
+            counts = UNKNOWN if totals is None else tuple(totals.columns().values())
+            active["entry"] = ActiveEntry(closed, counts, filled).encoded()
+        both = [(self._bucket_table, columns)]
+        if self._tables.has("cr_active"):  # it is missing until this release has written once
+            both.append((self._active_table, active))
+        # One request, which is acknowledged when both are written; both get one write time.
+        inserts = "; ".join(
+            f"INSERT INTO {listing} ({', '.join(some)}, heartbeat) "
+            f"VALUES ({', '.join('?' * len(some))}, toTimestamp(now())) USING TTL ?"
+            for listing, some in both
+        )
+        params = [value for _, some in both for value in (*some.values(), _ttl(ttl))]
+        what, retry_sec = "writing the directory of buckets", self._tables.retry_sec
+        cql = f"BEGIN UNLOGGED BATCH {inserts}; APPLY BATCH"
+        self._cassandra.execute(cql, params, what=what, retry_sec=retry_sec)
 
     def put_recount(self, table: str, row: BucketRow, totals: BucketTotals, ttl: int) -> bool:
         """Close a bucket that has no living writer; return whether that was done.
 
-        It is not done if the bucket has changed since ``row`` was read, which must be before its
-        data rows are counted.
+        It is not done if the bucket has changed since ``row`` was read, which must be by ``find``
+        and before its data rows are counted.
         """
         columns = {"filled": set(row.filled), **totals.columns()}
         key = _key((table, row.node, row.bucket, row.writer))
+        rest = (
+            "deleted = false, heartbeat = toTimestamp(now()) "
+            f"WHERE {' AND '.join(f'{name} = ?' for name in key)}"
+        )
+        what = "closing a bucket in the directory"
         answer = self._cassandra.execute_once(
             f"UPDATE {self._bucket_table} USING TTL ? SET state = 'closed', "
-            f"{''.join(f'{name} = ?, ' for name in columns)}deleted = false, "
-            "heartbeat = toTimestamp(now()) "
-            f"WHERE {' AND '.join(f'{name} = ?' for name in key)} IF heartbeat = ?",
+            f"{''.join(f'{name} = ?, ' for name in columns)}{rest} IF heartbeat = ?",
             (_ttl(ttl), *columns.values(), *key.values(), row.heartbeat),
-            what="closing a bucket in the directory",
+            what=what,
         )
-        return bool(answer[0][0])
+        done = bool(answer[0][0])
+        if done and self._tables.has("cr_active"):
+            entry = ActiveEntry(True, tuple(totals.columns().values()), row.filled).encoded()
+            # Later than what was read, and earlier than each mark since, whose values then stay.
+            self._cassandra.execute(
+                f"UPDATE {self._active_table} USING TIMESTAMP ? AND TTL ? SET entry = ?, {rest}",
+                (row.marked_us + 1, _ttl(ttl), entry, *key.values()),
+                what=what,
+                retry_sec=self._tables.retry_sec,
+            )
+        return done
+
+    def list_by_time(self, table: str, rows: Iterable[BucketRow], ttl: int, since_us: int) -> None:
+        """Write rows that were read from cr_bucket into cr_active.
+
+        Args:
+            ttl: Lifetime of the table's rows, seconds; 0 = for ever.
+            since_us: Server time before the rows were read, us: what was marked later stays.
+        """
+        since_us -= int(CLOCKS_SEC * 10**6)
+        columns = ("tbl", "slot", "bucket", "node", "writer", "entry", "deleted", "heartbeat")
+        values = [
+            (
+                *(table, slot_of(row.bucket), row.bucket, row.node, row.writer),
+                ActiveEntry(not row.writing, row.counts, row.filled).encoded(),
+                *(row.cut, row.heartbeat, since_us, _ttl(ttl)),
+            )
+            for row in rows
+        ]
+        self._cassandra.execute_many(
+            f"INSERT INTO {self._active_table} ({', '.join(columns)}) "
+            f"VALUES ({', '.join('?' * len(columns))}) USING TIMESTAMP ? AND TTL ?",
+            values,
+            what="writing the directory by time",
+            retry_sec=self._tables.retry_sec,
+        )
 
     def tables(self) -> set[str]:
         """Return the names of the tables with buckets, including dropped tables (a full scan)."""
@@ -413,9 +599,12 @@ class Directory:
 
     def forget(self, table: str) -> None:
         """Delete all entries of a table that was dropped."""
-        slots = [(table, node, slot) for slot, node in self.nodes(table, -(2**63), 2**63 - 1)]
+        slots = [(table, node, slot) for slot, node in self.nodes(table, *_EVER)]
         key = ("tbl", "node", "slot")
         self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
+        if self._tables.has("cr_active"):
+            by_time = sorted({(table, slot) for _, _, slot in slots})
+            self._tables.delete("cr_active", ("tbl", "slot"), by_time, "clearing the directory")
         self.seen.pop(table, None)
         for reverse in (False, True):
             self.first.pop((table, reverse), None)
@@ -429,9 +618,10 @@ class BucketWalk:
         nodes: nodeIDs to read; None = all.
         ttl: Lifetime of the table's rows, seconds; expired buckets are left out.
         few: Whether probably only few of the buckets are needed.
+        by_time: Whether cr_active lists all buckets of the table; see TopicMetadata.
 
     Attributes:
-        met: Nodes found so far that have buckets.
+        met: Nodes found so far that have buckets; of a slot with many nodes perhaps only some.
     """
 
     def __init__(
@@ -445,6 +635,7 @@ class BucketWalk:
         *,
         reverse: bool = False,
         few: bool = False,
+        by_time: bool = False,
     ) -> None:
         self._directory = directory
         self._table = table
@@ -453,6 +644,7 @@ class BucketWalk:
         self._ttl = ttl
         self._reverse = reverse
         self._few = few
+        self._by_time = directory.reads_by_time(by_time, nodes)
         self.met: set[str] = set()
 
     def groups(self) -> Iterator[BucketGroup]:
@@ -472,15 +664,20 @@ class BucketWalk:
                 continue
             low, high = self._inside(slot)
             # Only for the first slot: later ones need a larger window.
-            asked = early if slot == expected and not begun else None
+            asked = early if expected is not None and self._same(slot, expected) else None
+            asked = None if begun else asked
             while low <= high:
                 if begun and self._few:
                     yield (high if self._reverse else low), []
                 asked = self._ask(slot, (low, high), limit) if asked is None else asked
-                found, end = self._window(asked, low, high, limit)
+                found, end = self._window(asked, low, high)
                 yield from ((group[0].bucket, group) for group in found)
                 low, high = (low, end - 1) if self._reverse else (end + 1, high)
                 limit, asked, begun = min(ALL_ROWS, WIDER * limit), None, True
+
+    def _same(self, slot: _Slot, other: _Slot) -> bool:
+        """Return whether the buckets of two slots are requested in the same way."""
+        return slot[0] == other[0] if self._by_time else slot == other
 
     def _inside(self, slot: _Slot) -> tuple[int, int]:
         """Return the first and the last bucket of a slot in the range of this walk."""
@@ -500,8 +697,9 @@ class BucketWalk:
             if len(listed) < limit:
                 first, last = 1, 0
             else:
-                cut = slots.pop()[0]  # further nodes of this slot may follow
-                first, last = (first, cut) if self._reverse else (cut, last)
+                # Further nodes of this slot may follow, which cr_active lists, too.
+                cut, step = (slots[-1][0], 1) if self._by_time else (slots.pop()[0], 0)
+                first, last = (first, cut - step) if self._reverse else (cut + step, last)
                 limit = min(ALL_ROWS, WIDER * limit)
             if self._few:
                 self._directory.keep_slots(self._table, asked, slots)
@@ -521,22 +719,28 @@ class BucketWalk:
         if not inside:
             return None
         slot = self._kept(max(inside) if self._reverse else min(inside))
-        return slot if slot is not None and len(slot[1]) <= AT_ONCE else None
+        few = self._by_time or (slot is not None and len(slot[1]) <= AT_ONCE)
+        return slot if few else None
 
-    def _ask(self, slot: _Slot, ends: tuple[int, int], limit: int) -> _Answers:
-        """Request the buckets of the nodes of a slot, several at once."""
+    def _ask(self, slot: _Slot, ends: tuple[int, int], limit: int) -> _Asked:
+        """Request the buckets of the nodes of a slot, several at once; ``limit`` for each node."""
+        if self._by_time:
+            limit = min(ALL_ROWS, limit * min(len(slot[1]), MANY_NODES))
+            ask = self._directory.begin_active
+            return iter([ask(self._table, slot[0], *ends, limit, reverse=self._reverse)]), limit
         params = [(self._table, node, slot[0], *ends) for node in slot[1]]
         asked = sent_ahead(
             self._directory.begin_buckets(params, limit, reverse=self._reverse), AT_ONCE
         )
         first = next(asked, None)  # sends the requests
-        return iter(()) if first is None else chain((first,), asked)
+        return (iter(()) if first is None else chain((first,), asked)), limit
 
-    def _window(self, asked: _Answers, low: int, high: int, limit: int) -> tuple[list[Group], int]:
+    def _window(self, asked: _Asked, low: int, high: int) -> tuple[list[Group], int]:
         """Return the next buckets, and the last bucket (included) up to which they are complete."""
         end = low if self._reverse else high
+        answers, limit = asked
         found: list[BucketRow] = []
-        for answer in asked:
+        for answer in answers:
             rows = answer()
             found += rows
             if len(rows) == limit:
@@ -566,10 +770,26 @@ def _bucket_rows(node: str, answer: Callable[[], list[CqlRow]]) -> list[BucketRo
 
 
 def _bucket_row(node: str, row: CqlRow) -> BucketRow:
-    bucket, writer, state, deleted, beat, n, size, largest, t_min, t_max, odd, filled, now = row
+    """Return a row of cr_bucket."""
+    bucket, writer, state, deleted, beat, n, size, largest, t_min, t_max, odd, filled, *times = row
     closed = state == "closed" and not deleted
     latest = -1 if t_max is None else t_max
     counts = (n or 0, size or 0, largest or 0, t_min or 0, latest, odd or 0)
-    age_sec = STALE_SEC + 1 if beat is None else (now - beat).total_seconds()
-    said = node, bucket, writer, closed, beat, *counts, age_sec, frozenset(filled or ())
-    return BucketRow(*said, writing=state == "open", cut=bool(deleted))
+    now, marked_us = times
+    said = node, bucket, writer, closed, beat, *counts, _age(beat, now), frozenset(filled or ())
+    return BucketRow(*said, state == "open", bool(deleted), marked_us or 0)
+
+
+def _active_row(row: CqlRow) -> BucketRow:
+    """Return a row of cr_active."""
+    bucket, node, writer, entry, deleted, beat, now = row
+    closed, counts, filled = ActiveEntry(False) if entry is None else decode_entry(entry)
+    n, size, largest, t_min, t_max, odd = counts
+    said = node, bucket, writer, closed and not deleted, beat, n, size, largest, t_min, t_max, odd
+    writing = entry is not None and not closed
+    return BucketRow(*said, _age(beat, now), frozenset(filled), writing, bool(deleted))
+
+
+def _age(heartbeat: datetime | None, now: datetime) -> float:
+    """Return the time since a heartbeat, s."""
+    return STALE_SEC + 1 if heartbeat is None else (now - heartbeat).total_seconds()

@@ -24,7 +24,7 @@ from cassandra_ros.connection.cql_names import (
     table_name,
 )
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
-from cassandra_ros.metadata import SHADOW, TopicMetadata, from_comment
+from cassandra_ros.metadata import SCHEMA_VERSION, SHADOW, TopicMetadata, from_comment
 from cassandra_ros.tables.row_table import RowTable
 from cassandra_ros.tables.side_tables import SchemaLock, SideTables
 from cassandra_ros.tables.table_files import TableFiles
@@ -427,6 +427,14 @@ class Schema:
             what=f"changing the metadata of topic {metadata.topic}",
         )
 
+    def raise_version(self, table: str) -> None:
+        """Note in the comment of a table that it is as this release makes tables."""
+        with self.lock() as lock:
+            metadata = self.listing(fresh=True).visible.get(table)
+            if metadata is not None:
+                self.set_comment(table, metadata.with_(version=SCHEMA_VERSION), lock)
+        self.tables(fresh=True)
+
     def drop_topic(self, topic: str, *, renew: bool = False) -> list[str]:
         """Drop all tables of a topic; return their names and those of tables that they replaced.
 
@@ -496,7 +504,7 @@ def _new_table(
     """
     if shadows is not None:
         columns = {**_own_columns(metadata), **columns, **shadows}
-    wanted = metadata.with_(generation=time.time_ns())
+    wanted = metadata.with_(generation=time.time_ns(), version=SCHEMA_VERSION)
     name = table_name(wanted.topic, wanted.md5sum, wanted.format, wanted.generation)
     return _NewTable(name, wanted, dict(columns), large)
 

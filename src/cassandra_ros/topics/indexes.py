@@ -23,6 +23,7 @@ from cassandra_ros.tables.directory import STALE_SEC, BucketRow, BucketTotals, D
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_adder import MessageAdder
 from cassandra_ros.topics.stored_row import read_wire
+from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable, definition_in
 
 _log = logging.getLogger(__name__)
@@ -75,7 +76,7 @@ def list_indexes(
             if _type_of(table.metadata, field) is None:
                 continue
             index = table.index_fields.get(field)
-            rows = directory.buckets(table.name, -(2**63), 2**63 - 1, ttl=table.metadata.ttl)
+            rows = buckets_of(directory, table)
             messages += sum(row.rows for row in rows)
             missing += sum(
                 row.rows for row in rows if index is None or index.shadow not in row.filled
@@ -184,10 +185,8 @@ class IndexFilling:
             if index is None:
                 continue
             buckets: dict[tuple[str, int], list[BucketRow]] = {}
-            ends = (-(2**63), 2**63 - 1)
-            for row in self._directory.buckets(table.name, *ends, ttl=table.metadata.ttl):
-                # An open bucket belongs to its writer, until that is silent for a minute.
-                if index.shadow not in row.filled and (row.closed or row.age_sec > STALE_SEC):
+            for row in buckets_of(self._directory, table):
+                if _lacks(row, index):
                     buckets.setdefault((row.node, row.bucket), []).append(row)
             for key in sorted(buckets):
                 yield table, index, buckets[key]
@@ -196,10 +195,11 @@ class IndexFilling:
         self, table: TopicTable, index: IndexField, writers: list[BucketRow]
     ) -> tuple[int, int]:
         """Return the number of rows that were filled, and of writers whose bucket is complete."""
-        totals = {row.writer: BucketTotals() for row in writers}
         backfill = Backfill(table, index.shadow)
         place = writers[0].node, writers[0].bucket
         rows_of_writers = self._directory.find(table.name, *place)
+        writers = [row for row in rows_of_writers if _lacks(row, index)]
+        totals = {row.writer: BucketTotals() for row in writers}
         largest = max(
             (r.largest if r.closed else UNKNOWN_ROW_BYTES for r in rows_of_writers), default=0
         )
@@ -248,3 +248,9 @@ class IndexFilling:
     def _is_marked(self, table: TopicTable, row: BucketRow, shadow: str) -> bool:
         found = self._directory.find(table.name, row.node, row.bucket)
         return any(one.writer == row.writer and shadow in one.filled for one in found)
+
+
+def _lacks(row: BucketRow, index: IndexField) -> bool:
+    """Return whether the values of an index can be filled into the rows of a bucket."""
+    # An open bucket belongs to its writer, until that is silent for a minute.
+    return index.shadow not in row.filled and (row.closed or row.age_sec > STALE_SEC)

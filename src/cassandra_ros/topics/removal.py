@@ -10,13 +10,14 @@ from typing import Collection, Iterable, Sequence, Tuple, Union
 from cassandra_ros.blocks.block_counts import headers
 from cassandra_ros.blocks.block_deletion import BlockDeletion
 from cassandra_ros.places.paths import LONGEST_GAP_NS
-from cassandra_ros.read import Read
+from cassandra_ros.read import Read, Whose
 from cassandra_ros.store.row_counts import scan_keys, scan_written
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.row_table import BlockKey
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.row_reader import current
 from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.topics.stored_totals import buckets_of
 from cassandra_ros.topics.topic_table import TopicTable
 
 ROWS_AT_ONCE = 512
@@ -39,7 +40,7 @@ def delete_time_range(space: Keyspace, tables: Sequence[TopicTable], read: Read)
     until = space.cassandra.server_time_us()
     for table in current(tables):
         ends = table.bucket_of(low), table.bucket_of(high)
-        rows = list(space.directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl))
+        rows = buckets_of(space.directory, table, Whose(whose.nodes), ends)
         if whose.writers is not None or high - low < LONGEST_GAP_NS:
             # The robot's way between the remaining poses may now lead over deleted ones.
             mine = [r.bucket for r in rows if whose.writers is None or r.writer in whose.writers]

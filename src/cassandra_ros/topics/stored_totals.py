@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Sequence
 
-from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
 from cassandra_ros.read import EVERYBODY, Read, Whose
@@ -78,12 +78,41 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
         keys = (k for k in list_names(table, whose.nodes) if whose.wrote(k.position.seq))
         return sum(low <= key.position.t <= high for key in keys)
     length, ends = table.metadata.bucket_ns, (table.bucket_of(low), table.bucket_of(high))
-    rows = buckets_of(directory, table, whose, ends)
-    inner = [r for r in rows if low <= r.bucket * length and (r.bucket + 1) * length - 1 <= high]
-    edges = {(r.node, r.bucket) for r in rows} - {(r.node, r.bucket) for r in inner}
-    return sum(row.rows for row in settle(directory, table, inner)) + sum(
-        count_part(table, node, bucket, (low, high), whose.writers) for node, bucket in edges
-    )
+    # The buckets that are wholly in the range: without those at its ends if it begins or ends in
+    # them.
+    first = ends[0] if low <= 0 else -(-low // length)
+    last = ends[1] if high >= MAX_NS else (high + 1) // length - 1
+    metadata = table.metadata
+    count = 0
+    rows: list[BucketRow] = []
+    if (
+        whose.writers is None
+        and not metadata.ttl
+        and directory.reads_by_time(metadata.by_time, whose.nodes)
+    ):
+        if first <= last:
+            count, rows = directory.count_closed(table.name, first, last)
+        for edge in {end for end in ends if not first <= end <= last}:
+            rows += buckets_of(directory, table, whose, (edge, edge))
+    else:
+        rows = buckets_of(directory, table, whose, ends)
+    inner = [row for row in rows if first <= row.bucket <= last]
+    edges: dict[tuple[str, int], list[BucketRow]] = {}
+    for row in rows:
+        if not first <= row.bucket <= last:
+            edges.setdefault((row.node, row.bucket), []).append(row)
+    count += sum(row.rows for row in settle(directory, table, inner))
+    return count + sum(_count_edge(table, group, read) for group in edges.values())
+
+
+def _count_edge(table: TopicTable, group: Sequence[BucketRow], read: Read) -> int:
+    """Count the messages of a bucket that is partly in a time range."""
+    low, high = read.time_range
+    if all(row.closed for row in group) and not table.metadata.ttl:
+        met = [row for row in group if row.rows and row.t_min <= high and row.t_max >= low]
+        if all(low <= row.t_min and row.t_max <= high for row in met):
+            return sum(row.rows for row in met)
+    return count_part(table, group[0].node, group[0].bucket, (low, high), read.whose.writers)
 
 
 def holds_any(directory: Directory, tables: Sequence[TopicTable], whose: Whose) -> bool:
@@ -134,10 +163,12 @@ def _described(
             rows = _names_as_buckets(table, whose)
         else:
             rows = settle(directory, table, buckets_of(directory, table, whose))
-        nodes = sorted({row.node for row in rows})
-        for node in nodes or [table.metadata.nodeID] * (whose == EVERYBODY):
+        groups: dict[str, list[BucketRow]] = {}
+        for row in rows:
+            groups.setdefault(row.node, []).append(row)
+        for node in sorted(groups) or [table.metadata.nodeID] * (whose == EVERYBODY):
             missing = lost[table.metadata.topic, node]
-            infos.append(_describe(table, node, [r for r in rows if r.node == node], missing))
+            infos.append(_describe(table, node, groups.get(node, []), missing))
     return infos
 
 
@@ -148,7 +179,8 @@ def buckets_of(
     ends: tuple[int, int] = (-(2**63), 2**63 - 1),
 ) -> list[BucketRow]:
     """Return the buckets of a table with messages of ``whose``, one row for each writer."""
-    rows = directory.buckets(table.name, *ends, whose.nodes, table.metadata.ttl)
+    metadata = table.metadata
+    rows = directory.buckets(table.name, *ends, whose.nodes, metadata.ttl, by_time=metadata.by_time)
     return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
 
 

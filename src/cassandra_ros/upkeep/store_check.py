@@ -184,7 +184,7 @@ class _Check:
 
     def _buckets(self, table: TopicTable) -> None:
         low, high = (table.bucket_of(t) for t in self._time_range)
-        listed = self._space.directory.buckets(table.name, low, high)
+        listed = self._space.directory.buckets(table.name, low, high)  # by robot: see _by_time
         groups: dict[tuple[str, int], list[BucketRow]] = {}
         for row in listed:
             groups.setdefault((row.node, row.bucket), []).append(row)
@@ -197,6 +197,10 @@ class _Check:
             self._read(table, node, bucket, rows, total)
             self._compare(table, node, bucket)
         self._slots(table, set(groups))
+        if table.metadata.by_time:
+            self._by_time(table, low, high)
+        elif self._repair and self._time_range == TimeRange():
+            self._list_by_time(table)
 
     def _read(
         self, table: TopicTable, node: str, bucket: int, rows: list[BucketRow], total: int
@@ -327,6 +331,56 @@ class _Check:
                 "them; --repair lists them",
                 mended=self._repair,
             )
+
+    def _by_time(self, table: TopicTable, low: int, high: int) -> None:
+        """Report buckets that cr_active does not list as cr_bucket does.
+
+        They have been compared with the rows, so what differs is wrong in cr_active.
+        """
+        directory, ends, ttl = self._space.directory, (table.name, low, high), table.metadata.ttl
+        active = {_entry(row): row for row in directory.buckets(*ends, by_time=True)}
+        for entry in directory.buckets(*ends, ttl=ttl):
+            if not _differs(entry, active.get(_entry(entry))):
+                continue
+            # A client may have opened or closed the bucket between the two reads.
+            place = table.name, entry.node, entry.bucket
+            since_us = self._space.cassandra.server_time_us()
+            before = {row.writer: row for row in directory.find_active(*place)}
+            now = [row for row in directory.find(*place) if row.writer == entry.writer]
+            after = {row.writer: row for row in directory.find_active(*place)}
+            for row in now:
+                if all(_differs(row, rows.get(row.writer)) for rows in (before, after)):
+                    self._put_by_time(table, row, since_us, listed=row.writer in after)
+
+    def _put_by_time(
+        self, table: TopicTable, row: BucketRow, since_us: int, *, listed: bool
+    ) -> None:
+        directory, mended = self._space.directory, False
+        if self._repair:
+            directory.list_by_time(table.name, [row], table.metadata.ttl, since_us)
+            found = directory.find_active(table.name, row.node, row.bucket)
+            mended = not _differs(row, next((r for r in found if r.writer == row.writer), None))
+        said = "has other counts" if listed else "is missing"
+        self._note(
+            DamageKind.COUNT if listed else DamageKind.UNLISTED,
+            table,
+            row.node,
+            (row.t_min, row.t_max) if row.rows else None,
+            row.rows,
+            f"the entry of {row.rows} messages of writer {row.writer} {said} in the directory by "
+            "time, so reads of all robots may miss them; --repair puts the directory right",
+            mended=mended,
+        )
+
+    def _list_by_time(self, table: TopicTable) -> None:
+        """List the buckets of a table of schema version 1 by time, too, unless one is written."""
+        self._space.side_tables.make()
+        since_us = self._space.cassandra.server_time_us()
+        rows = self._space.directory.buckets(table.name, -(2**63), 2**63 - 1)
+        if any(row.writing and row.age_sec <= STALE_SEC for row in rows):
+            return
+        self._space.directory.list_by_time(table.name, rows, table.metadata.ttl, since_us)
+        self._space.schema.raise_version(table.name)
 
     def _settle(self, table: TopicTable, row: BucketRow, totals: BucketTotals) -> None:
         """Count a bucket that is not closed; that its counts are estimates is no damage."""
@@ -470,6 +524,15 @@ class _Check:
 
 def _within(t: int, time_range: TimeRange) -> bool:
     return time_range.low <= t <= time_range.high
+
+
+def _entry(row: BucketRow) -> tuple[str, int, int]:
+    return row.node, row.bucket, row.writer
+
+
+def _differs(row: BucketRow, active: BucketRow | None) -> bool:
+    """Return whether an entry by time is missing, or has other final counts."""
+    return active is None or (active.closed and (not row.closed or row.counts != active.counts))
 
 
 def _sign(row: BucketRow) -> tuple[int, bool, object]:
