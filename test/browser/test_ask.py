@@ -152,11 +152,13 @@ def test_sql_is_asked_over_several_topics(page):
         "s.dispatchEvent(new Event('change'))"
     )
     statement = (
-        'SELECT f.KEY, f.altitude, i.linear_acceleration.z FROM fix f '
+        "SELECT f.KEY, f.altitude, i.linear_acceleration.z FROM fix f "
         'ASOF JOIN "/imu/data" i ON f.KEY >= i.KEY ORDER BY f.KEY'
     )
     write(window, statement[: statement.index("fix") + 2])
-    window.wait_for("return document.querySelector('#ask-offers li')?.textContent.startsWith('fix')")
+    window.wait_for(
+        "return document.querySelector('#ask-offers li')?.textContent.startsWith('fix')"
+    )
     window.driver.switch_to.active_element.send_keys(statement[statement.index("fix") + 2 :])
     window.driver.switch_to.active_element.send_keys(CONTROL_ENTER)
     assert window.wait_for(ANSWERED) == "done"

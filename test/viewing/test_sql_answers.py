@@ -57,7 +57,7 @@ def test_a_join_gives_rows_with_their_times(viewer):
 
 
 def test_robots_and_a_time_range_choose_rows(viewer):
-    count = "SELECT NODE, count(*) AS n FROM \"/base/cmd\" GROUP BY NODE ORDER BY NODE"
+    count = 'SELECT NODE, count(*) AS n FROM "/base/cmd" GROUP BY NODE ORDER BY NODE'
     assert ask(viewer, "/api/query", count)["rows"] == [["one", 25], ["two", 25]]
     assert ask(viewer, "/api/query", count, nodes="two,three")["rows"] == [["two", 25]]
     ends = {"start": str(T0 + 3 * SEC), "end": str(T0 + 4 * SEC)}
@@ -91,7 +91,9 @@ def test_a_plot_has_the_numbers_of_all_rows(viewer):
     assert len(few["times"]) <= 5 and sum(few["rows"]) == 50
     (line,) = few["columns"]
     assert (max(line["high"]), min(line["low"])) == (0.0, -24.0)
-    part = ask(viewer, "/api/plot", 'SELECT KEY, linear.x FROM "/base/cmd"', start=str(T0 + 20 * SEC))
+    part = ask(
+        viewer, "/api/plot", 'SELECT KEY, linear.x FROM "/base/cmd"', start=str(T0 + 20 * SEC)
+    )
     assert len(part["times"]) == 5
     without = ask(viewer, "/api/plot", "SELECT 1 AS one")
     assert without["columns"] == [] and "without a time" in without["left_out"][0]["reason"]

@@ -179,7 +179,7 @@ class _BatchMaker:
     def _with_places(
         self, table: Table, places: _Places, made: Sequence[pyarrow.Array]
     ) -> pyarrow.RecordBatch:
-        """Return a batch of the arrays of a table's fields, and of the columns that are no fields."""
+        """Return a batch of the arrays of fields, with the columns that are no fields."""
         arrow, schema, count = self._arrow, self._schema.schema, len(places.keys)
         fields = self._schema.of_table(table)
         columns = {field.name.lower(): array for field, array in zip(fields, made)}

@@ -168,9 +168,7 @@ def _cells(kind: str, raws: Raws) -> ColumnArray:
 
 def _arrays(kind: str, length: int, raws: Raws) -> ColumnArray:
     joined = join_fixed(raws, np.dtype(f"V{length * _size_of(kind)}"))
-    return ColumnArray(
-        numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws)
-    )
+    return ColumnArray(numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws))
 
 
 def _element(index: int, kind: str, raws: Raws) -> ColumnArray:

@@ -39,7 +39,9 @@ _MOST_SEARCHED = 8 * 1024
 _NO_ALIAS = {word.lower() for phrase in _KEYWORDS for word in phrase.split()}
 
 
-def complete_sql(text: str, cursor: int, topics: Sequence[str], definitions: DefinitionsOf) -> Offers:
+def complete_sql(
+    text: str, cursor: int, topics: Sequence[str], definitions: DefinitionsOf
+) -> Offers:
     """Return the possible completions at a position of a statement.
 
     Args:

@@ -19,7 +19,13 @@ from cassandra_ros.errors import AnswerTooLarge, InvalidOption
 from cassandra_ros.query.tree.json_values import to_json
 from cassandra_ros.sql.python_values import printable_value, python_rows
 from cassandra_ros.sql.sql_result import SqlResult
-from cassandra_ros.sql.sql_series import SqlSeries, is_time_type, read_sql_series, time_column, times_of
+from cassandra_ros.sql.sql_series import (
+    SqlSeries,
+    is_time_type,
+    read_sql_series,
+    time_column,
+    times_of,
+)
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.lossless_json import Cells
