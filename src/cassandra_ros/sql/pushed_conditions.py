@@ -205,7 +205,7 @@ class _ConditionFinder:
     def _implied(
         self, join: Any, alias: str, names: Mapping[str, _Names], holds: Mapping[str, PushedRead]
     ) -> Iterator[PushedRead]:
-        """Yield the bounds of the right side that follow from those of the tables it is joined with.
+        """Yield the bounds of the right side that follow from those of the tables before it.
 
         A row of the right side that satisfies ON with no row of the result may be left out.
         """
