@@ -23,6 +23,7 @@ from cassandra_ros.arrays.arrow_types import (
     Wanted,
     adapt,
     check_columns,
+    count_leaves,
     fields_of,
     load_arrow,
     unite_schemas,
@@ -43,6 +44,10 @@ BATCH_ROWS = 16384
 """Maximum number of messages in a batch, but for those of one block."""
 BATCH_BYTES = 4 * 1024 * 1024
 """Size of serialised messages from which a batch ends, bytes."""
+FEW_FIELDS = 8
+"""Maximum number of fields that are read from each block by itself."""
+APART_MESSAGES = 128
+"""Minimum number of messages of one size in such a block: those of smaller groups are joined."""
 MOST_UNUSUAL = 0.1
 """Largest share of rows whose columns do not hold all fields; with more of them the messages of all
 rows are read, in one batch."""
@@ -128,7 +133,9 @@ class _BatchMaker:
         """Make a batch of some blocks of one table."""
         keys = np.concatenate([block.times for block in blocks])
         owners = [(block.node, block.run(), len(block.times)) for block in blocks]
-        return self._make(blocks[0].table, _Places(keys, owners), join_blocks(blocks))
+        table = blocks[0].table
+        apart = APART_MESSAGES if count_leaves(self._schema.of_table(table)) <= FEW_FIELDS else None
+        return self._make(table, _Places(keys, owners), join_blocks(blocks, apart))
 
     def of_rows(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
         """Yield batches of some rows of one table, without those that were deleted meanwhile."""

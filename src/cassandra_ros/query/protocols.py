@@ -13,6 +13,7 @@ from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.messages.wire.message_stacks import Planes
 from cassandra_ros.read import Read
 
 
@@ -99,7 +100,7 @@ class SizeGroup(Protocol):
         """Positions of the messages in the block, ascending."""
 
     @property
-    def planes(self) -> NDArray[np.uint8]:
+    def planes(self) -> Planes:
         """Bytes of the messages, (size, members): row k holds byte k of every message."""
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Iterable, NamedTuple, Sequence
+from typing import Any, Iterable, NamedTuple, Protocol, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,27 @@ Int64Array = NDArray[np.int64]
 """Offsets in bytes, or indices of messages."""
 NumberArray = NDArray[Any]
 """Values of a numeric field."""
+
+
+class Planes(Protocol):
+    """A matrix (size, messages) of bytes; an array, or one that decodes its rows when read."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Size of a message, and number of messages."""
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+
+    @property
+    def T(self) -> ByteArray:  # noqa: N802 - numpy's name
+        """The messages one after the other: (messages, size)."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, key: Any) -> Any: ...
+
 
 MIN_STACKED = 8
 """Minimum number of messages of one layout. Fewer are faster walked one by one, unless large."""
@@ -113,7 +134,7 @@ class Layout:
         """Return the offsets of a number, bool or time; empty if its array of messages is empty."""
         return self._numbers.get(path, _NOWHERE)
 
-    def fits(self, planes: ByteArray) -> NDArray[np.bool_]:
+    def fits(self, planes: Planes) -> NDArray[np.bool_]:
         """Return for each message whether it has this layout; all must have the same size."""
         same: NDArray[np.bool_] = (planes[self.prefixes] == self.lengths[:, None]).all(axis=0)
         return same
@@ -251,7 +272,7 @@ class Stack(NamedTuple):
     layout: Layout | Head
     members: Int64Array
     """Indices of the messages, as the caller numbers them."""
-    planes: ByteArray
+    planes: Planes
 
     def numbers(self, path: str, base: str, chosen: slice = slice(None)) -> NumberArray:
         """Return a primitive field: (offsets, messages). Times are in ns, a bool is 0 or 1."""
@@ -297,7 +318,7 @@ class Stacker:
         self.head = Head(definition)
         self._cache: dict[int, tuple[Layout, ...]] = {}
 
-    def stacks(self, planes: ByteArray, members: Int64Array) -> tuple[list[Stack], Int64Array]:
+    def stacks(self, planes: Planes, members: Int64Array) -> tuple[list[Stack], Int64Array]:
         """Group messages of equal size by their layout.
 
         Args:
@@ -329,7 +350,7 @@ class Stacker:
             left = left[~fits]
         return stacks, _joined([*rest, members[left]])
 
-    def heads(self, groups: Iterable[tuple[ByteArray, Int64Array]]) -> Stack:
+    def heads(self, groups: Iterable[tuple[Planes, Int64Array]]) -> Stack:
         """Return the heads of messages of any size as one stack; shorter messages are left out.
 
         Args:
@@ -391,18 +412,19 @@ def by_size(wires: Sequence[bytes]) -> Iterable[tuple[Int64Array, ByteArray]]:
             yield members, as_planes([wires[n] for n in members.tolist()])
 
 
-def read_numbers(planes: ByteArray, ats: Int64Array, base: str) -> NumberArray:
+def read_numbers(planes: Planes, ats: Int64Array, base: str) -> NumberArray:
     """Return the numbers at some offsets of all messages: (offsets, messages).
 
     See Stack.numbers.
     """
     unit, messages = PRIMITIVE_SIZES[base], planes.shape[1]
     numbers: NumberArray
-    if len(ats) <= MAX_OFFSETS_ONE_BY_ONE and planes.T.flags.c_contiguous:
+    array = planes if isinstance(planes, np.ndarray) else None
+    if array is not None and len(ats) <= MAX_OFFSETS_ONE_BY_ONE and array.T.flags.c_contiguous:
         # The messages are adjacent in memory: each number is read in place.
         numbers = np.empty((len(ats), messages), f"<u{unit}")
         for row, at in zip(numbers, ats.tolist()):
-            row[:] = np.ndarray((messages,), row.dtype, planes.T, at, (len(planes),))
+            row[:] = np.ndarray((messages,), row.dtype, array.T, at, (len(array),))
     else:
         rows = planes[ats[:, None] + np.arange(unit)]
         numbers = np.ascontiguousarray(rows.transpose(0, 2, 1)).view(f"<u{unit}")[..., 0]
