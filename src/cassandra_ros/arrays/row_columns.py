@@ -74,10 +74,10 @@ class RowColumns:
         """Return the columns of a row; None = the message is needed."""
         columns = row.columns
         if len(columns) == self._whole[0]:
-            columns = [columns[n] for n in self._whole[1]]
+            columns = tuple(columns[n] for n in self._whole[1])
         if len(columns) != len(self.names) or None in columns:
             return None
-        return columns  # type: ignore[return-value]  # none is None
+        return columns  # type: ignore[return-value]  # no column is None
 
     def make(self, rows: Sequence[Raws]) -> list[pyarrow.Array]:
         """Make the arrays of the fields of some rows.

@@ -494,6 +494,8 @@ def _many(sizes: Longs) -> list[tuple[int, int]]:
     """Return the ranges of ascending sizes in which many messages have one size other than 0."""
     if not len(sizes):
         return []
+    if sizes[0] == sizes[-1]:
+        return [(0, len(sizes))] if len(sizes) >= MIN_PLANES and sizes[0] > 0 else []
     ends = np.append(np.flatnonzero(np.diff(sizes)) + 1, len(sizes))
     begins = np.append(0, ends[:-1])
     many = (ends - begins >= MIN_PLANES) & (sizes[begins] > 0)
