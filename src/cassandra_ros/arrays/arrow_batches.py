@@ -166,7 +166,7 @@ class _BatchMaker:
             yield self._make(found[0].table, self._places(found), group_by_size(wires))
 
     def _places(self, rows: Sequence[Any]) -> _Places:
-        owned = groupby(rows, key=lambda row: (row.node, writer_of(row.position.seq)))
+        owned = groupby(rows, key=lambda row: (row.node, writer_of(row.seq)))
         groups = [(node, list(members)) for (node, _), members in owned]
         owners = [(node, members[0].run, len(members)) for node, members in groups]
         if self._schema.named:

@@ -45,11 +45,13 @@ class RisingPlanes:
         if not isinstance(key, tuple):
             return _decoded(self._stored[key], self._rises[key])
         columns = key[1]
-        if not isinstance(columns, (int, np.integer)):
-            return self._whole[:, columns]
         found: Bytes = self._stored[:, columns].copy()
-        before = self._stored[self._rises, : columns + 1]
-        found[self._rises] = np.add.reduce(before, axis=1, dtype=np.uint8)
+        rising = self._stored[self._rises]
+        if isinstance(columns, (int, np.integer)):
+            rising = rising[:, : columns + 1]
+            found[self._rises] = np.add.reduce(rising, axis=1, dtype=np.uint8)
+        else:
+            found[self._rises] = np.add.accumulate(rising, axis=1, dtype=np.uint8)[:, columns]
         return found
 
     @cached_property
