@@ -70,8 +70,13 @@ def join_blocks(blocks: Sequence[MessageBlock], apart: int | None = None) -> Siz
         if len(parts) == 1:
             yield parts[0]
         else:
-            planes = np.concatenate([planes for _, planes in parts], axis=1)
-            yield np.concatenate([members for members, _ in parts]), planes
+            indices = np.concatenate([members for members, _ in parts])
+            joined: Any = np.empty((len(parts[0][1]), len(indices)), np.uint8)
+            at = 0
+            for members, planes in parts:  # one by one, so that decoded planes do not all exist
+                joined[:, at : at + len(members)] = planes[:]
+                at += len(members)
+            yield indices, joined
 
 
 class StackedField(NamedTuple):

@@ -7,7 +7,6 @@ Most readers need few fields, so few planes: to decode all would take longer tha
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -54,17 +53,10 @@ class RisingPlanes:
             found[self._rises] = np.add.accumulate(rising, axis=1, dtype=np.uint8)[:, columns]
         return found
 
-    @cached_property
-    def _whole(self) -> Bytes:
-        return _decoded(self._stored, self._rises)
-
     @property
     def T(self) -> Bytes:  # noqa: N802 - numpy's name
         """The messages one after the other: (messages, size)."""
-        return self._whole.T
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Bytes:
-        return self._whole
+        return self[:].T
 
 
 def _decoded(stored: Bytes, rises: NDArray[np.bool_]) -> Bytes:
