@@ -49,7 +49,6 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from cassandra_ros.blocks.rising_planes import RisingPlanes
 from cassandra_ros.errors import CorruptMessage
 
 Bytes = NDArray[np.uint8]
@@ -343,8 +342,19 @@ class Group(NamedTuple):
     size: int
     members: Longs
     """Positions of the messages in the block, ascending."""
-    planes: Bytes | RisingPlanes
-    """Matrix (size, members): row k holds byte k of every message."""
+    stored: Bytes
+    """Matrix (size, members): row k holds byte k of every message, or differences of them."""
+    rises: Mask | None
+    """Which rows are stored as differences; None = no row is."""
+
+    @property
+    def planes(self) -> Bytes:
+        """The matrix without differences."""
+        if self.rises is None:
+            return self.stored
+        planes: Bytes = self.stored.copy()
+        planes[self.rises] = np.add.accumulate(planes[self.rises], axis=1, dtype=np.uint8)
+        return planes
 
 
 class Unpacked:
@@ -388,10 +398,7 @@ class Unpacked:
             at += size * count
             as_planes = _as_planes(count) and size not in self._as_rows
             planes = flat.reshape(size, count) if as_planes else flat.reshape(count, size).T
-            rises = self._rises.get(size)
-            found.append(
-                Group(size, members, planes if rises is None else RisingPlanes(planes, rises))
-            )
+            found.append(Group(size, members, planes, self._rises.get(size)))
         return tuple(found)
 
     @cached_property
@@ -399,7 +406,7 @@ class Unpacked:
         """All messages, those of a group one after the other, and the offset of each."""
         parts = [_turn(group.planes) for group in self.groups]
         starts, at = np.empty(len(self), np.int64), 0
-        for (size, members, _), part in zip(self.groups, parts):
+        for (size, members, *_), part in zip(self.groups, parts):
             starts[members] = np.arange(at, at + len(part), size) if size else at
             at += len(part)
         return parts[0] if len(parts) == 1 else b"".join(parts), starts
@@ -412,7 +419,10 @@ class Unpacked:
         at = int(self.sizes[self.sizes < size].sum())
         if size in self._rises:
             stored = np.frombuffer(self._body, np.uint8, size * count, at).reshape(size, count)
-            return RisingPlanes(stored, self._rises[size])[:, place].tobytes()
+            part, rises = stored[:, : place + 1], self._rises[size]
+            found = part[:, -1].copy()
+            found[rises] = np.add.reduce(part[rises], axis=1, dtype=np.uint8)
+            return found.tobytes()
         if not _as_planes(count) or size in self._as_rows:
             return bytes(self._body[at + place * size : at + (place + 1) * size])
         return bytes(self._body[at + place : at + size * count : count])
@@ -596,7 +606,7 @@ def _planes(values: NDArray[np.generic]) -> bytes:
     return _turn(np.ascontiguousarray(little).view(np.uint8).reshape(len(values), -1))
 
 
-def _turn(matrix: Bytes | RisingPlanes) -> bytes:
+def _turn(matrix: Bytes) -> bytes:
     """Return the bytes of a matrix column by column."""
     # tobytes alone would go byte by byte, at a third of the speed.
     return np.ascontiguousarray(matrix.T).tobytes()

@@ -13,7 +13,6 @@ from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.messages.wire.message_stacks import Planes
 from cassandra_ros.read import Read
 
 
@@ -100,8 +99,12 @@ class SizeGroup(Protocol):
         """Positions of the messages in the block, ascending."""
 
     @property
-    def planes(self) -> Planes:
+    def stored(self) -> NDArray[np.uint8]:
         """Bytes of the messages, (size, members): row k holds byte k of every message."""
+
+    @property
+    def rises(self) -> NDArray[np.bool_] | None:
+        """Which rows are stored as differences; None = no row is."""
 
 
 class Block(Protocol):

@@ -49,6 +49,66 @@ class Planes(Protocol):
     def __getitem__(self, key: Any) -> Any: ...
 
 
+def planes_of(stored: ByteArray, rises: NDArray[np.bool_] | None) -> Planes:
+    """Return the planes of a group of a block; ``rises``: which are stored as differences."""
+    return stored if rises is None else RisingPlanes(stored, rises)
+
+
+class RisingPlanes:
+    """Planes of which some are stored as differences, and decoded when they are read.
+
+    Most readers need few fields, so few planes.
+
+    Args:
+        stored: The matrix as it is stored.
+        rises: For each row whether it is stored as differences.
+    """
+
+    def __init__(self, stored: ByteArray, rises: NDArray[np.bool_]) -> None:
+        self._stored, self._rises = stored, rises
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Size of a message, and number of messages."""
+        return self._stored.shape
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return self._stored.size
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+    def __getitem__(self, key: Any) -> ByteArray:
+        """Return rows by a slice or indices of any shape, or with (:, key) columns."""
+        if not isinstance(key, tuple):
+            return _decoded(self._stored[key], self._rises[key])
+        columns = key[1]
+        found: ByteArray = self._stored[:, columns].copy()
+        rising = self._stored[self._rises]
+        if isinstance(columns, (int, np.integer)):
+            rising = rising[:, : columns + 1]
+            found[self._rises] = np.add.reduce(rising, axis=1, dtype=np.uint8)
+        else:
+            found[self._rises] = np.add.accumulate(rising, axis=1, dtype=np.uint8)[:, columns]
+        return found
+
+    @property
+    def T(self) -> ByteArray:  # noqa: N802 - numpy's name
+        """The messages one after the other: (messages, size)."""
+        return self[:].T
+
+
+def _decoded(stored: ByteArray, rises: NDArray[np.bool_]) -> ByteArray:
+    """Return rows of which some are stored as differences."""
+    if not rises.any():
+        return stored
+    found: ByteArray = stored.copy()
+    found[rises] = np.add.accumulate(stored[rises], axis=-1, dtype=np.uint8)
+    return found
+
+
 MIN_STACKED = 8
 """Minimum number of messages of one layout. Fewer are faster walked one by one, unless large."""
 LARGE_BYTES = 4096
