@@ -12,8 +12,7 @@ from bag.truth import string_connection, string_wire
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cassandra_ros.tables.active_entry import ActiveEntry
-from cassandra_ros.tables.directory import CLOCKS_SEC, BucketTotals, Directory, slot_of
+from cassandra_ros.tables.directory import CLOCKS_SEC, ActiveEntry, BucketTotals, Directory, slot_of
 
 SEC = 10**9
 T0 = 1_600_000_000 * SEC

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra
 from cassandra_ros.connection.requests import RawRow, answered, retried, sent_ahead
-from cassandra_ros.tables.active_entry import is_closed, messages_in
 from cassandra_ros.tables.row_table import decode_long
 
 Longs = NDArray[np.int64]
@@ -146,3 +145,13 @@ def columns_of(rows: Sequence[RawRow]) -> BucketColumns:
 def _longs(values: Sequence[bytes | None], null: bytes = _NO_LONG) -> Longs:
     joined = b"".join([null if value is None else value for value in values])
     return np.frombuffer(joined, ">i8").astype(np.int64)
+
+
+def is_closed(entry: bytes | None) -> bool:
+    """Return whether the counts of an entry of cr_active are final; None = no entry."""
+    return entry is not None and entry[0] == 1
+
+
+def messages_in(entry: bytes) -> bytes:
+    """Return the number of messages of an entry of cr_active, as a big-endian integer."""
+    return entry[1:9]

@@ -21,6 +21,7 @@ message needs one of them. So a read goes through the directory slot by slot, in
 
 from __future__ import annotations
 
+import struct
 import time
 from copy import copy
 from dataclasses import dataclass
@@ -40,7 +41,6 @@ from typing import (
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.connection.requests import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.tables.active_entry import UNKNOWN, ActiveEntry, decode_entry
 from cassandra_ros.tables.bucket_columns import (
     BucketColumns,
     SlotRange,
@@ -239,6 +239,37 @@ class BucketTotals:
         return {"n": self.rows, **{name: v for name, v in vars(self).items() if name != "rows"}}
 
 
+_ENTRY = struct.Struct(">?6q")
+UNKNOWN = (0, 0, 0, 0, -1, 0)
+"""Counts of a bucket of which none were noted yet."""
+
+
+class ActiveEntry(NamedTuple):
+    """Counts of one writer in one bucket, the column ``entry`` of cr_active.
+
+    As bytes: 1 if the counts are final; number of messages, bytes, size of the largest, first and
+    last time, number of odd messages, as big-endian integers of eight bytes; then the names of the
+    filled shadow columns, with commas between them. ``bucket_columns`` reads some of them by place.
+    """
+
+    closed: bool
+    """Whether the counts are final."""
+    counts: Sequence[int] = UNKNOWN
+    """Messages, bytes, largest, t_min, t_max, odd: see BucketRow."""
+    filled: Iterable[str] = ()
+
+    def encoded(self) -> bytes:
+        """Return the value of the column."""
+        return _ENTRY.pack(self.closed, *self.counts) + ",".join(sorted(self.filled)).encode()
+
+
+def decode_entry(entry: bytes) -> ActiveEntry:
+    """Return what a value of the column says."""
+    closed, *counts = _ENTRY.unpack_from(entry)
+    names = entry[_ENTRY.size :]
+    return ActiveEntry(closed, counts, names.decode().split(",") if names else ())
+
+
 Group = List[BucketRow]
 """Rows of the directory of all writers for one bucket and node."""
 BucketGroup = Tuple[int, Group]
@@ -258,7 +289,7 @@ class Directory:
         self._tables = side_tables
         self._node_table, self._bucket_table = map(side_tables.qualified, _OWN_TABLES)
         self._active_table = side_tables.qualified("cr_active")
-        self._made = False
+        self._made = self._has_active = False
         self._noted: dict[tuple[str, int, str], float] = {}
         self.seen: dict[str, dict[int, tuple[str, ...]]] = {}
         """Table → slot → nodes, as listed last; may be out of date, or only some of many."""
@@ -277,6 +308,11 @@ class Directory:
         """Return whether the tables of the directory exist; the server is asked until they do."""
         self._made = self._made or all(map(self._tables.has, _OWN_TABLES))
         return self._made
+
+    def _lists_by_time(self) -> bool:
+        """Return whether cr_active exists, which is missing until this release has written once."""
+        self._has_active = self._has_active or self._tables.has("cr_active")
+        return self._has_active
 
     def nodes(self, table: str, first_slot: int, last_slot: int) -> list[tuple[int, str]]:
         """Return the (slot, node) pairs of a table for slots in [first_slot, last_slot]."""
@@ -302,7 +338,7 @@ class Directory:
             by_time: Whether cr_active lists all of them; see TopicMetadata.
             nodes: The nodeIDs to read; None = all.
         """
-        return by_time and nodes is None and self._tables.has("cr_active")
+        return by_time and nodes is None and self._lists_by_time()
 
     def buckets(
         self,
@@ -523,7 +559,7 @@ class Directory:
             counts = UNKNOWN if totals is None else tuple(totals.columns().values())
             active["entry"] = ActiveEntry(closed, counts, filled).encoded()
         both = [(self._bucket_table, columns)]
-        if self._tables.has("cr_active"):  # it is missing until this release has written once
+        if self._lists_by_time():
             both.append((self._active_table, active))
         # One request, which is acknowledged when both are written; both get one write time.
         inserts = "; ".join(
@@ -556,7 +592,7 @@ class Directory:
             what=what,
         )
         done = bool(answer[0][0])
-        if done and self._tables.has("cr_active"):
+        if done and self._lists_by_time():
             entry = ActiveEntry(True, tuple(totals.columns().values()), row.filled).encoded()
             # Later than what was read, and earlier than each mark since, whose values then stay.
             self._cassandra.execute(
@@ -602,7 +638,7 @@ class Directory:
         slots = [(table, node, slot) for slot, node in self.nodes(table, *_EVER)]
         key = ("tbl", "node", "slot")
         self._tables.delete("cr_bucket", key, slots, "clearing the directory of buckets")
-        if self._tables.has("cr_active"):
+        if self._lists_by_time():
             by_time = sorted({(table, slot) for _, _, slot in slots})
             self._tables.delete("cr_active", ("tbl", "slot"), by_time, "clearing the directory")
         self.seen.pop(table, None)

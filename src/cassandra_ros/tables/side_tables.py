@@ -65,7 +65,7 @@ SIDE_TABLES = {
         "PRIMARY KEY ((tbl, node, slot), bucket, writer)"
     ),
     # The same entries in the order of time, for questions about all robots: in one column, because
-    # a server reads a row of eleven in three times the time. See tables/active_entry.py.
+    # a server reads a row of eleven in three times the time. See tables/directory.py.
     "cr_active": (
         "tbl text, slot bigint, bucket bigint, node text, writer bigint, entry blob, "
         "heartbeat timestamp, deleted boolean, "
