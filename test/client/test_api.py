@@ -340,7 +340,7 @@ def test_foreign_tables_and_newer_ones(rosCas, cql):
         f"CREATE TABLE {space}.newer (a int PRIMARY KEY) "
         'WITH comment = \'{"cassandra_ros": {"version": 99}}\''
     )
-    with pytest.raises(UnsupportedSchema, match=r"version 99.*up to 1"):
+    with pytest.raises(UnsupportedSchema, match=r"version 99.*up to 2"):
         rosCas.getAllTopics()
 
 

@@ -78,7 +78,9 @@ def test_a_recorder_that_is_killed(
             with start_recorder(roscore, cassandra, keyspace, *words) as child:
                 child.await_line("recording 1 topic")
                 one.await_subscribers()
-                time.sleep(chance.uniform(0.3, 2.5))
+                # A loaded machine may not have handed over the first message yet.
+                await_true(lambda: set(os.listdir(spool)).difference(map(str, killed)))
+                time.sleep(chance.uniform(0.0, 2.5))
                 child.process.kill()
                 at = time.monotonic()
                 child.wait()
