@@ -40,16 +40,13 @@ CONDITION = "SELECT KEY, {field} FROM imu_packed WHERE {field} > ?"
 HITS = ("1,000 spread", "1,000 in ten stretches")
 """Conditions, as conditions.py names them; in stretches most blocks need not be unpacked."""
 MEMORY = """
-import sys
+import resource, sys
 from cassandra_ros import RosCassandra
 with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as store:
     found = store.sql(sys.argv[4]).fetchall()
-with open("/proc/self/status") as status:
-    peak = next(line.split()[1] for line in status if line.startswith("VmHWM:"))
-print(found[0][0], int(peak) / 1024)
+print(found[0][0], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
-"""Program that answers one statement; prints its first value and its peak memory, MB. ru_maxrss
-of a child process would be at least the memory of its parent."""
+"""Program that answers one statement; prints its first value and its peak memory, MB."""
 
 
 def run(context: Context) -> None:
