@@ -65,7 +65,7 @@ class Fleet:
     Args:
         stores: Each is HOST[:PORT][/KEYSPACE], or the name of a section of the file. Of messages
             that several stores have, the bytes are read from the first.
-        file: File of stores, see doc/fleet.md; None = there is none.
+        file: File of stores, see doc/fleet.md; None = no file.
         keyspace: Keyspace of stores that name none.
         answer_sec: Maximum time to wait for a connection, and for each answer, s.
         cqlshrc, credentials: Files with the login for stores that name none, as in class Cassandra.

@@ -53,7 +53,7 @@ def read_places(
 
     Args:
         names: Each is the name of a section of the file, or HOST[:PORT][/KEYSPACE].
-        file: File of stores; None = there is none.
+        file: File of stores; None = no file.
         keyspace: Keyspace of stores that name none.
         cqlshrc, credentials: Files with the login for stores that name none; None = cqlsh's.
 
