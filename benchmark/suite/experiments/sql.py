@@ -48,8 +48,8 @@ with open("/proc/self/status") as status:
     peak = next(line.split()[1] for line in status if line.startswith("VmHWM:"))
 print(found[0][0], int(peak) / 1024)
 """
-"""Program that answers one statement; prints its first value and its peak memory, MB. Not ru_maxrss:
-of a child process that is at least the memory of its parent."""
+"""Program that answers one statement; prints its first value and its peak memory, MB. ru_maxrss of
+a child process would be at least the memory of its parent."""
 
 
 def run(context: Context) -> None:
