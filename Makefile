@@ -82,7 +82,7 @@ faults: setup
 faults-page: setup
 	@$(IN_WORKSPACE) PYTHONPATH=src:$$PYTHONPATH $(PYTHON) -m faults.page $(ARGS)
 
-# What make lint, make test and make campaign LENGTH=short do, in one run with one set-up and one Cassandra.
+# What make lint and make test do, and half of make campaign LENGTH=short, in one run with one set-up and one Cassandra.
 ci: lint
 	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=ci $(PYTHON) test/second_run.py -n 3 $(ARGS)
 

@@ -31,6 +31,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.store import backfill, fetch, reader
 from cassandra_ros.store import row_counts as counting
 from cassandra_ros.store import writer as writing
+from cassandra_ros.tables.directory import slot_of
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import bind
 
@@ -359,13 +360,18 @@ def test_versions_go_on_where_a_page_failed(far, proxy, rosCas, small_pages, rev
     assert len(failed.frames) >= 4
 
 
-def test_a_directory_that_fails_once_hides_no_bucket(far, proxy, rosCas):
+@pytest.mark.parametrize("nodeID", [None, "r1"])
+def test_a_directory_that_fails_once_hides_no_bucket(far, proxy, rosCas, nodeID):
+    """The list of buckets is read by time or, of one robot, by robot."""
     with rosCas.messageWriter(nodeID="r1") as writer:
         write(writer, range(10))
     (table,) = rosCas.getTopic("/a").tables
-    words = (table.name.encode(), b"\0\0\0\2r1")  # only the list of buckets names both
-    failed = proxy.catch(lambda f: f.opcode == EXECUTE and all(w in f.body for w in words), most=1)
-    assert len(list(far.getTopic("/a").rows())) == 10
+    slot = struct.pack(">iq", 8, slot_of(table.bucket_of(T0)))
+    # Both lists are asked by the table's name and what follows it, and no other request is.
+    after = slot if nodeID is None else b"\0\0\0\2r1" + slot
+    words = table.name.encode() + after
+    failed = proxy.catch(lambda f: f.opcode == EXECUTE and words in f.body, most=1)
+    assert len(list(far.getTopic("/a").rows(nodeID=nodeID))) == 10
     assert len(failed.frames) == 1
 
 
