@@ -105,12 +105,21 @@ def test_there_is_nothing_but_the_pages(viewer):
         assert refused.value.code in (403, 404), path
 
 
+STATES = {
+    "home": {},
+    "ask": {"q": "select KEY, linear_acceleration.z from /imu/data"},
+    "look": {"time": patrol.START + 5 * patrol.SECOND},
+    "map": {"start": patrol.START, "end": patrol.END, "map": patrol.SCAN},
+}
+"""What the address of each page says that is taken as a picture."""
+
+
 @pytest.mark.usefixtures("studio")
 @pytest.mark.parametrize("name", sparing(screenshots.PAGES, kept=["home", "ask"]))
 def test_the_readmes_pictures_show_their_pages(page, viewer, name):
     window = page("/")
     window.prefer("light")
-    picture = np.asarray(screenshots.shoot(window, viewer.url, name))
+    picture = np.asarray(screenshots.shoot(window, viewer.url, name, STATES[name]))
     assert picture.shape[:2] == (800, 1280)
     # Something is drawn in each part of it.
     for part in np.array_split(picture, 3):
