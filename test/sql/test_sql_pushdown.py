@@ -160,6 +160,12 @@ JOINS = [
     "FULL JOIN {b} y ON x.NODE = y.NODE AND x.KEY = y.KEY",
     "ASOF JOIN {b} y ON x.NODE = y.NODE AND x.KEY >= y.KEY",
     "ASOF LEFT JOIN {b} y ON x.NODE = y.NODE AND x.KEY >= y.KEY",
+    "ASOF JOIN {b} y ON x.NODE = y.NODE AND y.KEY > x.KEY",
+    "ASOF LEFT JOIN {b} y ON x.NODE = y.NODE AND x.KEY <= y.KEY",
+    "RIGHT JOIN {b} y ON x.RUN = y.RUN AND x.KEY >= y.KEY AND x.i = y.i",
+    "LEFT JOIN {b} y ON x.KEY = y.KEY ASOF LEFT JOIN b z ON y.KEY >= z.KEY AND z.NODE = x.NODE",
+    "FULL JOIN {b} z ON z.KEY = x.KEY AND x.NODE = z.NODE FULL JOIN a y ON z.KEY = y.KEY",
+    "SEMI JOIN {b} y ON x.NODE = y.NODE AND x.KEY < y.KEY AND x.i = y.i",
     "SEMI JOIN {b} y ON x.NODE = y.NODE AND x.i = y.i",
     "ANTI JOIN {b} y ON x.NODE = y.NODE AND x.i = y.i",
 ]
@@ -183,6 +189,9 @@ def statement(rng):
         "x.KEY, x.NODE, x.d, x.sub.f" if left_only else "x.KEY, x.NODE, x.d, y.KEY, y.f, y.sub.n"
     )
     parts = [condition(rng, rng.choice(aliases)) for _ in range(rng.randint(1, 3))]
+    if rng.random() < 0.4:  # what bounds the other side of the join, too
+        parts.append(f"{rng.choice(aliases)}KEY {rng.choice(SIGNS)} {moment(rng)}")
+        parts += rng.choice([[], [f"{rng.choice(aliases)}NODE = 'r1'"]])
     return f"SELECT {shown} FROM {one} x {join} WHERE {' AND '.join(parts)}"
 
 
@@ -307,6 +316,26 @@ def test_only_what_may_match_is_read(stored, where, read):
     store, _ = stored
     (report,) = store.sql(f'SELECT count(*) FROM "/a" WHERE {where}').explain().topics
     assert report.messages < 400 / 2, read
+
+
+@pytest.mark.parametrize(
+    ("join", "most"),
+    [
+        ("ASOF JOIN a y ON x.NODE = y.NODE AND x.KEY >= y.KEY", 25),
+        ("LEFT JOIN a y ON x.KEY = y.KEY", 12),
+        ("LEFT JOIN b z ON x.KEY = z.KEY ASOF JOIN a y ON y.KEY <= z.KEY AND y.NODE = x.NODE", 25),
+    ],
+)
+def test_a_join_bounds_its_right_side(stored, join, most):
+    """Rows of the right side after the last one of the left side are not read."""
+    store, whole = stored
+    asked = f"SELECT count(*), max(y.KEY) FROM b x {join} WHERE x.NODE = 'r1' AND x.KEY BETWEEN "
+    low, high = (str(np.datetime64(T0 + n * SECOND_NS // 20, "ns")) for n in (15, 20))
+    asked += f"'{low}' AND '{high}'"
+    report = store.sql(asked).explain()
+    (right,) = [topic for topic in report.topics if topic.topic == "/a"]
+    assert 0 < right.messages <= most
+    assert store.sql(asked).fetchall() == rows_of(whole.sql(asked).to_arrow_table())
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,8 @@ import * as state from "./state.js";
 import { iso, length } from "./times.js";
 
 const CUT = 60;
+/** Number of rows of a statement in SQL, of which there is one page. */
+const SQL_ROWS = 1000;
 const NUMBERS = /^(u?int|float|sum)/;
 
 export class Rows {
@@ -47,7 +49,8 @@ export class Rows {
    * @param {AbortSignal} signal
    */
   async load(parameters, window, signal) {
-    this._parameters = { ...parameters, ...window, cut: CUT };
+    const limit = parameters.language === "sql" ? SQL_ROWS : null;
+    this._parameters = { ...parameters, ...window, cut: CUT, limit };
     this._window = String([window.start, window.end]);
     this._signal = signal;
     const page = await get("/api/query", this._parameters, { signal });
@@ -90,7 +93,8 @@ export class Rows {
     this._more.hidden = page.after === "";
     const count = this._body.childElementCount;
     const rows = count === 1 ? "1 row" : `${count} rows`;
-    this._told.textContent = page.after ? `the first ${rows}` : count ? rows : "no row matches";
+    const first = page.after ? "" : "; WHERE, GROUP BY or LIMIT select others";
+    this._told.textContent = page.more ? `the first ${rows}${first}` : count ? rows : "no row matches";
     this._place.dataset.rows = String(count);
   }
 

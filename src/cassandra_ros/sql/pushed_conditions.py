@@ -8,7 +8,9 @@ NaN is greater than all numbers (``ConditionChooser`` asks for it), and numbers 
 float32 where a field is one.
 
 A condition on a table holds for the rows that are read of it, unless the table is the right side of
-an ASOF or positional join: there other rows would take the place of those left out.
+an ASOF or positional join: there other rows would take the place of those left out. But what the
+join compares bounds its right side too: with ``i.KEY >= f.KEY`` and ``i.KEY < t`` no fix after t is
+joined.
 """
 
 from __future__ import annotations
@@ -170,17 +172,57 @@ class _ConditionFinder:
             if isinstance(source, exp.Table)
         }
         where = select.args.get("where") if isinstance(select, exp.Select) else None
-        sampled = select.find(exp.TableSample) is not None
+        if where is None or select.find(exp.TableSample) is not None:
+            yield from ((s.name, EVERYTHING) for s in sources.values() if s.name in self._columns)
+            return
+        names = {alias: _Names(self, alias, sources, scope, select) for alias in sources}
+        # What holds for each row of the result, as far as the row has one of the table.
+        holds = {alias: self._bound(where.this, names[alias]) for alias in sources}
         shifting = self._shifting(select)
+        reads = {a: EVERYTHING if a in shifting else read for a, read in holds.items()}
+        for join in self._comparing(select):
+            alias = join.this.alias_or_name
+            if alias in names:
+                implied = _all_of(list(self._implied(join, alias, names, holds)))
+                holds[alias] = holds[alias].both(implied)
+                reads[alias] = reads[alias].both(implied)
         for alias, source in sources.items():
-            if source.name not in self._columns:
+            if source.name in self._columns:
+                yield source.name, reads[alias]
+
+    def _bound(self, condition: Any, names: _Names) -> PushedRead:
+        parts = (self._read_of(part, names) for part in self._conjuncts(condition))
+        return _all_of([read for read in parts if read is not None])
+
+    def _comparing(self, select: Any) -> Sequence[Any]:
+        """Return the joins of which the right side needs no rows but those that satisfy ON."""
+        joins = select.args.get("joins") or ()
+        kinds = [((join.method or "").upper(), (join.side or "").upper()) for join in joins]
+        if any(m == "POSITIONAL" or (m == "ASOF" and s in ("RIGHT", "FULL")) for m, s in kinds):
+            return ()
+        return [join for join, (method, _) in zip(joins, kinds) if method in ("", "ASOF")]
+
+    def _implied(
+        self, join: Any, alias: str, names: Mapping[str, _Names], holds: Mapping[str, PushedRead]
+    ) -> Iterator[PushedRead]:
+        """Yield the bounds of the right side that follow from those of the tables before it.
+
+        A row of the right side that satisfies ON with no row of the result may be left out.
+        """
+        condition = join.args.get("on")
+        for part in () if condition is None else self._conjuncts(condition):
+            operator = type(part).__name__
+            if operator not in _MIRRORED:
                 continue
-            read = EVERYTHING
-            if where is not None and not sampled and alias not in shifting:
-                names = _Names(self, alias, sources, scope, select)
-                for part in self._conjuncts(where.this):
-                    read = read.both(self._read_of(part, names) or EVERYTHING)
-            yield source.name, read
+            for own, other, sign in (
+                (part.left, part.right, operator),
+                (part.right, part.left, _MIRRORED[operator]),
+            ):
+                column = names[alias].column(own)
+                for left, read in holds.items():
+                    joined = names[left].column(other) if left != alias else None
+                    if column is not None and joined is not None:
+                        yield _implied_bounds(column, sign, joined, read)
 
     def _shifting(self, select: Any) -> set[str]:
         """Return the tables of which other rows would be joined if some were left out."""
@@ -297,6 +339,24 @@ class _Names:
         if not isinstance(node, exp.Column):
             return []
         return [*(part.name for part in node.parts), *reversed(names)]
+
+
+def _implied_bounds(
+    column: FieldColumn, operator: str, joined: FieldColumn, read: PushedRead
+) -> PushedRead:
+    """Return what ``column operator joined`` says of a column, if ``read`` holds for the other."""
+    if column.kind != joined.kind:
+        return EVERYTHING
+    if column.kind == "key":
+        low, high = read.time_range
+        return PushedRead(
+            TimeRange(0 if operator in _BELOW else low, LAST_NS if operator in _ABOVE else high)
+        )
+    if operator == "EQ" and column.kind == "node":
+        return PushedRead(nodes=read.nodes)
+    if operator == "EQ" and column.kind == "run":
+        return PushedRead(runs=read.runs)
+    return EVERYTHING
 
 
 def _bounds(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:
