@@ -180,3 +180,23 @@ def test_sql_is_asked_over_several_topics(page):
     assert window.run("return document.querySelector('#ask-language').value") == "sql"
     link = "return document.querySelector('#ask-rows tbody a').href"
     assert f"time={FIRST_FIX}" in window.run(link)
+
+
+def test_more_rows_of_sql_are_shown(page):
+    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
+    counted = "return document.querySelectorAll('#ask-rows tbody tr').length"
+    offered = "return !document.querySelector('#rows-more').hidden"
+    click = "document.querySelector('#rows-more').click()"
+    window = page("/ask.html", q="SELECT range FROM range(2500)", language="sql")
+    assert window.wait_for(ANSWERED) == "done"
+    assert window.run(counted) == 1000 and window.run(offered)
+    window.run(click)
+    window.wait_for(f"{counted} === 2500")
+    assert not window.run(offered)
+    assert text_of(window, "#rows-told") == "2500 rows"
+    window = page("/ask.html", q="SELECT range FROM range(10001)", language="sql")
+    assert window.wait_for(ANSWERED) == "done"
+    window.run(click)
+    window.wait_for(f"{counted} === 10000")
+    assert not window.run(offered)
+    assert "LIMIT" in text_of(window, "#rows-told")

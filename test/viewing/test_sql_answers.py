@@ -131,6 +131,7 @@ def test_tables_and_columns_are_completed(viewer):
     assert offered(viewer, 'SELECT * FROM "/ba') == ['"/base/cmd"']
     assert "runs" in offered(viewer, "select 1 from volt join ru")
     assert offered(viewer, "SELECT dat FROM volt", at=10) == ["data"]
+    assert "EVENT" in offered(viewer, "SELECT ev FROM volt", at=9)
     text = 'SELECT c.lin FROM volt v JOIN "/base/cmd" AS c ON true'
     assert offered(viewer, text, at=12)[:2] == ["c.linear", "c.linear.x"]
     assert offered(viewer, "SELECT data FROM volt WHE")[0] == "WHERE"

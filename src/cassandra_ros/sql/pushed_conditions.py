@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The part of WHERE that bounds what is read of a table: times, robots, runs, and fields.
+"""The part of WHERE that bounds what is read of a table: times, robots, runs, events, and fields.
 
 DuckDB checks every row again, so what is found here may only be weaker than the statement: bounds
 are included and moved outwards, and all else is left out. DuckDB compares unlike our own language:
@@ -49,7 +49,7 @@ class FieldColumn:
     """A column, or a field in it, with which a condition may compare."""
 
     kind: str
-    """'key', 'node', 'run', 'time', 'text', 'bool', 'int', 'float32' or 'float64'."""
+    """'key', 'node', 'run', 'event', 'time', 'text', 'bool', 'int', 'float32' or 'float64'."""
     path: str = ""
     """Dotted path of the field in the messages."""
 
@@ -70,6 +70,8 @@ class PushedRead:
     nodes: frozenset[str] | None = None
     runs: frozenset[str] | None = None
     """Values of RUN."""
+    events: frozenset[str] | None = None
+    """Names of events; the messages lie in the time of one of them."""
     condition: Expression | None = None
     floats: frozenset[str] = frozenset()
     """Paths of the fields with a lower bound, which NaN exceeds in DuckDB."""
@@ -83,6 +85,8 @@ class PushedRead:
             TimeRange(low, high),
             _common(self.nodes, other.nodes),
             _common(self.runs, other.runs),
+            # A message may lie in the time of several events: those of one side are enough.
+            other.events if self.events is None else self.events,
             All(tuple(conditions)) if len(conditions) > 1 else next(iter(conditions), None),
             self.floats | other.floats,
         )
@@ -96,6 +100,7 @@ class PushedRead:
             TimeRange(low, high),
             None if self.nodes is None or other.nodes is None else self.nodes | other.nodes,
             None if self.runs is None or other.runs is None else self.runs | other.runs,
+            None if self.events is None or other.events is None else self.events | other.events,
             None if one is None or two is None else Either((one, two)),
             self.floats | other.floats,
         )
@@ -262,26 +267,44 @@ class _ConditionFinder:
             parts = [self._compared("EQ", node.this, each, names) for each in node.expressions]
             reads = [read for read in parts if read is not None]
             return _any_of(reads) if len(reads) == len(parts) else None
+        if isinstance(node, exp.In) and node.args.get("field") is not None:
+            return self._in_event(node.this, node.args["field"], names)
+        if isinstance(node, exp.ArrayContains):
+            return self._in_event(node.expression, node.this, names)
         operator = type(node).__name__
         if operator in _MIRRORED:
             found = self._compared(operator, node.left, node.right, names)
             return found or self._compared(_MIRRORED[operator], node.right, node.left, names)
         return None
 
+    def _in_event(self, name: Any, listed: Any, names: _Names) -> PushedRead | None:
+        """Return the bounds of a name that is one of those in a list."""
+        column = names.column(listed)
+        if column is None or column.kind != "event":
+            return None
+        value = self._constant(name)
+        return PushedRead(events=frozenset([value])) if isinstance(value, str) else None
+
     def _compared(self, operator: str, side: Any, other: Any, names: _Names) -> PushedRead | None:
         column = names.column(side)
-        if column is None or not self._is_constant(other):
+        if column is None or column.kind == "event":
             return None
-        exp, given = self.exp, {each.name for each in other.find_all(self.exp.Placeholder)}
+        value = self._constant(other, is_time=column.kind in ("key", "time"))
+        return None if value is None else _bounds(column, operator, value)
+
+    def _constant(self, node: Any, is_time: bool = False) -> Any:
+        """Return the value of an expression, of a time ns; None = it has none, or no constant."""
+        if not self._is_constant(node):
+            return None
+        exp, given = self.exp, {each.name for each in node.find_all(self.exp.Placeholder)}
         # DuckDB takes no parameter that an expression lacks, and numbers without gaps.
-        named = other.transform(
+        named = node.transform(
             lambda n: exp.Placeholder(this=f"p{n.name}") if isinstance(n, exp.Placeholder) else n
         )
         text = named.sql(dialect="duckdb")
-        if column.kind in ("key", "time"):
-            text = f"epoch_ns(CAST(({text}) AS TIMESTAMP_NS))"
-        value = self._evaluate(text, given)
-        return None if value is None else _bounds(column, operator, value)
+        return self._evaluate(
+            f"epoch_ns(CAST(({text}) AS TIMESTAMP_NS))" if is_time else text, given
+        )
 
     def _is_constant(self, node: Any) -> bool:
         """Return whether an expression has one value that DuckDB can compute alone."""

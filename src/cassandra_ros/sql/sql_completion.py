@@ -10,6 +10,7 @@ from typing import Callable, Iterator, Sequence
 from cassandra_ros.arrays.arrow_types import OWN_COLUMNS, ArrowField, fields_of
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.query.tree.statement_completion import MAX_OFFERS, Offer, Offers
+from cassandra_ros.sql.event_names import EVENT, has_event_field
 from cassandra_ros.sql.listed_tables import LISTED
 from cassandra_ros.sql.sql_statement import MAX_TEXT
 
@@ -113,6 +114,8 @@ def _columns_of(table: str, definitions: DefinitionsOf) -> Iterator[tuple[str, s
     types = definitions(table)
     if types:
         yield from zip(OWN_COLUMNS, ("time", "string", "string"))
+        if not has_event_field(types):
+            yield EVENT, "string[]"
     for definition in types:
         yield from _leaves(fields_of(definition, None), "")
 
