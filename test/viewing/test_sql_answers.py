@@ -138,19 +138,42 @@ def test_tables_and_columns_are_completed(viewer):
     assert offered(viewer, "SELECT 'lin") == []
 
 
-def test_a_client_that_leaves_ends_its_statement(viewer, monkeypatch):
-    """Otherwise as many endless statements as may run at the same time would block all others."""
-    begun, batches = threading.Event(), SqlResult.batches
+@pytest.fixture
+def begun(monkeypatch):
+    """Set when a statement begins."""
+    begins, batches = threading.Event(), SqlResult.batches
 
     def noted(result):
-        begun.set()
+        begins.set()
         yield from batches(result)
 
     monkeypatch.setattr(SqlResult, "batches", noted)
+    return begins
+
+
+@contextlib.contextmanager
+def asking_without_end(viewer, begun):
+    """Ask a statement that never ends, over a connection that is closed at the end."""
+    begun.clear()
+    with contextlib.closing(viewer.connect()) as connection:
+        asked = urlencode({"q": ENDLESS, "language": "sql"})
+        connection.request("GET", f"/api/query?{asked}")
+        assert begun.wait(180)
+        yield
+
+
+def test_a_client_that_leaves_ends_its_statement(viewer, begun):
+    """Otherwise as many endless statements as may run at the same time would block all others."""
     for _ in range(AT_ONCE):
-        begun.clear()
-        with contextlib.closing(viewer.connect()) as connection:
-            asked = urlencode({"q": ENDLESS, "language": "sql"})
-            connection.request("GET", f"/api/query?{asked}")
-            assert begun.wait(180)
+        with asking_without_end(viewer, begun):
+            pass
     assert ask(viewer, "/api/query", "SELECT 1 AS one")["rows"] == [[1]]
+
+
+def test_the_viewer_ends_while_statements_run(viewer, begun):
+    before = threading.active_count()
+    with contextlib.ExitStack() as clients:
+        with running_viewer(viewer.store) as other:
+            for _ in range(AT_ONCE):
+                clients.enter_context(asking_without_end(other, begun))
+    assert threading.active_count() <= before
