@@ -8,6 +8,7 @@ import contextlib
 import gc
 import os
 import signal
+import struct
 import sys
 import tempfile
 import threading
@@ -119,6 +120,26 @@ def test_values_are_exact(robot):
     assert header["stamp"] == Stamp.from_ns(0)
     ((old,),) = robot.sql("SELECT TIMESTAMP_NS '1960-01-01 00:00:00.000000001'").fetchall()
     assert old == np.datetime64("1960-01-01T00:00:00.000000001")
+
+
+def test_odd_names_texts_and_times_are_shown(rosCas):
+    """Names that differ by case only, text that is not UTF-8, and times at the end of ROS time."""
+    definition = parse_definition("t/Odd", "int32 a\nint32 A\nint32 key\nstring s\ntime t", None)
+    wire = struct.pack("<iiiI", 1, 2, 3, 2) + b"\xffx" + struct.pack("<II", 2**32 - 1, 2**32 - 1)
+    for fmt in ("packed", "ros", "binary"):
+        with rosCas.messageWriter(format=fmt) as writer:
+            handle = writer.connect(
+                api_connection(f"/odd_{fmt}", definition, "/x"), bucket_ns=SECOND_NS
+            )
+            writer.write(handle, T0, 0, wire)
+        result = rosCas.sql(f"SELECT * FROM odd_{fmt}")
+        assert result.columns == ("KEY", "NODE", "RUN", "a", "A_1", "key_1", "s", "t")
+        ((*_, text, time),) = rows = result.fetchall()
+        assert rows[0][3:6] == (1, 2, 3) and text == "\\xffx"
+        end_ns = (2**32 - 1) * (SECOND_NS + 1)
+        assert time == np.datetime64(end_ns, "ns")
+        asked = f"SELECT epoch_ns(t), a_1 FROM odd_{fmt} WHERE s = ? AND t > '2106-02-07'"
+        assert rosCas.sql(asked, ["\\xffx"]).fetchall() == [(end_ns, 2)]
 
 
 def test_arrays_are_lists(robot):
@@ -312,6 +333,9 @@ REFUSED = {
     "SELECT 'abc": "not closed",
     "SELECT getenv('HOME')": "does not exist",
     "SELECT voltage + 'x' FROM battery": "convert|Could not|No function",
+    "SELECT KEY FROM battery WHERE KEY < '3000-01-01'": "convert string '3000-01-01'",
+    "SELECT KEY FROM battery WHERE KEY < TIMESTAMP '9999-12-31'": "convert Timestamp",
+    "SELECT KEY + INTERVAL 300 YEAR FROM battery": "Cannot add interval",
 }
 
 

@@ -18,6 +18,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.message_stacks import (
+    ByteArray,
     Int64Array,
     Planes,
     Stack,
@@ -71,12 +72,20 @@ def join_blocks(blocks: Sequence[MessageBlock], apart: int | None = None) -> Siz
             yield parts[0]
         else:
             indices = np.concatenate([members for members, _ in parts])
-            joined: Any = np.empty((len(parts[0][1]), len(indices)), np.uint8)
-            at = 0
-            for members, planes in parts:  # one by one, so that decoded planes do not all exist
-                joined[:, at : at + len(members)] = planes[:]
-                at += len(members)
-            yield indices, joined
+            yield indices, _join([planes for _, planes in parts], len(indices))
+
+
+def _join(parts: Sequence[Planes], count: int) -> ByteArray:
+    arrays = [planes for planes in parts if isinstance(planes, np.ndarray)]
+    if len(arrays) == len(parts):
+        return np.concatenate(arrays, axis=1)  # messages that are adjacent in memory stay so
+    joined = np.empty((len(parts[0]), count), np.uint8)
+    at = 0
+    for planes in parts:  # one by one, so that decoded planes do not all exist
+        after = at + planes.shape[1]
+        joined[:, at:after] = planes[:]
+        at = after
+    return joined
 
 
 class StackedField(NamedTuple):

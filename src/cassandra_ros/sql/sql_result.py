@@ -296,7 +296,8 @@ class _Run:
         Ctrl-C, or an exception of the watch, ends the waiting, not the work.
         """
         with self._errors():
-            future = self._work = self._worker.submit(work)
+            future: futures.Future[_T] = self._worker.submit(work)
+            self._work = future
             while True:
                 self._watch()
                 if futures.wait([future], _LOOK_SEC).done:
