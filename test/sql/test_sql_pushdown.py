@@ -74,14 +74,50 @@ def fill(store):
     store.getTopic("/b").createIndex("d")
 
 
+EVENTS = [
+    ("bump", 20, 40, "r1"),
+    ("bump", 40, 41, ""),
+    ("bump", 30, 35, "r2"),
+    ("bump", 33, 50, "r2"),
+    ("door", 45, None, ""),
+    ("turn", 0, 3, "r1"),
+    ("turn", 300, 400, "r1"),
+]
+"""Names, number of the first and of the last message (None = it lasts), and robots."""
+
+
+def moment_of(n):
+    return None if n is None else Stamp.from_ns(T0 + n * SECOND_NS // 20)
+
+
+def event_names(table):
+    """Return what EVENT is for each message, found one by one."""
+    keys = map(Stamp.from_ns, table["KEY"].cast(pyarrow.int64()).to_pylist())
+    ends = [(name, moment_of(low), moment_of(high), robot) for name, low, high, robot in EVENTS]
+    return [
+        sorted(
+            {
+                name
+                for name, low, high, robot in ends
+                if low <= key and (high is None or key <= high) and robot in ("", node)
+            }
+        )
+        for key, node in zip(keys, table["NODE"].to_pylist())
+    ]
+
+
 @pytest.fixture(scope="module")
 def stored(fresh):
     with fresh() as store:
         fill(store)
+        for name, low, high, robot in EVENTS:
+            store.addEvent(name, moment_of(low), moment_of(high), nodeID=robot)
         whole = duckdb.connect()
         whole.execute("SET TimeZone = 'UTC'")
         for name in ("a", "b", "c"):
             table = store.getTopic(name).toArrow().read_all()
+            events = pyarrow.array(event_names(table), pyarrow.list_(pyarrow.string()))
+            table = table.add_column(3, "EVENT", events)
             whole.register(name, table)
             whole.register("/" + name, table)
         yield store, whole
@@ -134,6 +170,11 @@ def condition(rng, alias, depth=0):
         return f"{alias}NODE {rng.choice(['=', '<>'])} '{rng.choice(['r1', 'r2', 'x'])}'"
     if kind < 0.45:
         return f"{alias}RUN IN ('1', '{rng.choice(['2', '7'])}')"
+    if kind < 0.48:
+        name = rng.choice(["'bump'", "'door'", "'tu' || 'rn'", "'none'", "NULL"])
+        if rng.random() < 0.5:
+            return f"{name} {rng.choice(['IN', 'IN', 'NOT IN'])} {alias}EVENT"
+        return f"list_contains({alias}EVENT, {name})"
     if kind < 0.6:
         name = rng.choice(["KEY", "t"])
         if rng.random() < 0.3:

@@ -45,7 +45,7 @@ BATCH_ROWS = 16384
 BATCH_BYTES = 4 * 1024 * 1024
 """Size of serialised messages from which a batch ends, bytes."""
 FEW_FIELDS = 8
-"""Maximum number of fields that are read from each block by itself."""
+"""Maximum number of fields that are read from each block by itself, if most are not read."""
 APART_MESSAGES = 128
 """Minimum number of messages of one size in such a block: those of smaller groups are joined."""
 MOST_UNUSUAL = 0.1
@@ -93,6 +93,7 @@ class ArrowSchema:
         self.empty = not any(self.fields.values())
         self.schema = self.arrow.schema([*own, *united])
         self._row_columns: dict[str, RowColumns | None] = {}
+        self._reads_few: dict[str, bool] = {}
         if names is not None:
             check_columns(self.schema, names)
 
@@ -105,6 +106,14 @@ class ArrowSchema:
             columns = None if self.named else RowColumns.of(self.arrow, table, self.of_table(table))
             self._row_columns[table.name] = columns
         return self._row_columns[table.name]
+
+    def reads_few(self, table: Table) -> bool:
+        """Return whether few of the fields of a table's messages are read."""
+        if table.name not in self._reads_few:
+            count = count_leaves(self.of_table(table))
+            every = count_leaves(fields_of(table.definition, None))
+            self._reads_few[table.name] = count <= FEW_FIELDS and 2 * count <= every
+        return self._reads_few[table.name]
 
     def of_table(self, table: Table) -> tuple[ArrowField, ...]:
         """Return the fields of a table, also of one that was made after the schema."""
@@ -134,7 +143,7 @@ class _BatchMaker:
         keys = np.concatenate([block.times for block in blocks])
         owners = [(block.node, block.run(), len(block.times)) for block in blocks]
         table = blocks[0].table
-        apart = APART_MESSAGES if count_leaves(self._schema.of_table(table)) <= FEW_FIELDS else None
+        apart = APART_MESSAGES if self._schema.reads_few(table) else None
         return self._make(table, _Places(keys, owners), join_blocks(blocks, apart))
 
     def of_rows(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
