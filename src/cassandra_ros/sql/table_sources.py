@@ -39,6 +39,7 @@ class TopicSource:
 
     Attributes:
         topic: The topic.
+        schema: The columns that are made of messages.
         columns: Names and Arrow types of the columns.
         has_events: Whether EVENT is one of them.
         pushed: What is read; the caller sets it when the statement is known.
@@ -128,6 +129,7 @@ class TopicSource:
             reads = chosen.reads(read)
         names, place = EventNames(self.schema.arrow, events), len(self.schema.own)
         for each in reads:
+            self._watch()
             for batch in self._read(each, chooser):
                 arrays = [*batch.columns]
                 arrays.insert(place, names.column(batch))
