@@ -85,13 +85,13 @@ class EventNames:
         """Return the time ranges of the events that count for a robot."""
         if node not in self._ranges:
             by_name: dict[str, list[Event]] = {}
-            for each in {node, ""}:
-                for event in self._events.get(each, ()):
+            for owner in {node, ""}:
+                for event in self._events.get(owner, ()):
                     by_name.setdefault(event.name, []).append(event)
-            found = [
+            ranges = [
                 (low, high, code)
                 for code, name in enumerate(self._names)
                 for low, high in EventTimes(sorted(by_name.get(name, ()), key=Event.order)).ranges
             ]
-            self._ranges[node] = _Ranges(*np.array(found, np.int64).reshape(-1, 3).T)
+            self._ranges[node] = _Ranges(*np.array(ranges, np.int64).reshape(-1, 3).T)
         return self._ranges[node]
