@@ -88,8 +88,9 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
         if table.named:
             continue
         # By robot: the books have the heartbeats of cr_bucket.
-        listed = directory.buckets(table.name, -(2**63), 2**63 - 1, ttl=table.metadata.ttl)
-        rows = [row for row in settle(directory, table, listed) if row.rows]
+        listed = directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
+        there = [row for row in listed if not row.expired(table.metadata.ttl)]
+        rows = [row for row in settle(directory, table, there) if row.rows]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
         known: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
         for target in targets:
