@@ -35,7 +35,7 @@ def spark_env(pyspark_folder, ros_env):
     """Environment of a program that uses Spark."""
     from cassandra_ros.local_server.jars import find_java
 
-    places = [str(pyspark_folder), *map(str, (ROOT / "src", ROOT / "examples")), ros_env["PYTHONPATH"]]
+    places = [str(pyspark_folder), str(ROOT / "src"), ros_env["PYTHONPATH"]]
     return dict(
         ros_env,
         PYTHONPATH=os.pathsep.join(places),

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, Iterable
 
 from cassandra_ros.arguments import check_integer, check_list, check_node
-from cassandra_ros.errors import InvalidName
+from cassandra_ros.errors import InvalidName, MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.spark.part_plan import MAX_PART_BYTES, plan_parts
@@ -20,6 +21,8 @@ from cassandra_ros.topics.run_finder import RunName
 Session = Any
 DataFrame = Any
 _MOST_BYTES = 2**40
+_TOO_NEW = (3, 12)
+"""Oldest Python that PySpark 3.5 does not run in."""
 
 
 def topic(
@@ -73,6 +76,11 @@ def topic(
         InvalidOption: An option is not valid, or cannot be given to executors.
         MissingDependency: PySpark is not installed; the text says how to install it.
     """
+    if sys.version_info >= _TOO_NEW:
+        raise MissingDependency(
+            "cassandra_ros.spark needs PySpark 3.5, which needs Python 3.8 to 3.11; with this "
+            f"Python ({sys.executable}) use sql, toArrow or cassandra_bag lake"
+        )
     optional_module("pyspark", "cassandra_ros.spark")
     frames = optional_module("pyspark.sql.pandas.types", "cassandra_ros.spark")
     check_integer("part_bytes", part_bytes, 1, _MOST_BYTES)
