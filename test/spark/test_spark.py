@@ -16,6 +16,7 @@ from conftest import ROOT
 from geometry_msgs.msg import Vector3
 from messages.random_wire import DefinitionMaker
 from messages.test_message_stacks import manyWires
+from pages.walk import pieces
 from sensor_msgs.msg import Imu
 from spark.test_parts import T0, TYPES, expected, store, typed
 
@@ -164,6 +165,36 @@ def imu_topics(ros_cas):
             hour = np.datetime64(T0 + n * 18 * SECOND_NS, "ns").astype("M8[h]")
             found.setdefault((node, str(hour)), []).append(z)
     return found
+
+
+def test_the_connector_reads_a_table_as_the_page_says(rosCas, spark_env, tmp_path):
+    """It comes from Maven Central."""
+    wires = [serialize(Imu(linear_acceleration=Vector3(0, 0, 13 + n))) for n in range(6)]
+    store(rosCas, "/imu/data", definition_of(Imu), wires, "ros", "alpha")
+    page = (ROOT / "doc/spark.md").read_text(encoding="utf-8").split("## The tables of format")[1]
+    [listing] = [block for kind, block in pieces(page) if kind == "python"]
+    cassandra = rosCas.cassandra
+    mine = {
+        "'ros'": repr(rosCas.keyspace),
+        "'127.0.0.1'": repr(cassandra.hosts[0]),
+        "'9042'": repr(str(cassandra.port)),
+    }
+    for theirs, ours in mine.items():
+        assert theirs in listing
+        listing = listing.replace(theirs, ours)
+    program = tmp_path / "listing.py"
+    program.write_text(listing, encoding="utf-8")
+    address = {"HOST": cassandra.hosts[0], "PORT": str(cassandra.port)}
+    env = {**spark_env, **{f"CASSANDRA_ROS_{name}": text for name, text in address.items()}}
+    done = subprocess.run(
+        [sys.executable, str(program)], env=env, capture_output=True, text=True, timeout=500
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [line.strip("|").split("|") for line in done.stdout.splitlines() if line[:1] == "|"]
+    found = [[cell.strip() for cell in row] for row in rows]
+    assert found[0] == ["KEY", "NODE", "z"]
+    times = [T0 + n * SECOND_NS // 4 for n in range(6)]
+    assert found[1:] == [[str(times[n]), "alpha", str(13.0 + n)] for n in (3, 4, 5)]
 
 
 @pytest.mark.parametrize("master", ["local[2]", "local-cluster[2,1,1024]"])
