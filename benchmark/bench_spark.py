@@ -4,8 +4,9 @@
 
 Each executor is a process of Java with one core, and one of Python that reads the store. Two
 questions: the mean of one field, for which only its column is made, and a digest of all columns.
-Beside it, toArrow makes the same columns in one process. Printed are the medians, and how many
-cores all processes of the machine kept busy meanwhile, and Cassandra.
+Beside it, toArrow makes the same columns in one process. Printed are the medians, and the processor
+time of one question: all processes share the machine's cores, so that two executors can be twice as
+fast only where there are cores for them.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import statistics
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Callable
 
@@ -70,32 +72,37 @@ def mean(frame: Any) -> float:
     return float(found)
 
 
+def processor_sec(server: Server) -> dict[str, float]:
+    """Return the processor time so far of Cassandra, of Spark's Java and of all Python, s."""
+    ours = psutil.Process()
+    found = {"Cassandra": server.cpu() or 0.0, "Java": 0.0, "Python": sum(ours.cpu_times()[:2])}
+    for child in ours.children(recursive=True):
+        with suppress(psutil.NoSuchProcess):
+            java = child.name() == "java"
+            if not (java and "CassandraDaemon" in " ".join(child.cmdline())):
+                found["Java" if java else "Python"] += sum(child.cpu_times()[:2])
+    return found
+
+
 def measured(
     server: Server, ask: Callable[[], Any], rounds: int
-) -> tuple[list[float], list[float]]:
-    """Ask once, then some times; return seconds, and the cores that all and Cassandra used."""
+) -> tuple[list[float], dict[str, float]]:
+    """Ask once, then some times; return how long each took, and the processor time of one, s."""
     ask()
-    seconds = []
-    begin, cassandra = _busy_sec(), server.cpu() or 0.0
+    seconds, before = [], processor_sec(server)
     for _ in range(rounds):
         start = time.perf_counter()
         ask()
         seconds.append(time.perf_counter() - start)
-    wall = sum(seconds)
-    cores = [(_busy_sec() - begin) / wall, ((server.cpu() or 0.0) - cassandra) / wall]
-    return seconds, cores
-
-
-def _busy_sec() -> float:
-    """Return the processor time of all processes of the machine, s."""
-    times = psutil.cpu_times()
-    return float(times.user + times.system + times.nice)
+    after = processor_sec(server)
+    return seconds, {name: (after[name] - before[name]) / rounds for name in after}
 
 
 def session(executors: int, folder: str) -> Any:
     """Start a Spark with this number of executors of one core each."""
     options = {
         "spark.ui.enabled": "false",
+        "spark.ui.showConsoleProgress": "false",
         "spark.local.dir": folder,
         "spark.executor.memory": "1g",
         "spark.scheduler.minRegisteredResourcesRatio": "1.0",
@@ -111,14 +118,12 @@ def measure(results: Results, server: Server, args: argparse.Namespace, folder: 
     arrow = server.store.getTopic(NAME)
 
     def keep(what: str, contender: str, ask: Callable[[], Any]) -> None:
-        seconds, (every, cassandra) = measured(server, ask, args.rounds)
+        seconds, cpu = measured(server, ask, args.rounds)
         rates = [args.messages / each for each in seconds]
         results.add(EXPERIMENT, what, contender, rates, "msg/s", x=args.messages)
         rate = statistics.median(rates)
-        say(
-            f"{what:12} {contender:14} {rate / 1e3:8.0f} thousand messages/s, "
-            f"{every:.1f} cores busy, {cassandra:.1f} of them by Cassandra"
-        )
+        used = ", ".join(f"{name} {sec:.1f} s" for name, sec in cpu.items())
+        say(f"{what:12} {contender:14} {rate / 1e3:6.0f} thousand messages/s; processor: {used}")
 
     for what, fields in FIELDS.items():
         keep(what, "toArrow", lambda f=fields: sum(b.num_rows for b in arrow.toArrow(f)))

@@ -77,6 +77,7 @@ def main() -> int:
     builder = SparkSession.builder.appName("cassandra_ros fleet")
     if args.master:
         builder = builder.master(args.master)
+    builder = builder.config("spark.ui.showConsoleProgress", "false")
     spark = builder.config("spark.sql.session.timeZone", "UTC").getOrCreate()
     try:
         print("robot hour messages mean max p99")

@@ -30,7 +30,7 @@ from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.read import Whose
 from cassandra_ros.spark import topic as spark_topic
 from cassandra_ros.spark import topic_frame
-from cassandra_ros.spark.part_plan import pack, plan_parts
+from cassandra_ros.spark.part_plan import BucketRange, pack, plan_parts
 from cassandra_ros.spark.part_reader import PartReader, Selection
 from cassandra_ros.spark.spark_types import spark_batch, spark_schema
 from cassandra_ros.spark.store_login import StoreLogin
@@ -92,10 +92,8 @@ bucket = st.tuples(st.integers(0, 30), st.sampled_from([1, 2, 7]), st.integers(0
     part_bytes=st.integers(1, 200),
 )
 def test_each_time_of_a_bucket_is_in_one_part(robots, part_bytes):
-    from cassandra_ros.spark.part_plan import _Bucket
-
     buckets = {
-        node: [_Bucket(n * length, (n + 1) * length - 1, size) for n, length, size in listed]
+        node: [BucketRange(n * length, (n + 1) * length - 1, size) for n, length, size in listed]
         for node, listed in robots.items()
     }
     parts = pack(buckets, part_bytes)
@@ -108,9 +106,7 @@ def test_each_time_of_a_bucket_is_in_one_part(robots, part_bytes):
 
 
 def test_parts_are_no_larger_than_asked_for():
-    from cassandra_ros.spark.part_plan import _Bucket
-
-    buckets = {node: [_Bucket(n, n, 10) for n in range(100)] for node in "ab"}
+    buckets = {node: [BucketRange(n, n, 10) for n in range(100)] for node in "ab"}
     parts = pack(buckets, 35)
     assert [sum(p.high - p.low + 1 for p in part) for part in parts] == [3] * 66 + [2]
     assert len(parts[33]) == 2  # the last of one robot, and the first of the other

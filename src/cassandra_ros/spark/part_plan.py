@@ -38,9 +38,13 @@ Part = List[Piece]
 """What one partition reads."""
 
 
-class _Bucket(NamedTuple):
+class BucketRange(NamedTuple):
+    """The time range of a bucket, as far as it is read."""
+
     low: int
+    """First time, ns."""
     high: int
+    """Last time, ns, included."""
     size: int
     """Size of its serialised messages, bytes."""
 
@@ -83,9 +87,9 @@ def plan_parts(
 
 def _buckets(
     directory: Directory, tables: Sequence[TopicTable], ends: tuple[int, int], whose: Whose
-) -> dict[str, list[_Bucket]]:
+) -> dict[str, list[BucketRange]]:
     """Return the buckets with messages in a time range, by robot."""
-    buckets: dict[str, list[_Bucket]] = {}
+    buckets: dict[str, list[BucketRange]] = {}
     for table in tables:
         length = table.metadata.bucket_ns
         numbers = (table.bucket_of(ends[0]), table.bucket_of(ends[1]))
@@ -94,11 +98,11 @@ def _buckets(
                 continue
             first = row.bucket * length
             low, high = max(first, ends[0]), min(first + length - 1, ends[1])
-            buckets.setdefault(row.node, []).append(_Bucket(low, high, row.bytes))
+            buckets.setdefault(row.node, []).append(BucketRange(low, high, row.bytes))
     return buckets
 
 
-def pack(buckets: dict[str, list[_Bucket]], part_bytes: int) -> list[Part]:
+def pack(buckets: dict[str, list[BucketRange]], part_bytes: int) -> list[Part]:
     """Return parts of consecutive buckets of a robot, or of several robots.
 
     Buckets of several tables, or writers, may overlap: each time of a robot is in one piece.

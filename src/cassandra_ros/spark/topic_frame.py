@@ -88,12 +88,13 @@ def topic(
     names = None if fields is None else check_list("fields", fields, "['linear.x']")
     selection = Selection(name, names, where, run)
     with store.open() as ros_cas:
-        reader = selection.reader(ros_cas.getTopic(name))
+        stored = ros_cas.getTopic(name)
+        reader = selection.reader(stored)
         if not reader.schema.names:
             raise InvalidName(f"fields={names} names no column of topic {name}")
         parts = plan_parts(
             ros_cas.catalog.keyspace,
-            ros_cas.getTopic(name).tables,
+            stored.tables,
             (start, end),
             ros_cas.catalog.whose(None, run)._replace(nodes=_robots(nodes)),
             part_bytes,
