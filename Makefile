@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-fleet bench-trees bench-mechanisms deb clean distclean
+.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-fleet bench-spark bench-trees bench-mechanisms deb clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -44,6 +44,7 @@ help:
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
 	@echo "make bench-fleet    measure questions about 1 to 1,000 robots in one keyspace (ARGS=\"--robots 1 100 --topics 2\")"
+	@echo "make bench-spark    install Spark into .venv (317 MB), and measure it with one executor and with two"
 	@echo "make bench-trees    compare two checkouts: ARGS=\"EARLIER LATER\""
 	@echo "make bench-mechanisms  compare conversions of many messages together with one by one"
 	@echo "make deb            build/cassandra-ros_*.deb for Debian's own ROS 1 (needs what debian/control names)"
@@ -119,6 +120,10 @@ bench-viewer: setup
 
 bench-fleet: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_fleet.py $(ARGS)
+
+bench-spark: setup
+	@$(PYTHON) -m pip install -q --disable-pip-version-check -r requirements-spark.txt
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_spark.py $(ARGS)
 
 bench-trees: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_trees.py $(ARGS)

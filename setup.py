@@ -100,7 +100,7 @@ def own_arguments():
         commands = {"bdist_wheel": wheel_command()}
     except ImportError:
         commands = {}
-    extras = ("java", "tables", "viewer")
+    extras = ("java", "spark", "tables", "viewer")
     return {
         "cmdclass": commands,
         "install_requires": pins("requirements.txt"),

@@ -211,7 +211,7 @@ install_studio() {
 
 make_workspace() {
   local package=$workspace/src/cassandra_ros stamp=$workspace/.setup wanted item
-  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-java.txt requirements-tables.txt requirements-viewer.txt web src scripts msg srv launch config server examples test)
+  local items=(CMakeLists.txt package.xml setup.py requirements.txt requirements-java.txt requirements-spark.txt requirements-tables.txt requirements-viewer.txt web src scripts msg srv launch config server examples test)
   mkdir -p "$package"
   for item in "${items[@]}"; do
     # One link per item: rosrun searches the package's folder, and .ws must not be in it.

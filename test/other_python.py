@@ -85,13 +85,13 @@ def prepare(minor, python):
     )
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        with _once(folder / "installed", python, *_requirements()) as missing:
+        with once(folder / "installed", python, *_requirements()) as missing:
             if missing:
                 _make_venv(python, folder / "venv")
         _link_ros(folder / "ros", program)
         build = [ROOT / "CMakeLists.txt", ROOT / "package.xml", ROOT / "setup.py"]
         build += sorted(path for kind in ("msg", "srv") for path in (ROOT / kind).iterdir())
-        with _once(folder / "built", (folder / "installed").read_text(), *build) as missing:
+        with once(folder / "built", (folder / "installed").read_text(), *build) as missing:
             if missing:
                 _make_workspace(program, folder, env)
     return program, {**env, "PYTHONPATH": str(ROOT / "test")}
@@ -102,7 +102,7 @@ def _requirements():
 
 
 @contextlib.contextmanager
-def _once(stamp, text, *files):
+def once(stamp, text, *files):
     """Yield whether something is to be made: not with this text and these files yet."""
     content = "".join([str(text), str(ROOT), *(path.read_text("utf-8") for path in files)])
     wanted = hashlib.sha256(content.encode()).hexdigest()

@@ -42,6 +42,7 @@ OPTIONAL = {
     "maven_artifact": "requirements-java.txt",
     "packageurl": "requirements-viewer.txt",
     "PIL": "requirements-viewer.txt",
+    "pyspark": "requirements-spark.txt",
 }
 
 
