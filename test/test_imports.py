@@ -46,7 +46,7 @@ BELOW = {
     "copying": {*TOPICS, "overview", "upkeep", "client"},
     "fleet": {*TOPICS, "client"},
     "spool": {"bag", "tables", "messages"},
-    "recording": {"spool", "copying", *TOPICS},
+    "recording": {"spool", *TOPICS},
     "playing": {*TOPICS, "overview"},
     "history": {"recording", *TOPICS},
     "bag": {*TOPICS, "overview", "client", "fleet"},
