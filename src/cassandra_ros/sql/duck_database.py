@@ -111,8 +111,9 @@ class DuckDatabase:
         return found
 
     def close(self) -> None:
-        """Delete what is in memory and on disk; no statement may be running. Can be repeated."""
+        """Stop what runs, and delete what is on disk. Can be repeated."""
         try:
+            self.connection.interrupt()
             self.connection.close()
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
