@@ -11,7 +11,8 @@ stack of its own.
 from __future__ import annotations
 
 import struct
-from typing import TYPE_CHECKING, Any, Iterable, Iterator, NamedTuple, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, NamedTuple, Sequence
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from cassandra_ros.arrays.stacked_values import SizeGroups
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import PRIMITIVE_SIZES
+from cassandra_ros.messages.wire.field_ends import compile_object_check
 from cassandra_ros.messages.wire.message_stacks import (
     DTYPES,
     Int64Array,
@@ -88,6 +90,23 @@ def make_columns(
 
 
 def _stacks(definition: Definition, groups: SizeGroups) -> Iterator[Stack]:
+    """Yield the messages by their layout, without those that cannot be read."""
+    check = _object_check(definition)
+    for stack in _by_layout(definition, groups):
+        try:
+            if check is not None:
+                check(stack.planes[:, 0].tobytes())
+        except struct.error:
+            continue
+        yield stack
+
+
+@lru_cache(maxsize=1024)
+def _object_check(definition: Definition) -> Callable[[bytes], object] | None:
+    return compile_object_check(definition.type, definition.specs)
+
+
+def _by_layout(definition: Definition, groups: SizeGroups) -> Iterator[Stack]:
     for members, planes in groups:
         stacks, rest = stacker(definition).stacks(planes, members)
         yield from stacks
