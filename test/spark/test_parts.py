@@ -126,7 +126,8 @@ def test_parts_hold_what_toArrow_gives(fresh, seed, fmt, part_bytes):
         store(ros_cas, "/a", definition, wires[:9], fmt, "", 2)
         table, count = read_parts(ros_cas, "/a", part_bytes=part_bytes)
         assert table.num_rows == len(wires) + len(wires[:9])
-        assert count > 1 or part_bytes > 1 or not any(wires)
+        # Ten messages with bytes are in three buckets or more.
+        assert count > 1 or part_bytes > 1 or sum(map(bool, wires)) < 10
         same = rows(table) == rows(expected(ros_cas, "/a"))
     assert same  # a comparison of such texts by pytest would take gigabytes
 
