@@ -12,6 +12,7 @@ import pytest
 from geometry_msgs.msg import Twist
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from nodes.children import await_true
 from proxy import Proxy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
@@ -406,7 +407,13 @@ def test_a_store_that_goes_in_the_middle_of_a_stream_is_named(away, proxied, end
         if end == "freeze":
             proxied.cut()
         proxied.mend()
-        assert next(fleet.rows("s", limit=1)) is not None
+        await_true(lambda: is_whole(fleet.rows("s", limit=1)))  # the driver connects again, later
+
+
+def is_whole(rows):
+    """Say whether all stores of the fleet answer."""
+    assert len(list(rows)) == 1
+    return not rows.partial
 
 
 @pytest.mark.fault

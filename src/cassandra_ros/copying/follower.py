@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Callable, Sequence
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -234,6 +234,7 @@ class Follower:
             for make in (self._open_source, self._open_target):
                 self._stores.append(make())
             self._replicator = self._make(*self._stores)
+            self._status = replace(self._status, place=self._replicator.place)
             _log.info("copying to %s", self._replicator.place)
         return self._replicator
 
