@@ -20,6 +20,7 @@ from cassandra_ros.arrays.stacked_values import MessageBlock, group_by_size, joi
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import deserialize, message_class
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.wire.field_ends import MAX_SURPLUS
 
 
 def columns_of(definition, wires, wanted=None):
@@ -119,13 +120,16 @@ def test_some_columns_are_those_of_all(seed):
         assert same(plain(made.arrays[0]), plain(kept))
 
 
+MANY = 2 * MAX_SURPLUS
+
+
 def test_a_message_that_counts_too_many_empty_messages_cannot_be_read():
-    """Four bytes would mean gigabytes of elements."""
+    """Four bytes may mean gigabytes of elements; here, should they be read, only megabytes."""
     text = f"Empty[] e\nInner[] i\nint32 x\n{'=' * 80}\nMSG: a/Empty\nint8[0] n\n"
     text += f"{'=' * 80}\nMSG: a/Inner\nEmpty[] e\n"
     definition = parse_definition("a/B", text, None)
-    counts = [(2, 3, 1), (2**31 + 5, 0, 2), (0, 2**32 - 1, 3), (4, 0, 4)] * 5
-    counts += [(0, 2**32 - 1, n) for n in range(10)]  # of one layout
+    counts = [(2, 3, 1), (MANY, 0, 2), (0, MANY, 3), (4, 0, 4)] * 5
+    counts += [(0, MANY, n) for n in range(10)]  # of one layout
     wires = [struct.pack("<IIIi", e, 1, inner, x) for e, inner, x in counts]
     fields, made = columns_of(definition, wires)
     readable = [max(e, inner) < 5 for e, inner, _ in counts]
