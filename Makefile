@@ -43,7 +43,7 @@ help:
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
 	@echo "make bench-fleet    measure questions about 1 to 1,000 robots in one keyspace (ARGS=\"--robots 1 100 --topics 2\")"
-	@echo "make bench-spark    install Spark into .venv (317 MB), and measure it with one executor and with two"
+	@echo "make bench-spark    install Spark into .venv (350 MB on disk), and measure it with one executor and with two"
 	@echo "make bench-trees    compare two checkouts: ARGS=\"EARLIER LATER\""
 	@echo "make bench-mechanisms  compare conversions of many messages together with one by one"
 	@echo "make deb            build/cassandra-ros_*.deb for Debian's own ROS 1 (needs what debian/control names)"
