@@ -57,7 +57,10 @@ BELOW = {
     },
     "mapping": {*TOPICS, "overview", "client"},
     "drawing": {"mapping", "overview", "client", *TOPICS},
-    "viewing": {"drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", *TOPICS},
+    "viewing": {
+        *("drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", "sql"),
+        *TOPICS,
+    },
     "cli": {
         *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),
         *("copying", "fleet", "client", "upkeep", "overview", "spool", "sql"),

@@ -49,7 +49,8 @@ def test_round_trip(block):
     assert sorted(n for group in found.groups for n in group.members.tolist()) == list(
         range(len(wires))
     )
-    for size, members, planes in found.groups:
+    for group in found.groups:
+        size, members, planes = group.size, group.members, group.planes
         assert planes.shape == (size, len(members))
         for n, position in enumerate(members.tolist()):
             assert planes[:, n].tobytes() == wires[position]

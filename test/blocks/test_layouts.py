@@ -10,6 +10,7 @@ import zstandard
 
 from cassandra_ros.blocks.codec import lay_out, pack_block, read_layout, unpack_block
 from cassandra_ros.errors import CorruptMessage
+from cassandra_ros.messages.wire.message_stacks import planes_of
 
 RNG = np.random.default_rng(3)
 COUNT = 400
@@ -53,14 +54,24 @@ def test_a_group_comes_back(name):
     laid = read_layout(memoryview(data + b"next"), size, count)
     assert laid.length == len(data)
     expected = np.ascontiguousarray(rows.T) if laid.as_planes else rows
-    assert bytes(laid.data) == expected.tobytes()
+    if laid.rises is None:
+        assert bytes(laid.data) == expected.tobytes()
+    else:
+        stored = np.frombuffer(laid.data, np.uint8).reshape(size, count)
+        assert planes_of(stored, laid.rises)[:].tobytes() == expected.tobytes()
     wires = [row.tobytes() for row in rows] + [b"other"]
     packed = pack_block(range(len(wires)), range(len(wires)), wires)
     found = unpack_block(packed, len(wires), sum(map(len, wires)))
     assert found.wires() == wires
     assert [found.wire(n) for n in range(len(wires))] == wires
-    planes = [group.planes for group in found.groups if len(group.members) > 1]
-    assert [p.tobytes() for p in planes] == [rows.T.tobytes()]
+    groups = [group for group in found.groups if len(group.members) > 1]
+    assert [group.planes.tobytes() for group in groups] == [rows.T.tobytes()]
+    planes = [planes_of(group.stored, group.rises) for group in groups]
+    assert [p[:].tobytes() for p in planes] == [rows.T.tobytes()]
+    for part in (slice(1, 3), slice(None), np.array([[0], [size - 1]])):
+        assert (planes[0][part] == rows.T[part]).all()
+    for part in (0, count - 1, np.arange(count) % 3 == 0):
+        assert (planes[0][:, part] == rows.T[:, part]).all()
 
 
 def test_what_compresses_best_is_taken():

@@ -142,3 +142,61 @@ def test_columns_are_drawn_over_another_one_of_them(page):
         "s.dispatchEvent(new Event('change'))"
     )
     window.wait_for(f"return {graphs} === 3 && {curves} === 0")
+
+
+def test_sql_is_asked_over_several_topics(page):
+    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
+    window = page("/ask.html")
+    window.run(
+        "const s = document.querySelector('#ask-language'); s.value = 'sql';"
+        "s.dispatchEvent(new Event('change'))"
+    )
+    statement = (
+        "SELECT f.KEY, f.altitude, i.linear_acceleration.z FROM fix f "
+        'ASOF JOIN "/imu/data" i ON f.KEY >= i.KEY ORDER BY f.KEY'
+    )
+    write(window, statement[: statement.index("fix") + 2])
+    window.wait_for(
+        "return document.querySelector('#ask-offers li')?.textContent.startsWith('fix')"
+    )
+    window.driver.switch_to.active_element.send_keys(statement[statement.index("fix") + 2 :])
+    window.driver.switch_to.active_element.send_keys(CONTROL_ENTER)
+    assert window.wait_for(ANSWERED) == "done"
+    rows = window.run(
+        "return [...document.querySelectorAll('#ask-rows tbody tr')].map("
+        "row => [row.dataset.time, ...[...row.cells].slice(1).map(cell => cell.textContent)])"
+    )
+    assert rows[0][:3] == [str(FIRST_FIX), "2013-05-08T14:06:20.238582676Z", "273.2"]
+    curve = pixels(window.picture("#plot-panels"))
+    assert (~near(curve, (255, 255, 255))).sum() > 200
+    window.run("document.getElementById('ask-plan').open = true")
+    plan = window.wait_for("return document.querySelector('#ask-plan pre').textContent")
+    assert plan
+    # The address alone says it all, and a row leads to its moment.
+    address = window.driver.current_url
+    window.driver.get("about:blank")
+    window.driver.get(address)
+    assert window.wait_for(ANSWERED) == "done"
+    assert window.run("return document.querySelector('#ask-language').value") == "sql"
+    link = "return document.querySelector('#ask-rows tbody a').href"
+    assert f"time={FIRST_FIX}" in window.run(link)
+
+
+def test_more_rows_of_sql_are_shown(page):
+    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
+    counted = "return document.querySelectorAll('#ask-rows tbody tr').length"
+    offered = "return !document.querySelector('#rows-more').hidden"
+    click = "document.querySelector('#rows-more').click()"
+    window = page("/ask.html", q="SELECT range FROM range(2500)", language="sql")
+    assert window.wait_for(ANSWERED) == "done"
+    assert window.run(counted) == 1000 and window.run(offered)
+    window.run(click)
+    window.wait_for(f"{counted} === 2500")
+    assert not window.run(offered)
+    assert text_of(window, "#rows-told") == "2500 rows"
+    window = page("/ask.html", q="SELECT range FROM range(10001)", language="sql")
+    assert window.wait_for(ANSWERED) == "done"
+    window.run(click)
+    window.wait_for(f"{counted} === 10000")
+    assert not window.run(offered)
+    assert "LIMIT" in text_of(window, "#rows-told")

@@ -74,14 +74,50 @@ def fill(store):
     store.getTopic("/b").createIndex("d")
 
 
+EVENTS = [
+    ("bump", 20, 40, "r1"),
+    ("bump", 40, 41, ""),
+    ("bump", 30, 35, "r2"),
+    ("bump", 33, 50, "r2"),
+    ("door", 45, None, ""),
+    ("turn", 0, 3, "r1"),
+    ("turn", 300, 400, "r1"),
+]
+"""Names, number of the first and of the last message (None = it lasts), and robots."""
+
+
+def moment_of(n):
+    return None if n is None else Stamp.from_ns(T0 + n * SECOND_NS // 20)
+
+
+def event_names(table):
+    """Return what EVENT is for each message, found one by one."""
+    keys = map(Stamp.from_ns, table["KEY"].cast(pyarrow.int64()).to_pylist())
+    ends = [(name, moment_of(low), moment_of(high), robot) for name, low, high, robot in EVENTS]
+    return [
+        sorted(
+            {
+                name
+                for name, low, high, robot in ends
+                if low <= key and (high is None or key <= high) and robot in ("", node)
+            }
+        )
+        for key, node in zip(keys, table["NODE"].to_pylist())
+    ]
+
+
 @pytest.fixture(scope="module")
 def stored(fresh):
     with fresh() as store:
         fill(store)
+        for name, low, high, robot in EVENTS:
+            store.addEvent(name, moment_of(low), moment_of(high), nodeID=robot)
         whole = duckdb.connect()
         whole.execute("SET TimeZone = 'UTC'")
         for name in ("a", "b", "c"):
             table = store.getTopic(name).toArrow().read_all()
+            events = pyarrow.array(event_names(table), pyarrow.list_(pyarrow.string()))
+            table = table.add_column(3, "EVENT", events)
             whole.register(name, table)
             whole.register("/" + name, table)
         yield store, whole
@@ -134,6 +170,11 @@ def condition(rng, alias, depth=0):
         return f"{alias}NODE {rng.choice(['=', '<>'])} '{rng.choice(['r1', 'r2', 'x'])}'"
     if kind < 0.45:
         return f"{alias}RUN IN ('1', '{rng.choice(['2', '7'])}')"
+    if kind < 0.48:
+        name = rng.choice(["'bump'", "'door'", "'tu' || 'rn'", "'none'", "NULL"])
+        if rng.random() < 0.5:
+            return f"{name} {rng.choice(['IN', 'IN', 'NOT IN'])} {alias}EVENT"
+        return f"list_contains({alias}EVENT, {name})"
     if kind < 0.6:
         name = rng.choice(["KEY", "t"])
         if rng.random() < 0.3:
@@ -160,6 +201,12 @@ JOINS = [
     "FULL JOIN {b} y ON x.NODE = y.NODE AND x.KEY = y.KEY",
     "ASOF JOIN {b} y ON x.NODE = y.NODE AND x.KEY >= y.KEY",
     "ASOF LEFT JOIN {b} y ON x.NODE = y.NODE AND x.KEY >= y.KEY",
+    "ASOF JOIN {b} y ON x.NODE = y.NODE AND y.KEY > x.KEY",
+    "ASOF LEFT JOIN {b} y ON x.NODE = y.NODE AND x.KEY <= y.KEY",
+    "RIGHT JOIN {b} y ON x.RUN = y.RUN AND x.KEY >= y.KEY AND x.i = y.i",
+    "LEFT JOIN {b} y ON x.KEY = y.KEY ASOF LEFT JOIN b z ON y.KEY >= z.KEY AND z.NODE = x.NODE",
+    "FULL JOIN {b} z ON z.KEY = x.KEY AND x.NODE = z.NODE FULL JOIN a y ON z.KEY = y.KEY",
+    "SEMI JOIN {b} y ON x.NODE = y.NODE AND x.KEY < y.KEY AND x.i = y.i",
     "SEMI JOIN {b} y ON x.NODE = y.NODE AND x.i = y.i",
     "ANTI JOIN {b} y ON x.NODE = y.NODE AND x.i = y.i",
 ]
@@ -183,6 +230,9 @@ def statement(rng):
         "x.KEY, x.NODE, x.d, x.sub.f" if left_only else "x.KEY, x.NODE, x.d, y.KEY, y.f, y.sub.n"
     )
     parts = [condition(rng, rng.choice(aliases)) for _ in range(rng.randint(1, 3))]
+    if rng.random() < 0.4:  # what bounds the other side of the join, too
+        parts.append(f"{rng.choice(aliases)}KEY {rng.choice(SIGNS)} {moment(rng)}")
+        parts += rng.choice([[], [f"{rng.choice(aliases)}NODE = 'r1'"]])
     return f"SELECT {shown} FROM {one} x {join} WHERE {' AND '.join(parts)}"
 
 
@@ -307,6 +357,26 @@ def test_only_what_may_match_is_read(stored, where, read):
     store, _ = stored
     (report,) = store.sql(f'SELECT count(*) FROM "/a" WHERE {where}').explain().topics
     assert report.messages < 400 / 2, read
+
+
+@pytest.mark.parametrize(
+    ("join", "most"),
+    [
+        ("ASOF JOIN a y ON x.NODE = y.NODE AND x.KEY >= y.KEY", 25),
+        ("LEFT JOIN a y ON x.KEY = y.KEY", 12),
+        ("LEFT JOIN b z ON x.KEY = z.KEY ASOF JOIN a y ON y.KEY <= z.KEY AND y.NODE = x.NODE", 25),
+    ],
+)
+def test_a_join_bounds_its_right_side(stored, join, most):
+    """Rows of the right side after the last one of the left side are not read."""
+    store, whole = stored
+    asked = f"SELECT count(*), max(y.KEY) FROM b x {join} WHERE x.NODE = 'r1' AND x.KEY BETWEEN "
+    low, high = (str(np.datetime64(T0 + n * SECOND_NS // 20, "ns")) for n in (15, 20))
+    asked += f"'{low}' AND '{high}'"
+    report = store.sql(asked).explain()
+    (right,) = [topic for topic in report.topics if topic.topic == "/a"]
+    assert 0 < right.messages <= most
+    assert store.sql(asked).fetchall() == rows_of(whole.sql(asked).to_arrow_table())
 
 
 @pytest.mark.parametrize(

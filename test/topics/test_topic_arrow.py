@@ -4,6 +4,9 @@
 
 from __future__ import annotations
 
+import random
+import struct
+
 import pyarrow as pa
 import pytest
 from campaign import FEW_FORMATS, sparing
@@ -11,12 +14,14 @@ from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage
 
+from cassandra_ros.arrays import arrow_batches
+from cassandra_ros.arrays.row_columns import RowColumns
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
-from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.topics.row_reader import FollowingReader
 
@@ -114,3 +119,61 @@ def test_batches_are_read_when_they_are_taken(rosCas, monkeypatch):
     assert not reads
     assert reader.read_next_batch().num_rows == 5
     assert len(reads) == 1
+
+
+NUMBERS = {"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I"}
+NUMBERS.update({"int64": "q", "uint64": "Q", "float32": "f", "float64": "d", "bool": "B"})
+PAIRS = ("time", "duration")
+KINDS = (*NUMBERS, *PAIRS)
+EACH = [f"{kind} one_{kind}\n{kind}[] many_{kind}\n{kind}[2] two_{kind}\n" for kind in KINDS]
+EVERYTHING = (
+    "".join(EACH) + "string text\nt/In sub\n" + "=" * 80 + "\nMSG: t/In\nstring text\nbool b\n"
+)
+TEXTS = [b"", b"map", "ä".encode(), b"\xff", b"a\0b"]
+
+
+def value(rng, kind):
+    if kind in PAIRS:
+        first = rng.randrange(2**31) if kind == "time" else rng.randrange(-5, 5)
+        nanoseconds = rng.choice([0, 1, 999_999_999, 1_500_000_000])  # the last is unusual
+        return struct.pack("<Ii" if kind == "time" else "<ii", first, nanoseconds)
+    if kind == "bool":
+        return bytes([rng.choice([0, 1, 1, 0, 2])])
+    return rng.randbytes(struct.calcsize(NUMBERS[kind]))
+
+
+def everything(n):
+    rng = random.Random(n)
+    parts = []
+    for kind in KINDS:
+        count = rng.choice([0, 1, 3, 20_000 if n == 3 else 2])
+        parts.append(value(rng, kind))
+        parts.append(struct.pack("<I", count) + b"".join(value(rng, kind) for _ in range(count)))
+        parts += [value(rng, kind), value(rng, kind)]
+    for _ in range(2):
+        text = rng.choice(TEXTS)
+        parts.append(struct.pack("<I", len(text)) + text)
+    return b"".join(parts) + value(rng, "bool")
+
+
+def test_columns_of_format_ros_give_what_the_messages_give(rosCas, monkeypatch):
+    """Also of messages of which a column does not hold the field, and of one with long arrays."""
+    definition = parse_definition("t/Everything", EVERYTHING, None)
+    for fmt in ("ros", "binary"):
+        with rosCas.messageWriter(format=fmt, nodeID="r1", writer_id=5) as writer:
+            handle = writer.connect(api_connection(f"/{fmt}", definition, "/x"))
+            for n in range(60):
+                writer.write(handle, T0 + n * SECOND_NS, n, everything(n))
+    monkeypatch.setattr(arrow_batches, "MOST_UNUSUAL", 1.0)
+    made, make = [], RowColumns.make
+    monkeypatch.setattr(
+        RowColumns, "make", lambda self, rows: made.append(len(rows)) or make(self, rows)
+    )
+    names = [field.name for field in definition.specs["t/Everything"].fields]
+    for name in [*names, "sub.text", "one_int8 text many_bool"]:
+        asked = ["KEY", "RUN", *name.split()]
+        found = rosCas.getTopic("/ros").toArrow(asked).read_all()
+        wanted = rosCas.getTopic("/binary").toArrow(asked).read_all()
+        assert found.schema.equals(wanted.schema)
+        assert repr(found.to_pydict()) == repr(wanted.to_pydict()), name
+    assert sum(made) > 20 * len(names)

@@ -11,6 +11,7 @@ import * as page from "./page.js";
 import * as state from "./state.js";
 
 const form = /** @type {HTMLFormElement} */ (document.getElementById("ask-form"));
+const language = /** @type {HTMLSelectElement} */ (document.getElementById("ask-language"));
 const cancel = /** @type {HTMLButtonElement} */ (document.getElementById("ask-cancel"));
 const told = /** @type {HTMLElement} */ (document.getElementById("ask-told"));
 const error = /** @type {HTMLElement} */ (document.getElementById("ask-error"));
@@ -18,9 +19,14 @@ const examples = /** @type {HTMLElement} */ (document.getElementById("ask-exampl
 const plan = /** @type {HTMLDetailsElement} */ (document.getElementById("ask-plan"));
 
 const TURN_MS = 800;
+/** @type {Record<string, string>} What the empty box shows, by language. */
+const SAMPLES = {
+  "": "SELECT altitude FROM /fix WHERE latitude > 43.4",
+  sql: 'SELECT i.KEY, i.linear_acceleration.z, f.altitude FROM "/imu/data" i ASOF JOIN fix f ON i.KEY >= f.KEY',
+};
 
 page.start("Ask");
-const box = new Box(ask);
+const box = new Box(ask, () => language.value);
 const plot = new Plot(moveTo);
 const rows = new Rows((problem, signal) => fail(problem, signal));
 
@@ -32,8 +38,9 @@ let moved = -Infinity;
 /** Run the statement in the box; a new statement over all time. */
 function ask() {
   const statement = box.text.trim();
-  const window = statement === state.read().q.trim() ? {} : { start: null, end: null };
-  state.write({ q: statement || null, ...window }, { push: true });
+  const same = statement === state.read().q.trim() && language.value === languageOf(state.read());
+  const window = same ? {} : { start: null, end: null };
+  state.write({ q: statement || null, language: language.value || null, ...window }, { push: true });
   show(true);
 }
 
@@ -43,19 +50,22 @@ function ask() {
  */
 function show(again = false) {
   const now = state.read();
-  const key = JSON.stringify([now.q, now.nodes, now.runs]);
+  const parameters = { q: now.q, nodes: now.nodes, runs: now.runs, language: languageOf(now) };
+  const key = JSON.stringify(parameters);
   const window = { start: now.start, end: now.end };
   if (!now.q) return showNothing();
   examples.hidden = true;
   if (!again && key === asked && plot.shows(window) && rows.shows(window)) return;
   const other = again || key !== asked;
-  if (other) box.text = now.q;
+  if (other) {
+    box.text = now.q;
+    setLanguage(parameters.language);
+  }
   asked = key;
   asking.abort();
   asking = new AbortController();
   error.hidden = true;
   const { signal } = asking;
-  const parameters = { q: now.q, nodes: now.nodes, runs: now.runs };
   plan.hidden = false;
   if (other) clearPlan();
   work(signal, other, rows.load(parameters, window, signal), plot.load(parameters, window, signal, other));
@@ -121,7 +131,7 @@ async function showNothing() {
   rows.clear();
   plan.hidden = true;
   const begin = "SELECT * FROM ";
-  const { offers } = await get("/api/complete", { q: begin });
+  const { offers } = await get("/api/complete", { q: begin, language: language.value });
   const topics = offers.filter((/** @type {any} */ offer) => offer.kind === "topic");
   examples.hidden = topics.length === 0;
   examples.querySelector(".content")?.replaceChildren(
@@ -129,6 +139,20 @@ async function showNothing() {
       page.make("button", { type: "button", onclick: () => choose(begin + offer.text) }, offer.text)),
   );
   if (!topics.length) told.textContent = "There is no topic in this keyspace yet.";
+}
+
+/**
+ * Return the language of the statement in the address: "" = CQL, or "sql".
+ * @param {import("./state.js").State} from
+ */
+function languageOf(from) {
+  return from.others.language === "sql" ? "sql" : "";
+}
+
+/** @param {string} name */
+function setLanguage(name) {
+  language.value = name;
+  box.sample = SAMPLES[name];
 }
 
 /** @param {string} statement */
@@ -155,11 +179,16 @@ function clearPlan() {
 
 async function loadPlan() {
   const place = plan.querySelector("pre");
-  const { q, nodes, runs } = state.read();
+  const now = state.read();
+  const { q, nodes, runs } = now;
   if (!place || place.textContent || !q) return;
   place.textContent = "the statement is run to its end …";
   try {
-    const found = await get("/api/explain", { q, nodes, runs }, { signal: asking.signal });
+    const found = await get(
+      "/api/explain",
+      { q, nodes, runs, language: languageOf(now) },
+      { signal: asking.signal },
+    );
     place.textContent = found.text;
   } catch (problem) {
     place.textContent = "";
@@ -171,6 +200,11 @@ form.addEventListener("submit", (event) => {
   event.preventDefault();
   ask();
 });
+language.addEventListener("change", () => {
+  setLanguage(language.value);
+  if (!box.text) showNothing();
+  box.focus();
+});
 cancel.addEventListener("click", () => {
   asking.abort();
   rest("cancelled");
@@ -180,5 +214,6 @@ plan.addEventListener("toggle", () => {
 });
 window.addEventListener("popstate", () => show());
 box.text = state.read().q;
+setLanguage(languageOf(state.read()));
 show(true);
 if (!state.read().q) box.focus();

@@ -11,11 +11,15 @@ const PAUSE_MS = 120;
 /** @typedef {{text: string, kind: string, note: string}} Offer */
 
 export class Box {
-  /** @param {() => void} run Called on Ctrl+Enter. */
-  constructor(run) {
+  /**
+   * @param {() => void} run Called on Ctrl+Enter.
+   * @param {() => string} language Returns the language of the statement: "" = CQL, or "sql".
+   */
+  constructor(run, language) {
     this._area = /** @type {HTMLTextAreaElement} */ (document.getElementById("ask-q"));
     this._list = /** @type {HTMLElement} */ (document.getElementById("ask-offers"));
     this._run = run;
+    this._language = language;
     /** @type {Offer[]} */
     this._offers = [];
     this._start = 0;
@@ -36,6 +40,11 @@ export class Box {
   set text(text) {
     this._area.value = text;
     this._close();
+  }
+
+  /** @param {string} text Statement that the empty box shows. */
+  set sample(text) {
+    this._area.placeholder = text;
   }
 
   focus() {
@@ -65,7 +74,8 @@ export class Box {
     this._asking = new AbortController();
     const at = [...before].length;
     try {
-      const found = await get("/api/complete", { q: this._area.value, at }, { signal: this._asking.signal });
+      const parameters = { q: this._area.value, at, language: this._language() };
+      const found = await get("/api/complete", parameters, { signal: this._asking.signal });
       this._start = [...this._area.value].slice(0, found.start).join("").length;
       this._show(found.offers);
     } catch (error) {

@@ -9,6 +9,9 @@ import * as state from "./state.js";
 import { iso, length } from "./times.js";
 
 const CUT = 60;
+/** Numbers of rows of a statement in SQL: of the first answer, and of the one that More asks for. */
+const SQL_ROWS = 1000;
+const MOST_SQL_ROWS = 10000;
 const NUMBERS = /^(u?int|float|sum)/;
 
 export class Rows {
@@ -50,13 +53,30 @@ export class Rows {
     this._parameters = { ...parameters, ...window, cut: CUT };
     this._window = String([window.start, window.end]);
     this._signal = signal;
-    const page = await get("/api/query", this._parameters, { signal });
+    await this._first(signal, parameters.language === "sql" ? SQL_ROWS : null);
+  }
+
+  /**
+   * Show the first page in place of all rows.
+   * @param {AbortSignal} signal
+   * @param {number | null} limit Maximum number of its rows; null = the server's.
+   */
+  async _first(signal, limit) {
+    const page = await get("/api/query", { ...this._parameters, limit }, { signal });
+    if (signal !== this._signal) return;
     const headings = page.columns.map((/** @type {string} */ name, /** @type {number} */ n) =>
       make("th", { class: NUMBERS.test(page.kinds[n]) ? "number" : "", title: page.kinds[n] }, name));
     this._head.replaceChildren(make("tr", {}, make("th", {}, ""), ...headings));
     this._body.replaceChildren();
     this._place.hidden = false;
     this._add(page);
+    if (page.more && limit === SQL_ROWS && page.rows.length === limit) this._offerAgain();
+  }
+
+  /** Offer More for a statement in SQL, although there is no further page. */
+  _offerAgain() {
+    this._more.hidden = false;
+    this._told.textContent = `the first ${SQL_ROWS} rows; More runs the statement again, for up to ${MOST_SQL_ROWS}`;
   }
 
   async _next() {
@@ -65,6 +85,11 @@ export class Rows {
     if (this._signal.aborted) this._signal = new AbortController().signal;
     const signal = this._signal;
     try {
+      if (this._parameters.language === "sql") {
+        // Rows of SQL have no order to go on from: the statement runs again, for more of them.
+        await this._first(signal, MOST_SQL_ROWS);
+        return;
+      }
       const parameters = { ...this._parameters, after: this._after };
       const page = await get("/api/query", parameters, { signal });
       if (signal === this._signal) this._add(page);
@@ -90,7 +115,8 @@ export class Rows {
     this._more.hidden = page.after === "";
     const count = this._body.childElementCount;
     const rows = count === 1 ? "1 row" : `${count} rows`;
-    this._told.textContent = page.after ? `the first ${rows}` : count ? rows : "no row matches";
+    const first = page.after ? "" : "; WHERE, GROUP BY or LIMIT select others";
+    this._told.textContent = page.more ? `the first ${rows}${first}` : count ? rows : "no row matches";
     this._place.dataset.rows = String(count);
   }
 

@@ -23,11 +23,13 @@ from cassandra_ros.arrays.arrow_types import (
     Wanted,
     adapt,
     check_columns,
+    count_leaves,
     fields_of,
     load_arrow,
     unite_schemas,
 )
 from cassandra_ros.arrays.field_arrays import ReadBlocks, ReadRows
+from cassandra_ros.arrays.row_columns import RowColumns
 from cassandra_ros.arrays.stacked_values import MessageBlock, group_by_size, join_blocks
 from cassandra_ros.errors import CorruptMessage, MessageNotFound, StoreUnavailable, TopicNotFound
 from cassandra_ros.keys import writer_of
@@ -42,6 +44,13 @@ BATCH_ROWS = 16384
 """Maximum number of messages in a batch, but for those of one block."""
 BATCH_BYTES = 4 * 1024 * 1024
 """Size of serialised messages from which a batch ends, bytes."""
+FEW_FIELDS = 8
+"""Maximum number of fields that are read from each block by itself, if most are not read."""
+APART_MESSAGES = 128
+"""Minimum number of messages of one size in such a block: those of smaller groups are joined."""
+MOST_UNUSUAL = 0.1
+"""Largest share of rows whose columns do not hold all fields; with more of them the messages of all
+rows are read, in one batch."""
 UNITS = {"time": "ns since 1970, UTC", "duration": "ns"}
 
 
@@ -83,11 +92,28 @@ class ArrowSchema:
         self.own = [field.name for field in own]
         self.empty = not any(self.fields.values())
         self.schema = self.arrow.schema([*own, *united])
+        self._row_columns: dict[str, RowColumns | None] = {}
+        self._reads_few: dict[str, bool] = {}
         if names is not None:
             check_columns(self.schema, names)
 
     def _of(self, fields: Sequence[ArrowField]) -> pyarrow.Schema:
         return self.arrow.schema([(field.name, field.type(self.arrow)) for field in fields])
+
+    def row_columns(self, table: Table) -> RowColumns | None:
+        """Return the reader of a table's columns; None = messages are read."""
+        if table.name not in self._row_columns:
+            columns = None if self.named else RowColumns.of(self.arrow, table, self.of_table(table))
+            self._row_columns[table.name] = columns
+        return self._row_columns[table.name]
+
+    def reads_few(self, table: Table) -> bool:
+        """Return whether few of the fields of a table's messages are read."""
+        if table.name not in self._reads_few:
+            count = count_leaves(self.of_table(table))
+            every = count_leaves(fields_of(table.definition, None))
+            self._reads_few[table.name] = count <= FEW_FIELDS and 2 * count <= every
+        return self._reads_few[table.name]
 
     def of_table(self, table: Table) -> tuple[ArrowField, ...]:
         """Return the fields of a table, also of one that was made after the schema."""
@@ -116,12 +142,27 @@ class _BatchMaker:
         """Make a batch of some blocks of one table."""
         keys = np.concatenate([block.times for block in blocks])
         owners = [(block.node, block.run(), len(block.times)) for block in blocks]
-        return self._make(blocks[0].table, _Places(keys, owners), join_blocks(blocks))
+        table = blocks[0].table
+        apart = APART_MESSAGES if self._schema.reads_few(table) else None
+        return self._make(table, _Places(keys, owners), join_blocks(blocks, apart))
 
-    def of_rows(self, rows: Sequence[Row]) -> pyarrow.RecordBatch | None:
-        """Make a batch of some rows of one table; None if all were deleted meanwhile."""
+    def of_rows(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
+        """Yield batches of some rows of one table, without those that were deleted meanwhile."""
+        reader = self._schema.row_columns(rows[0].table)
+        raws = [] if reader is None else [reader.take(row) for row in rows]
+        if reader is None or raws.count(None) > MOST_UNUSUAL * len(rows):
+            yield from self._of_messages(rows)
+            return
+        for usual, members in groupby(zip(rows, raws), lambda pair: pair[1] is not None):
+            parts, columns = zip(*members)
+            if usual:
+                yield self._with_places(parts[0].table, self._places(parts), reader.make(columns))
+            else:
+                yield from self._of_messages(parts)
+
+    def _of_messages(self, rows: Sequence[Row]) -> Iterator[pyarrow.RecordBatch]:
         wires: list[bytes | None] = []
-        found: list[Any] = []
+        found: list[Row] = []
         for row in rows:
             try:
                 wires.append(None if self._schema.empty else row.wire)
@@ -130,27 +171,34 @@ class _BatchMaker:
             except CorruptMessage:
                 wires.append(None)
             found.append(row)
-        if not found:
-            return None
-        owned = groupby(found, key=lambda row: (row.node, writer_of(row.position.seq)))
+        if found:
+            yield self._make(found[0].table, self._places(found), group_by_size(wires))
+
+    def _places(self, rows: Sequence[Any]) -> _Places:
+        owned = groupby(rows, key=lambda row: (row.node, writer_of(row.seq)))
         groups = [(node, list(members)) for (node, _), members in owned]
         owners = [(node, members[0].run, len(members)) for node, members in groups]
         if self._schema.named:
-            keys = np.array([str(row.key) for row in found], object)
-        else:
-            keys = np.fromiter((row.t for row in found), np.int64, len(found))
-        return self._make(found[0].table, _Places(keys, owners), group_by_size(wires))
+            return _Places(np.array([str(row.key) for row in rows], object), owners)
+        return _Places(np.fromiter((row.t for row in rows), np.int64, len(rows)), owners)
 
     def _make(self, table: Table, places: _Places, groups: Any) -> pyarrow.RecordBatch:
+        fields, count = self._schema.of_table(table), len(places.keys)
+        if not fields or table.definition is None:
+            return self._with_places(table, places, ())
+        made, unread = make_columns(self._arrow, table.definition, fields, groups, count)
+        for n in unread.tolist():
+            key, kind = places.keys[n], table.msg_type
+            _log.warning("a message of type %s at %s cannot be read", kind, key)
+        return self._with_places(table, places, made)
+
+    def _with_places(
+        self, table: Table, places: _Places, made: Sequence[pyarrow.Array]
+    ) -> pyarrow.RecordBatch:
+        """Return a batch of the arrays of fields, with the columns that are no fields."""
         arrow, schema, count = self._arrow, self._schema.schema, len(places.keys)
         fields = self._schema.of_table(table)
-        columns = {}
-        if fields and table.definition is not None:
-            made, unread = make_columns(arrow, table.definition, fields, groups, count)
-            columns = {field.name.lower(): array for field, array in zip(fields, made)}
-            for n in unread.tolist():
-                key, kind = places.keys[n], table.msg_type
-                _log.warning("a message of type %s at %s cannot be read", kind, key)
+        columns = {field.name.lower(): array for field, array in zip(fields, made)}
         own = {name: self._own(name, places) for name in self._schema.own}
         arrays = []
         for n, field in enumerate(schema):
@@ -203,8 +251,10 @@ def read_batches(
 
 
 def _columns(schema: ArrowSchema, table: Table) -> Sequence[str] | None:
-    # The messages of whole rows are made together.
-    return () if schema.empty else None
+    if schema.empty:
+        return ()
+    reader = schema.row_columns(table)
+    return None if reader is None else reader.names
 
 
 def _of_blocks(
@@ -236,12 +286,9 @@ def _of_rows(
         watch()
         another = taken and row.table.name != taken[0].table.name
         if another or len(taken) >= BATCH_ROWS or size >= BATCH_BYTES:
-            batch = maker.of_rows(taken)
-            if batch is not None:
-                yield batch
+            yield from maker.of_rows(taken)
             taken, size = [], 0
         taken.append(row)
         size += row.size
-    batch = maker.of_rows(taken) if taken else None
-    if batch is not None:
-        yield batch
+    if taken:
+        yield from maker.of_rows(taken)

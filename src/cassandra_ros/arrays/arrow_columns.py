@@ -199,8 +199,19 @@ def _numbers(field: ArrowField, placed: Sequence[_Placed], size: int) -> AnyArra
         numbers = each.stack.numbers(field.path, base)
         if numbers.size == size:  # the slots of all values are in order
             return numbers.T.reshape(-1).astype(dtype, copy=False)
-        found[each.slots.T] = numbers
+        _put(found, each.slots, numbers.T)
     return found
+
+
+def _put(found: AnyArray, slots: Int64Array, values: AnyArray) -> None:
+    """Set values at their slots, which ascend along the rows: (messages, values of a message)."""
+    if not slots.size:
+        return
+    first, last = int(slots[0, 0]), int(slots[-1, -1])
+    if last - first + 1 == slots.size:
+        found[first : last + 1] = values.reshape(-1)
+    else:
+        found[slots] = values
 
 
 def _counts(field: ArrowField, placed: _Placed) -> Int64Array:

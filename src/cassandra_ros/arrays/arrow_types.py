@@ -142,6 +142,11 @@ def _fields(
     return found
 
 
+def count_leaves(fields: Iterable[ArrowField]) -> int:
+    """Return the number of fields that are no messages, also in messages."""
+    return sum(count_leaves(field.children) if field.children else 1 for field in fields)
+
+
 def _free_name(name: str, taken: set[str]) -> str:
     number, free = 0, name
     while free.lower() in taken:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from cassandra_ros.arrays.array_types import AnyType
 
 Raws = Sequence[Optional[bytes]]
-_BIG = {
+BIG_ENDIAN = {
     "boolean": ">u1",
     "tinyint": ">i1",
     "smallint": ">i2",
@@ -34,7 +34,7 @@ _BIG = {
     "double": ">f8",
 }
 """numpy types of CQL's encodings, by CQL type."""
-_FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in _BIG.items()}
+_FIXED_LISTS = {f"frozen<list<{cql_type}>>": big for cql_type, big in BIG_ENDIAN.items()}
 _NO_LIST = b"\0\0\0\1"
 
 
@@ -105,14 +105,14 @@ def _one(ref: FieldRef, column: FieldColumn, kind: ArrayType) -> Convert:
         return _texts
     if column.field_type == "uint64":
         return _varints
-    return partial(_numbers, np.dtype(_BIG[column.cql_type]), kind.dtype)
+    return partial(_numbers, np.dtype(BIG_ENDIAN[column.cql_type]), kind.dtype)
 
 
 def _numbers(big: AnyType, dtype: AnyType, raws: Raws) -> ColumnArray:
-    return ColumnArray(_joined(raws, big).astype(dtype), _absent(raws))
+    return ColumnArray(join_fixed(raws, big).astype(dtype), _absent(raws))
 
 
-def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
+def join_fixed(raws: Raws, dtype: AnyType) -> AnyArray:
     """Join the values of all rows; each must have the size of the type."""
     filler = bytes(dtype.itemsize)
     joined = b"".join([filler if raw is None else raw for raw in raws])
@@ -122,8 +122,13 @@ def _joined(raws: Raws, dtype: AnyType) -> AnyArray:
 
 
 def _varints(raws: Raws) -> ColumnArray:
+    return ColumnArray(as_uint64(raws), _absent(raws))
+
+
+def as_uint64(raws: Raws) -> AnyArray:
+    """Return varints as uint64; 0 for a missing one."""
     joined = b"".join([(raw or b"")[-8:].rjust(8, b"\0") for raw in raws])
-    return ColumnArray(np.frombuffer(joined, ">u8").astype(np.uint64), _absent(raws))
+    return np.frombuffer(joined, ">u8").astype(np.uint64)
 
 
 def _texts(raws: Raws) -> ColumnArray:
@@ -134,7 +139,7 @@ def _texts(raws: Raws) -> ColumnArray:
     return ColumnArray(values, _absent(raws))
 
 
-def _numbers_of(kind: str, wire: bytes) -> AnyArray:
+def numbers_of(kind: str, wire: bytes) -> AnyArray:
     """Return the elements of a primitive array as on the wire."""
     if kind in ("time", "duration"):
         pairs = np.frombuffer(wire, "<u4" if kind == "time" else "<i4").reshape(-1, 2)
@@ -157,15 +162,13 @@ def _cells(kind: str, raws: Raws) -> ColumnArray:
     ):  # arrays of equal length, as in most scans, are read together
         rows = _arrays(kind, sizes.pop() // _size_of(kind), raws).values
         return ColumnArray(objects_of(list(rows)), missing)
-    cells = [None if raw is None else _numbers_of(kind, raw) for raw in raws]
+    cells = [None if raw is None else numbers_of(kind, raw) for raw in raws]
     return ColumnArray(objects_of(cells), missing)
 
 
 def _arrays(kind: str, length: int, raws: Raws) -> ColumnArray:
-    joined = _joined(raws, np.dtype(f"V{length * _size_of(kind)}"))
-    return ColumnArray(
-        _numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws)
-    )
+    joined = join_fixed(raws, np.dtype(f"V{length * _size_of(kind)}"))
+    return ColumnArray(numbers_of(kind, joined.tobytes()).reshape(len(raws), length), _absent(raws))
 
 
 def _element(index: int, kind: str, raws: Raws) -> ColumnArray:
@@ -173,7 +176,7 @@ def _element(index: int, kind: str, raws: Raws) -> ColumnArray:
     low, high = index * size, (index + 1) * size
     cut = [raw[low:high] if raw is not None and len(raw) >= high else None for raw in raws]
     return ColumnArray(
-        _numbers_of(kind, _joined(cut, np.dtype(f"V{size}")).tobytes()), _absent(cut)
+        numbers_of(kind, join_fixed(cut, np.dtype(f"V{size}")).tobytes()), _absent(cut)
     )
 
 

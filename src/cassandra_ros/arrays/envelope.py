@@ -174,6 +174,13 @@ class Envelope:
         np.fmin(self._low[:, here], other._low[:, there], out=self._low[:, here])
         np.fmax(self._high[:, here], other._high[:, there], out=self._high[:, here])
 
+    def widened(self, grid: Grid) -> Envelope:
+        """Return this envelope in a grid around its own, with pixels that are at least as long."""
+        found, held = Envelope(grid, len(self._low)), np.flatnonzero(self._last >= 0)
+        low, high, rows = self._low[:, held], self._high[:, held], self._rows[held]
+        found.add_spans(self._first[held], self._last[held], low, high, rows)
+        return found
+
     def points(self) -> Points:
         """Return the pixels that contain messages, in time order."""
         held = np.flatnonzero(self._last >= 0)

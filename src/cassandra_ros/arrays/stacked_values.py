@@ -20,6 +20,7 @@ from cassandra_ros.messages.wire.layout import FieldColumn
 from cassandra_ros.messages.wire.message_stacks import (
     ByteArray,
     Int64Array,
+    Planes,
     Stack,
     by_size,
     stacker,
@@ -29,7 +30,7 @@ from cassandra_ros.query.tree.field_names import FieldRef
 
 _NUMBERS = ("int", "float", "bool", "time", "duration")
 
-SizeGroups = Iterable[Tuple[Int64Array, ByteArray]]
+SizeGroups = Iterable[Tuple[Int64Array, Planes]]
 """Pairs of message indices, ascending, and message planes; one pair for each message size."""
 RestMessages = Sequence[Tuple[int, bytes]]
 """Index and bytes of the messages that share no layout with others."""
@@ -49,20 +50,42 @@ class MessageBlock(NamedTuple):
     """The messages by size; a message in no group is unreadable."""
 
 
-def join_blocks(blocks: Sequence[MessageBlock]) -> SizeGroups:
-    """Join the groups of blocks: if sizes vary, each block has only few messages of a size."""
-    groups: dict[int, list[tuple[Int64Array, ByteArray]]] = {}
+def join_blocks(blocks: Sequence[MessageBlock], apart: int | None = None) -> SizeGroups:
+    """Join the groups of blocks: if sizes vary, each block has only few messages of a size.
+
+    Args:
+        blocks: The blocks.
+        apart: Number of messages from which a group is not joined, because all of its bytes would
+            be decoded and copied; None = all are joined.
+    """
+    groups: dict[int, list[tuple[Int64Array, Planes]]] = {}
     first = 0
     for block in blocks:
         for members, planes in block.groups:
-            groups.setdefault(len(planes), []).append((members + first, planes))
+            if apart is not None and len(members) >= apart:
+                yield members + first, planes
+            else:
+                groups.setdefault(len(planes), []).append((members + first, planes))
         first += len(block.times)
     for parts in groups.values():
         if len(parts) == 1:
             yield parts[0]
         else:
-            planes = np.concatenate([planes for _, planes in parts], axis=1)
-            yield np.concatenate([members for members, _ in parts]), planes
+            indices = np.concatenate([members for members, _ in parts])
+            yield indices, _join([planes for _, planes in parts], len(indices))
+
+
+def _join(parts: Sequence[Planes], count: int) -> ByteArray:
+    arrays = [planes for planes in parts if isinstance(planes, np.ndarray)]
+    if len(arrays) == len(parts):
+        return np.concatenate(arrays, axis=1)  # messages that are adjacent in memory stay so
+    joined = np.empty((len(parts[0]), count), np.uint8)
+    at = 0
+    for planes in parts:  # one by one, so that decoded planes do not all exist
+        after = at + planes.shape[1]
+        joined[:, at:after] = planes[:]
+        at = after
+    return joined
 
 
 class StackedField(NamedTuple):

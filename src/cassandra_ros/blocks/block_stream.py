@@ -533,15 +533,24 @@ def opened(part: BucketRead) -> Iterator[OpenedBlock]:
 
 
 def _opened_by_headers(part: BucketRead, headers: Headers) -> Iterator[OpenedBlock]:
+    count = max(1, min(MAX_AT_ONCE, part.page_bytes // BLOCK_BYTES))
+    asked: PagedRead | None = None
     while headers.more:
         known = headers.read()
-        while known:
-            count = max(1, min(MAX_AT_ONCE, part.page_bytes // BLOCK_BYTES))
-            taken, known = known[:count], known[count:]
-            for block in part.blocks(part.fetch(taken).page()):
-                found = part.open(block)
-                if found.left:
-                    yield found
+        for begin in range(0, len(known), count):
+            following = part.fetch(known[begin : begin + count])
+            if asked is not None:
+                yield from _opened_of(part, asked)
+            asked = following
+    if asked is not None:
+        yield from _opened_of(part, asked)
+
+
+def _opened_of(part: BucketRead, asked: PagedRead) -> Iterator[OpenedBlock]:
+    for block in part.blocks(asked.page()):
+        found = part.open(block)
+        if found.left:
+            yield found
 
 
 def _opened(part: BucketRead, pages: _Pages) -> Iterator[OpenedBlock]:

@@ -43,7 +43,7 @@ from __future__ import annotations
 
 import threading
 from functools import cached_property
-from typing import Any, Callable, NamedTuple, Sequence, Union
+from typing import Any, Callable, Mapping, NamedTuple, Sequence, Union
 
 import numpy as np
 import zstandard
@@ -53,6 +53,7 @@ from cassandra_ros.errors import CorruptMessage
 
 Bytes = NDArray[np.uint8]
 BytesLike = Union[bytes, memoryview]
+Mask = NDArray[np.bool_]
 
 MAX_CONTENT_BYTES = 16 * 1024 * 1024
 """Maximum size of what a block says that it holds, packed and serialised, bytes. A larger one was
@@ -86,6 +87,8 @@ class LaidGroup(NamedTuple):
     as_planes: bool
     length: int
     """Number of bytes that the group takes in the block."""
+    rises: Mask | None = None
+    """Which planes are stored as differences; None = no plane is."""
 
 
 def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[BytesLike]:
@@ -140,11 +143,7 @@ def read_layout(data: memoryview, size: int, count: int) -> LaidGroup:
     if kind == _COLUMNS:
         return LaidGroup(_from_columns(data[begin:end], size, count), False, end)
     rises = np.unpackbits(np.frombuffer(data, np.uint8, begin - 1, 1))[:size].astype(np.bool_)
-    if not rises.any():
-        return LaidGroup(data[begin:end], True, end)
-    planes = np.frombuffer(data, np.uint8, size * count, begin).reshape(size, count).copy()
-    planes[rises] = np.add.accumulate(planes[rises], axis=1, dtype=np.uint8)
-    return LaidGroup(planes.tobytes(), True, end)
+    return LaidGroup(data[begin:end], True, end, rises if rises.any() else None)
 
 
 def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
@@ -156,7 +155,7 @@ def _saves_little(sample: Bytes, cost: Callable[[bytes], int]) -> bool:
     return bool(cost(np.ascontiguousarray(parts.T).tobytes()) > _HARDLY * parts.size)
 
 
-def _counts(found: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _counts(found: Mask) -> NDArray[np.int32]:
     """Return the number of true values in each column of a matrix."""
     # Row by row: numpy would go along columns one byte at a time.
     counts: NDArray[np.int32] = np.add.reduce(found, axis=0, dtype=np.int32)
@@ -262,7 +261,7 @@ def _find_scale(words: Words) -> int | None:
     return None
 
 
-def _as_integers(words: Words, scale: int) -> tuple[Integers, NDArray[np.bool_]]:
+def _as_integers(words: Words, scale: int) -> tuple[Integers, Mask]:
     """Return words as integers, and for which of them the integer is exact."""
     # A word that is not a number, or too large for an integer, does not come back as it was.
     with np.errstate(invalid="ignore", over="ignore"):
@@ -334,14 +333,28 @@ _HEAD = 2
 _I8, _U4 = np.dtype("<i8"), np.dtype("<u4")
 
 
+_NO_RISES: Mapping[int, Mask] = {}
+
+
 class Group(NamedTuple):
     """The messages of a block that have the same size."""
 
     size: int
     members: Longs
     """Positions of the messages in the block, ascending."""
-    planes: Bytes
-    """Matrix (size, members): row k holds byte k of every message."""
+    stored: Bytes
+    """Matrix (size, members): row k holds byte k of every message, or differences of them."""
+    rises: Mask | None
+    """Which rows are stored as differences; None = no row is."""
+
+    @property
+    def planes(self) -> Bytes:
+        """The matrix without differences."""
+        if self.rises is None:
+            return self.stored
+        planes: Bytes = self.stored.copy()
+        planes[self.rises] = np.add.accumulate(planes[self.rises], axis=1, dtype=np.uint8)
+        return planes
 
 
 class Unpacked:
@@ -363,10 +376,13 @@ class Unpacked:
         received: Longs | None,
         body: memoryview,
         as_rows: frozenset[int] = frozenset(),
+        rises: Mapping[int, Mask] = _NO_RISES,
     ) -> None:
         self.times, self.seqs, self.sizes, self.received = times, seqs, sizes, received
         # Sizes whose messages are stored one after the other, however many there are.
         self._body, self._as_rows = body, as_rows
+        # Planes that are stored as differences, by size.
+        self._rises = rises
 
     def __len__(self) -> int:
         return len(self.times)
@@ -382,7 +398,7 @@ class Unpacked:
             at += size * count
             as_planes = _as_planes(count) and size not in self._as_rows
             planes = flat.reshape(size, count) if as_planes else flat.reshape(count, size).T
-            found.append(Group(size, members, planes))
+            found.append(Group(size, members, planes, self._rises.get(size)))
         return tuple(found)
 
     @cached_property
@@ -390,7 +406,7 @@ class Unpacked:
         """All messages, those of a group one after the other, and the offset of each."""
         parts = [_turn(group.planes) for group in self.groups]
         starts, at = np.empty(len(self), np.int64), 0
-        for (size, members, _), part in zip(self.groups, parts):
+        for (size, members, *_), part in zip(self.groups, parts):
             starts[members] = np.arange(at, at + len(part), size) if size else at
             at += len(part)
         return parts[0] if len(parts) == 1 else b"".join(parts), starts
@@ -401,6 +417,12 @@ class Unpacked:
         size, alike = int(self.sizes[position]), self.sizes == self.sizes[position]
         count, place = np.count_nonzero(alike), np.count_nonzero(alike[:position])
         at = int(self.sizes[self.sizes < size].sum())
+        if size in self._rises:
+            stored = np.frombuffer(self._body, np.uint8, size * count, at).reshape(size, count)
+            part, rises = stored[:, : place + 1], self._rises[size]
+            found = part[:, -1].copy()
+            found[rises] = np.add.reduce(part[rises], axis=1, dtype=np.uint8)
+            return found.tobytes()
         if not _as_planes(count) or size in self._as_rows:
             return bytes(self._body[at + place * size : at + (place + 1) * size])
         return bytes(self._body[at + place : at + size * count : count])
@@ -482,6 +504,8 @@ def _many(sizes: Longs) -> list[tuple[int, int]]:
     """Return the ranges of ascending sizes in which many messages have one size other than 0."""
     if not len(sizes):
         return []
+    if sizes[0] == sizes[-1]:
+        return [(0, len(sizes))] if len(sizes) >= MIN_PLANES and sizes[0] > 0 else []
     ends = np.append(np.flatnonzero(np.diff(sizes)) + 1, len(sizes))
     begins = np.append(0, ends[:-1])
     many = (ends - begins >= MIN_PLANES) & (sizes[begins] > 0)
@@ -527,12 +551,18 @@ def unpack_block(data: bytes, count: int, size: int) -> Unpacked:
     return Unpacked(times, seqs, sizes, arrivals, view[begin:])
 
 
-def _decode(body: memoryview, sizes: Longs, coded: int) -> tuple[memoryview, frozenset[int]]:
-    """Return the messages, and the sizes with many messages that are not planes but plain."""
+def _decode(
+    body: memoryview, sizes: Longs, coded: int
+) -> tuple[memoryview, frozenset[int], Mapping[int, Mask]]:
+    """Return the messages, and two kinds of sizes with many messages.
+
+    Those that are not planes but plain, and those with planes that are stored as differences.
+    """
     ordered = np.sort(sizes)
     short = int(np.searchsorted(ordered, LONG)) if coded & _WORDS else len(ordered)
     words = ordered[short:].tolist()
     as_rows: set[int] = set(words)
+    rises: dict[int, Mask] = {}
     parts: list[BytesLike] = []
     done = 0
     for begin, end in _many(ordered[:short]) if coded & _LAYOUTS else ():
@@ -540,6 +570,8 @@ def _decode(body: memoryview, sizes: Longs, coded: int) -> tuple[memoryview, fro
         laid = read_layout(body[between:], size, end - begin)
         if not laid.as_planes:
             as_rows.add(size)
+        if laid.rises is not None:
+            rises[size] = laid.rises
         parts += body[:between], laid.data
         body, done = body[between + laid.length :], end
     rest = int(ordered[done:short].sum())
@@ -547,7 +579,8 @@ def _decode(body: memoryview, sizes: Longs, coded: int) -> tuple[memoryview, fro
     if not words and len(body) != rest:
         raise CorruptMessage(f"a block holds {len(body)} bytes where {rest} belong")
     found = [part for part in parts if len(part)]
-    return memoryview(found[0] if len(found) == 1 else b"".join(found)), frozenset(as_rows)
+    joined = memoryview(found[0] if len(found) == 1 else b"".join(found))
+    return joined, frozenset(as_rows), rises
 
 
 def _members(sizes: Longs) -> list[Longs]:

@@ -99,8 +99,12 @@ class SizeGroup(Protocol):
         """Positions of the messages in the block, ascending."""
 
     @property
-    def planes(self) -> NDArray[np.uint8]:
+    def stored(self) -> NDArray[np.uint8]:
         """Bytes of the messages, (size, members): row k holds byte k of every message."""
+
+    @property
+    def rises(self) -> NDArray[np.bool_] | None:
+        """Which rows are stored as differences; None = no row is."""
 
 
 class Block(Protocol):

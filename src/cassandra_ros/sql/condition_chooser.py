@@ -8,7 +8,7 @@ from typing import Any, Iterable, Sequence
 
 import numpy as np
 
-from cassandra_ros.messages.wire.message_stacks import stacker
+from cassandra_ros.messages.wire.message_stacks import planes_of, stacker
 from cassandra_ros.messages.wire.zones import zone_map
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch, unwatched
 from cassandra_ros.query.protocols import Block, Table
@@ -81,7 +81,7 @@ class ConditionChooser:
             mask = sift(block)
             if mask is None:
                 return None
-            groups = [(group.planes, group.members) for group in block.groups]
+            groups = [(planes_of(g.stored, g.rises), g.members) for g in block.groups]
             if by_head:
                 stacks = [finder.heads(groups)]
             else:

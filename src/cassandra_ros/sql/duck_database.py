@@ -111,9 +111,8 @@ class DuckDatabase:
         return found
 
     def close(self) -> None:
-        """Stop what runs, and delete what is on disk. Can be repeated."""
+        """Delete what is in memory and on disk; no statement may be running. Can be repeated."""
         try:
-            self.connection.interrupt()
             self.connection.close()
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)

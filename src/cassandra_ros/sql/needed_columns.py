@@ -31,6 +31,12 @@ def needed_columns(tree: Any) -> Wanted | None:
     return wanted_columns([("KEY",), *(c[n:] for c in chains for n in range(len(c)))])
 
 
+def names_column(tree: Any, name: str) -> bool:
+    """Return whether a statement may mean a column by a name in lower case."""
+    chains = _chains(optional_module("sqlglot.expressions", "sql"), tree)
+    return any(part.lower() == name for chain in chains for part in chain)
+
+
 def _reads_all(exp: Any, tree: Any) -> bool:
     if tree.find(exp.Columns, exp.Pivot, exp.PositionalColumn) is not None:
         return True

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The part of WHERE that bounds what is read of a table: times, robots, runs, and fields.
+"""The part of WHERE that bounds what is read of a table: times, robots, runs, events, and fields.
 
 DuckDB checks every row again, so what is found here may only be weaker than the statement: bounds
 are included and moved outwards, and all else is left out. DuckDB compares unlike our own language:
@@ -8,7 +8,9 @@ NaN is greater than all numbers (``ConditionChooser`` asks for it), and numbers 
 float32 where a field is one.
 
 A condition on a table holds for the rows that are read of it, unless the table is the right side of
-an ASOF or positional join: there other rows would take the place of those left out.
+an ASOF or positional join: there other rows would take the place of those left out. But what the
+join compares bounds its right side too: with ``i.KEY >= f.KEY`` and ``i.KEY < t`` no fix after t is
+joined.
 """
 
 from __future__ import annotations
@@ -47,7 +49,7 @@ class FieldColumn:
     """A column, or a field in it, with which a condition may compare."""
 
     kind: str
-    """'key', 'node', 'run', 'time', 'text', 'bool', 'int', 'float32' or 'float64'."""
+    """'key', 'node', 'run', 'event', 'time', 'text', 'bool', 'int', 'float32' or 'float64'."""
     path: str = ""
     """Dotted path of the field in the messages."""
 
@@ -68,6 +70,8 @@ class PushedRead:
     nodes: frozenset[str] | None = None
     runs: frozenset[str] | None = None
     """Values of RUN."""
+    events: frozenset[str] | None = None
+    """Names of events; the messages lie in the time of one of them."""
     condition: Expression | None = None
     floats: frozenset[str] = frozenset()
     """Paths of the fields with a lower bound, which NaN exceeds in DuckDB."""
@@ -81,6 +85,8 @@ class PushedRead:
             TimeRange(low, high),
             _common(self.nodes, other.nodes),
             _common(self.runs, other.runs),
+            # A message may lie in the time of several events: those of one side are enough.
+            other.events if self.events is None else self.events,
             All(tuple(conditions)) if len(conditions) > 1 else next(iter(conditions), None),
             self.floats | other.floats,
         )
@@ -94,6 +100,7 @@ class PushedRead:
             TimeRange(low, high),
             None if self.nodes is None or other.nodes is None else self.nodes | other.nodes,
             None if self.runs is None or other.runs is None else self.runs | other.runs,
+            None if self.events is None or other.events is None else self.events | other.events,
             None if one is None or two is None else Either((one, two)),
             self.floats | other.floats,
         )
@@ -170,17 +177,57 @@ class _ConditionFinder:
             if isinstance(source, exp.Table)
         }
         where = select.args.get("where") if isinstance(select, exp.Select) else None
-        sampled = select.find(exp.TableSample) is not None
+        if where is None or select.find(exp.TableSample) is not None:
+            yield from ((s.name, EVERYTHING) for s in sources.values() if s.name in self._columns)
+            return
+        names = {alias: _Names(self, alias, sources, scope, select) for alias in sources}
+        # What holds for each row of the result, as far as the row has one of the table.
+        holds = {alias: self._bound(where.this, names[alias]) for alias in sources}
         shifting = self._shifting(select)
+        reads = {a: EVERYTHING if a in shifting else read for a, read in holds.items()}
+        for join in self._comparing(select):
+            alias = join.this.alias_or_name
+            if alias in names:
+                implied = _all_of(list(self._implied(join, alias, names, holds)))
+                holds[alias] = holds[alias].both(implied)
+                reads[alias] = reads[alias].both(implied)
         for alias, source in sources.items():
-            if source.name not in self._columns:
+            if source.name in self._columns:
+                yield source.name, reads[alias]
+
+    def _bound(self, condition: Any, names: _Names) -> PushedRead:
+        parts = (self._read_of(part, names) for part in self._conjuncts(condition))
+        return _all_of([read for read in parts if read is not None])
+
+    def _comparing(self, select: Any) -> Sequence[Any]:
+        """Return the joins of which the right side needs no rows but those that satisfy ON."""
+        joins = select.args.get("joins") or ()
+        kinds = [((join.method or "").upper(), (join.side or "").upper()) for join in joins]
+        if any(m == "POSITIONAL" or (m == "ASOF" and s in ("RIGHT", "FULL")) for m, s in kinds):
+            return ()
+        return [join for join, (method, _) in zip(joins, kinds) if method in ("", "ASOF")]
+
+    def _implied(
+        self, join: Any, alias: str, names: Mapping[str, _Names], holds: Mapping[str, PushedRead]
+    ) -> Iterator[PushedRead]:
+        """Yield the bounds of the right side that follow from those of the tables before it.
+
+        A row of the right side that satisfies ON with no row of the result may be left out.
+        """
+        condition = join.args.get("on")
+        for part in () if condition is None else self._conjuncts(condition):
+            operator = type(part).__name__
+            if operator not in _MIRRORED:
                 continue
-            read = EVERYTHING
-            if where is not None and not sampled and alias not in shifting:
-                names = _Names(self, alias, sources, scope, select)
-                for part in self._conjuncts(where.this):
-                    read = read.both(self._read_of(part, names) or EVERYTHING)
-            yield source.name, read
+            for own, other, sign in (
+                (part.left, part.right, operator),
+                (part.right, part.left, _MIRRORED[operator]),
+            ):
+                column = names[alias].column(own)
+                for left, read in holds.items():
+                    joined = names[left].column(other) if left != alias else None
+                    if column is not None and joined is not None:
+                        yield _implied_bounds(column, sign, joined, read)
 
     def _shifting(self, select: Any) -> set[str]:
         """Return the tables of which other rows would be joined if some were left out."""
@@ -220,26 +267,44 @@ class _ConditionFinder:
             parts = [self._compared("EQ", node.this, each, names) for each in node.expressions]
             reads = [read for read in parts if read is not None]
             return _any_of(reads) if len(reads) == len(parts) else None
+        if isinstance(node, exp.In) and node.args.get("field") is not None:
+            return self._in_event(node.this, node.args["field"], names)
+        if isinstance(node, exp.ArrayContains):
+            return self._in_event(node.expression, node.this, names)
         operator = type(node).__name__
         if operator in _MIRRORED:
             found = self._compared(operator, node.left, node.right, names)
             return found or self._compared(_MIRRORED[operator], node.right, node.left, names)
         return None
 
+    def _in_event(self, name: Any, listed: Any, names: _Names) -> PushedRead | None:
+        """Return the bounds of a name that is one of those in a list."""
+        column = names.column(listed)
+        if column is None or column.kind != "event":
+            return None
+        value = self._constant(name)
+        return PushedRead(events=frozenset([value])) if isinstance(value, str) else None
+
     def _compared(self, operator: str, side: Any, other: Any, names: _Names) -> PushedRead | None:
         column = names.column(side)
-        if column is None or not self._is_constant(other):
+        if column is None or column.kind == "event":
             return None
-        exp, given = self.exp, {each.name for each in other.find_all(self.exp.Placeholder)}
+        value = self._constant(other, is_time=column.kind in ("key", "time"))
+        return None if value is None else _bounds(column, operator, value)
+
+    def _constant(self, node: Any, is_time: bool = False) -> Any:
+        """Return the value of an expression, of a time ns; None = it has none, or no constant."""
+        if not self._is_constant(node):
+            return None
+        exp, given = self.exp, {each.name for each in node.find_all(self.exp.Placeholder)}
         # DuckDB takes no parameter that an expression lacks, and numbers without gaps.
-        named = other.transform(
+        named = node.transform(
             lambda n: exp.Placeholder(this=f"p{n.name}") if isinstance(n, exp.Placeholder) else n
         )
         text = named.sql(dialect="duckdb")
-        if column.kind in ("key", "time"):
-            text = f"epoch_ns(CAST(({text}) AS TIMESTAMP_NS))"
-        value = self._evaluate(text, given)
-        return None if value is None else _bounds(column, operator, value)
+        return self._evaluate(
+            f"epoch_ns(CAST(({text}) AS TIMESTAMP_NS))" if is_time else text, given
+        )
 
     def _is_constant(self, node: Any) -> bool:
         """Return whether an expression has one value that DuckDB can compute alone."""
@@ -297,6 +362,24 @@ class _Names:
         if not isinstance(node, exp.Column):
             return []
         return [*(part.name for part in node.parts), *reversed(names)]
+
+
+def _implied_bounds(
+    column: FieldColumn, operator: str, joined: FieldColumn, read: PushedRead
+) -> PushedRead:
+    """Return what ``column operator joined`` says of a column, if ``read`` holds for the other."""
+    if column.kind != joined.kind:
+        return EVERYTHING
+    if column.kind == "key":
+        low, high = read.time_range
+        return PushedRead(
+            TimeRange(0 if operator in _BELOW else low, LAST_NS if operator in _ABOVE else high)
+        )
+    if operator == "EQ" and column.kind == "node":
+        return PushedRead(nodes=read.nodes)
+    if operator == "EQ" and column.kind == "run":
+        return PushedRead(runs=read.runs)
+    return EVERYTHING
 
 
 def _bounds(column: FieldColumn, operator: str, value: Any) -> PushedRead | None:

@@ -26,6 +26,8 @@ class TopicReport:
     robots: tuple[str, ...] | None
     """nodeIDs; None = all."""
     runs: tuple[str, ...] | None
+    events: tuple[str, ...] | None
+    """Names of events in whose time the messages lie; None = not bounded."""
     condition: str
     """Condition that bounded what was read; '' = there is none."""
     messages: int
@@ -46,6 +48,8 @@ class TopicReport:
             yield f"  robots:   {', '.join(self.robots) or 'none'}"
         if self.runs is not None:
             yield f"  runs:     {', '.join(self.runs) or 'none'}"
+        if self.events is not None:
+            yield f"  events:   {', '.join(self.events)}"
         if self.condition:
             unread = f", {self.skipped} buckets not read" if self.skipped else ""
             yield f"  bounded:  {self.condition}"
@@ -73,7 +77,7 @@ def explain_source(source: TopicSource) -> TopicReport:
     """Return what was read of a topic."""
     pushed, choosers = source.pushed, source.choosers
     low, high = pushed.time_range
-    names = (field_names(field.name, field.type) for field in source.schema.schema)
+    names = (field_names(field.name, field.type) for field in source.columns)
     return TopicReport(
         topic=source.topic.name,
         columns=tuple(name for each in names for name in each),
@@ -81,6 +85,7 @@ def explain_source(source: TopicSource) -> TopicReport:
         last_ns=None if high == LAST_NS else high,
         robots=None if pushed.nodes is None else tuple(sorted(pushed.nodes)),
         runs=None if pushed.runs is None else tuple(sorted(pushed.runs)),
+        events=None if pushed.events is None else tuple(sorted(pushed.events)),
         condition=_shown(pushed.condition),
         messages=source.messages,
         blocks=sum(chooser.blocks for chooser in choosers),

@@ -6,13 +6,12 @@ from __future__ import annotations
 
 import re
 import weakref
-from concurrent.futures import Future, ThreadPoolExecutor
-from concurrent.futures import TimeoutError as NotYet
+from concurrent import futures
 from contextlib import contextmanager
 from itertools import islice
 from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar, Union
 
-from cassandra_ros.arrays.arrow_types import load_arrow, struct_of
+from cassandra_ros.arrays.arrow_types import Wanted, load_arrow, struct_of
 from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidQuery, TopicNotFound
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
@@ -21,15 +20,17 @@ from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import EVERYBODY, Whose
 from cassandra_ros.sql.duck_database import CONSTANT, MEMORY, DuckDatabase
+from cassandra_ros.sql.event_names import EVENT
 from cassandra_ros.sql.frame_source import FrameSource
 from cassandra_ros.sql.listed_tables import LISTED, listed_source
-from cassandra_ros.sql.needed_columns import needed_columns
+from cassandra_ros.sql.needed_columns import names_column, needed_columns
 from cassandra_ros.sql.pushed_conditions import EVERYTHING, pushed_reads
 from cassandra_ros.sql.python_values import python_rows
 from cassandra_ros.sql.sql_explanation import SqlExplanation, explain_source
 from cassandra_ros.sql.sql_statement import Params, SqlStatement, TableName
 from cassandra_ros.sql.table_columns import TableColumns
 from cassandra_ros.sql.table_sources import ListSource, TopicSource
+from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ Source = Union[TopicSource, ListSource, FrameSource]
 BATCH_ROWS = 4096
 """Number of rows of a batch of the answer."""
 _LOOK_SEC = 0.1
-"""Interval at which a running statement looks whether it was cancelled, s."""
+"""Interval at which a running statement looks whether it was cancelled, and at which one that was
+cancelled is interrupted again, s."""
 _QUOTED = re.compile(r'"((?:[^"]|"")+)"')
 _T = TypeVar("_T")
 
@@ -205,7 +207,9 @@ class _Run:
         self._whose = whose
         self._watch = watch
         self._database = DuckDatabase(memory)
-        self._worker = ThreadPoolExecutor(1, thread_name_prefix="sql")
+        self._worker = futures.ThreadPoolExecutor(1, thread_name_prefix="sql")
+        self._work: futures.Future[Any] | None = None
+        """The work of DuckDB that was begun last."""
         self._stopped = self._closed = False
         self.sources: dict[str, Source] = {}
         self.relation: Any = None
@@ -216,8 +220,7 @@ class _Run:
         with self._errors():
             if not self._database.is_select(statement.text):
                 raise InvalidQuery(statement.text, 0, "sql takes one SELECT; use CQL for others")
-        wanted = needed_columns(statement.tree) if pushdown else None
-        self._find_tables(wanted)
+        self._find_tables(needed_columns(statement.tree), pushdown)
         if statement.calls("constant"):
             constants = listed_source(load_arrow("sql"), self._catalog, "constants")
             self.sources.setdefault("constants", constants)
@@ -233,35 +236,42 @@ class _Run:
         with self._errors():
             self.relation = connection.sql(statement.text, params=statement.params or None)
 
-    def _find_tables(self, wanted: Any) -> None:
+    def _find_tables(self, needed: Wanted | None, pushdown: bool) -> None:
         own = self._statement.own_tables()
+        events = names_column(self._statement.tree, EVENT.lower())
+        if needed is None and not events:
+            events = next(self._catalog.keyspace.events.find(), None) is not None
         spelled: dict[str, str] = {}
         for table in self._statement.table_names():
             if table.name in self.sources:
                 continue
-            source = self._source(table, wanted, may_miss=table.name.lower() in own)
-            if source is None:
+            if table.name.lower() in LISTED:
+                name = table.name.lower()
+                self.sources[table.name] = listed_source(load_arrow("sql"), self._catalog, name)
+                continue
+            topic = self._topic(table, may_miss=table.name.lower() in own)
+            if topic is None:
                 continue
             other = spelled.setdefault(table.name.lower(), table.name)
             if other != table.name:
                 reason = f"{other} and {table.name} differ by case only, which SQL ignores"
                 raise InvalidQuery(self._statement.text, table.position, reason)
-            self.sources[table.name] = source
+            wanted = needed if pushdown else None
+            self.sources[table.name] = TopicSource(
+                self._catalog.keyspace, topic, self._whose, wanted, self._look, events
+            )
 
-    def _source(self, table: TableName, wanted: Any, may_miss: bool) -> Source | None:
-        if table.name.lower() in LISTED:
-            return listed_source(load_arrow("sql"), self._catalog, table.name.lower())
+    def _topic(self, table: TableName, may_miss: bool) -> CassandraTopic | None:
         try:
-            topic = self._catalog.get(table.name)
+            return self._catalog.get(table.name)
         except TopicNotFound as exc:
             if may_miss:
                 return None
             raise InvalidQuery(self._statement.text, table.position, str(exc)) from exc
-        return TopicSource(self._catalog.keyspace, topic, self._whose, wanted, self._look)
 
     def _push(self) -> None:
         topics = {n: s for n, s in self.sources.items() if isinstance(s, TopicSource)}
-        columns = {name: TableColumns(source.tables).find for name, source in topics.items()}
+        columns = {n: TableColumns(s.tables, s.has_events).find for n, s in topics.items()}
         params = self._statement.params
 
         def value(expression: str, names: AbstractSet[str]) -> Any:
@@ -281,24 +291,17 @@ class _Run:
             raise InterruptedError("the statement was stopped")
 
     def wait(self, work: Callable[[], _T]) -> _T:
-        """Do work of DuckDB on its thread, until it is done or the caller stops it."""
-        with self._errors():
-            future: Future[_T] = self._worker.submit(work)
-            try:
-                while True:
-                    self._watch()
-                    try:
-                        return future.result(_LOOK_SEC)
-                    except NotYet:
-                        if future.done():
-                            raise
-            except BaseException:
-                self._stop()
-                raise
+        """Do work of DuckDB on its thread and return its result; ``close`` ends the work.
 
-    def _stop(self) -> None:
-        self._stopped = True
-        self._database.connection.interrupt()
+        Ctrl-C, or an exception of the watch, ends the waiting, not the work.
+        """
+        with self._errors():
+            future: futures.Future[_T] = self._worker.submit(work)
+            self._work = future
+            while True:
+                self._watch()
+                if futures.wait([future], _LOOK_SEC).done:
+                    return future.result()
 
     @contextmanager
     def _errors(self) -> Iterator[None]:
@@ -343,6 +346,7 @@ class _Run:
         found: list[str] = []
         for source in self.sources.values():
             if isinstance(source, TopicSource):
+                found += [EVENT] * source.has_events
                 fields: Sequence[Any] = list(TableColumns(source.tables).schema)
             else:
                 fields = list(source.columns)
@@ -352,13 +356,17 @@ class _Run:
         return list(dict.fromkeys(found))
 
     def close(self) -> None:
-        """Stop what runs, and release the database. Can be repeated."""
+        """End what runs, and release the database. Can be repeated."""
         if self._closed:
             return
-        self._closed = True
-        self._stop()
+        self._stopped = True
+        while self._work is not None and not self._work.done():
+            # Not once: DuckDB forgets an interrupt that comes before it has begun the statement.
+            self._database.connection.interrupt()
+            futures.wait([self._work], _LOOK_SEC)
         self._worker.shutdown(wait=True)
         self._database.close()
+        self._closed = True
 
 
 def _first_line(text: str) -> str:

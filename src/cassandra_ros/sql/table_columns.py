@@ -9,6 +9,7 @@ from typing import Any, Sequence
 from cassandra_ros.arrays.arrow_batches import ArrowSchema
 from cassandra_ros.arrays.arrow_types import ArrowField
 from cassandra_ros.query.protocols import Table
+from cassandra_ros.sql.event_names import EVENT
 from cassandra_ros.sql.pushed_conditions import FieldColumn
 
 _OWN = {"key": "key", "node": "node", "run": "run"}
@@ -17,12 +18,17 @@ _OWN = {"key": "key", "node": "node", "run": "run"}
 class TableColumns:
     """All columns of a topic.
 
+    Args:
+        tables: Tables of the topic.
+        has_events: Whether it has the column EVENT.
+
     Attributes:
         schema: Their names and Arrow types.
     """
 
-    def __init__(self, tables: Sequence[Table]) -> None:
+    def __init__(self, tables: Sequence[Table], has_events: bool = False) -> None:
         found = ArrowSchema(tables)
+        self._own = {**_OWN, EVENT.lower(): "event"} if has_events else _OWN
         self.schema: Any = found.schema
         self._arrow = found.arrow
         self._named = found.named
@@ -30,7 +36,7 @@ class TableColumns:
 
     def find(self, names: Sequence[str]) -> FieldColumn | None:
         """Return a column, or a field in a message; None = there is none, or it is an array."""
-        own = _OWN.get(names[0].lower()) if len(names) == 1 else None
+        own = self._own.get(names[0].lower()) if len(names) == 1 else None
         if own is not None:
             return FieldColumn("text" if self._named and own == "key" else own)
         paths = {_path(fields, names) for fields in self._fields} - {None}

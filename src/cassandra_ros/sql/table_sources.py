@@ -8,6 +8,7 @@ itself. It pushes nothing into it, so that all conditions are checked by DuckDB.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
 
 from cassandra_ros.arrays.arrow_batches import ArrowSchema, read_batches
@@ -15,8 +16,10 @@ from cassandra_ros.arrays.arrow_types import Wanted
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.sql.condition_chooser import ConditionChooser
+from cassandra_ros.sql.event_names import EVENT, EventNames, has_event_field
 from cassandra_ros.sql.pushed_conditions import EVERYTHING, PushedRead
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.keyspace import Keyspace
 
 if TYPE_CHECKING:
@@ -32,10 +35,13 @@ class TopicSource:
         whose: Robots and runs whose messages are read.
         wanted: Columns to read; None = all.
         watch: Called repeatedly during a read; an exception from it ends the read.
+        events: Whether there is a column EVENT, if the topic may have one.
 
     Attributes:
         topic: The topic.
-        schema: Its columns.
+        schema: The columns that are made of messages.
+        columns: Names and Arrow types of the columns.
+        has_events: Whether EVENT is one of them.
         pushed: What is read; the caller sets it when the statement is known.
         messages: Number of messages read so far.
         choosers: What the server checked, one for each scan.
@@ -49,25 +55,34 @@ class TopicSource:
         whose: Whose,
         wanted: Wanted | None,
         watch: Watch,
+        events: bool = False,
     ) -> None:
         self._keyspace = keyspace
         self._whose = whose
         self._watch = watch
         self.topic = topic
         self.tables = topic.tables
+        definitions = [t.definition for t in self.tables if t.definition is not None]
+        named = any(table.named for table in self.tables)  # names do not lie in the time of events
+        self.has_events = events and not named and not has_event_field(definitions)
+        if self.has_events and wanted is not None:
+            wanted = {**wanted, "node": {}}  # events are those of a robot
         self.schema = ArrowSchema(self.tables, wanted)
+        self.columns: pyarrow.Schema = self.schema.schema
+        if self.has_events:
+            kind = self.schema.arrow.list_(self.schema.arrow.string())
+            place = len(self.schema.own)
+            self.columns = self.columns.insert(place, self.schema.arrow.field(EVENT, kind))
         self.pushed: PushedRead = EVERYTHING
         self.messages = 0
         self.choosers: list[Pushdown] = []
         self.error: BaseException | None = None
 
     def __arrow_c_schema__(self) -> Any:
-        return self.schema.schema.__arrow_c_schema__()
+        return self.columns.__arrow_c_schema__()
 
     def __arrow_c_stream__(self, requested_schema: object = None) -> Any:
-        reader = self.schema.arrow.RecordBatchReader.from_batches(
-            self.schema.schema, self.batches()
-        )
+        reader = self.schema.arrow.RecordBatchReader.from_batches(self.columns, self.batches())
         return reader.__arrow_c_stream__()
 
     def read(self) -> Read | None:
@@ -89,33 +104,46 @@ class TopicSource:
         read = self.read()
         if read is None:
             return
-        rows, chooser = self._keyspace.rows, None
+        chooser = None
         if self.pushed.condition is not None:
             chooser = ConditionChooser(self.pushed.condition, self.pushed.floats, self._watch)
             self.choosers.append(chooser.pushdown)
         try:
-            yield from self._counted(
-                read_batches(
-                    self.topic.name,
-                    self.schema,
-                    lambda columns: rows.read(
-                        self.tables,
-                        Read(read.time_range, read.whose, columns=columns, chooser=chooser),
-                    ),
-                    lambda: rows.blocks(
-                        self.tables, Read(read.time_range, read.whose, chooser=chooser)
-                    ),
-                    self._watch,
-                )
-            )
+            for batch in self._read_events(read, chooser):
+                self.messages += batch.num_rows
+                yield batch
         except Exception as exc:
             self.error = exc
             raise
 
-    def _counted(self, batches: Iterator[pyarrow.RecordBatch]) -> Iterator[pyarrow.RecordBatch]:
-        for batch in batches:
-            self.messages += batch.num_rows
-            yield batch
+    def _read_events(
+        self, read: Read, chooser: ConditionChooser | None
+    ) -> Iterator[pyarrow.RecordBatch]:
+        """Yield the messages of a read, with EVENT if there is this column."""
+        if not self.has_events:
+            yield from self._read(read, chooser)
+            return
+        events, reads = self._keyspace.events.within(read.time_range), [read]
+        if self.pushed.events is not None:
+            chosen = EventTimes(event for event in events if event.name in self.pushed.events)
+            reads = chosen.reads(read)
+        names, place = EventNames(self.schema.arrow, events), len(self.schema.own)
+        for each in reads:
+            self._watch()
+            for batch in self._read(each, chooser):
+                arrays = [*batch.columns]
+                arrays.insert(place, names.column(batch))
+                yield self.schema.arrow.RecordBatch.from_arrays(arrays, schema=self.columns)
+
+    def _read(self, read: Read, chooser: ConditionChooser | None) -> Iterator[pyarrow.RecordBatch]:
+        rows = self._keyspace.rows
+        return read_batches(
+            self.topic.name,
+            self.schema,
+            lambda columns: rows.read(self.tables, replace(read, columns=columns, chooser=chooser)),
+            lambda: rows.blocks(self.tables, replace(read, chooser=chooser)),
+            self._watch,
+        )
 
 
 class ListSource:

@@ -585,10 +585,14 @@ class _BucketQueue(Generic[_T]):
         self._look()
 
     def _share(self, streams: int) -> None:
-        """Divide the memory, and the number of wanted rows, among the streams."""
+        """Divide the memory, and the number of wanted rows, among these streams."""
         self._streams = max(1, streams)
-        pages = self._streams + (AHEAD if self._few or self._read.chooser is not None else 1)
-        self._page_bytes = min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
+
+    def _page_bytes(self, table: RowTable) -> int:
+        # Of filtered blocks only the headers are requested ahead, of filtered rows the rows.
+        checks = self._read.chooser is not None and not table.packed
+        pages = self._streams + (AHEAD if self._few or checks else 1)
+        return min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))
 
     def _foresee(self, directory: Directory, tables: Sequence[RowTable]) -> None:
         """Request the buckets that are probably read first, before the directory answers."""
@@ -634,9 +638,10 @@ class _BucketQueue(Generic[_T]):
 
     def _sized(self, piece: BucketPart) -> BucketPart:
         rows = min(self._rows, max(MERGED_ROWS, 2 * self._rows // self._streams))
+        page_bytes = self._page_bytes(piece.table)
         return piece._replace(
-            page_rows=_page_rows(piece.rows, self._page_bytes),
-            page_bytes=self._page_bytes,
+            page_rows=_page_rows(piece.rows, page_bytes),
+            page_bytes=page_bytes,
             first_rows=rows if self._few else 0,
         )
 

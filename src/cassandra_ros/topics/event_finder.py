@@ -155,7 +155,15 @@ class Events:
         """Return the times of the events of a name, for EVENT; see query.protocols.Events."""
         within = read.time_range
         found = self.find(like=name, within=within) if like else self.find(name, within=within)
-        return EventTimes(self._bounded(found, name))
+        return EventTimes(_bounded(found, repr(name)))
+
+    def within(self, time_range: TimeRange) -> list[Event]:
+        """Return all events that meet a time range, in order of their starts.
+
+        Raises:
+            InvalidOption: There are too many.
+        """
+        return list(_bounded(self.find(within=time_range), "of all names"))
 
     def chosen(self, choice: EventChoice, read: Read) -> EventTimes:
         """Return the times of the events of a choice that meet a read.
@@ -168,17 +176,10 @@ class Events:
         low, high = read.time_range
         within = TimeRange(max(0, low - after), min(LAST_NS, high + before))
         found = self.find(name, within=within, whose=read.whose)
-        times = EventTimes(self._bounded(found, name), before, after)
+        times = EventTimes(_bounded(found, repr(name)), before, after)
         if not times.ranges:
             raise EventNotFound(self._absent(name))
         return times
-
-    def _bounded(self, events: Iterator[Event], name: str) -> Iterator[Event]:
-        yield from islice(events, MOST_EVENTS)
-        if next(events, None) is not None:
-            raise InvalidOption(
-                f"there are more than {MOST_EVENTS} events {name!r:.80}: give a shorter time range"
-            )
 
     def _absent(self, name: str) -> str:
         """Return the reason why a name has no event in a time range, of a robot or run."""
@@ -191,6 +192,14 @@ class Events:
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(known)} names"
         return f"there is no event {name!r:.80} in keyspace {self._keyspace}; {hint}"
+
+
+def _bounded(events: Iterator[Event], names: str) -> Iterator[Event]:
+    yield from islice(events, MOST_EVENTS)
+    if next(events, None) is not None:
+        raise InvalidOption(
+            f"there are more than {MOST_EVENTS} events {names:.80}: give a shorter time range"
+        )
 
 
 def _counts(event: Event, whose: Whose) -> bool:

@@ -28,7 +28,7 @@ from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound, To
 from cassandra_ros.keys import Position, RowName, is_after, writer_of
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.messages.wire.message_stacks import ByteArray, Int64Array, as_planes
+from cassandra_ros.messages.wire.message_stacks import Int64Array, Planes, as_planes, planes_of
 from cassandra_ros.read import Named, Read, Valued, Whose
 from cassandra_ros.store.fetch import (
     RowKey,
@@ -363,16 +363,19 @@ def messages_of(
     yield from filter(None, map(_alone, chunks_ahead(rows)))
 
 
-def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array, ByteArray]]:
+def _chosen(unpacked: Unpacked, places: Int64Array) -> Sequence[tuple[Int64Array, Planes]]:
     if len(places) == len(unpacked):
-        return [(group.members, group.planes) for group in unpacked.groups]
+        return [(g.members, planes_of(g.stored, g.rises)) for g in unpacked.groups]
     mask = np.zeros(len(unpacked), bool)
     mask[places] = True
-    numbers, chosen = np.cumsum(mask) - 1, []
+    numbers = np.cumsum(mask) - 1
+    chosen: list[tuple[Int64Array, Planes]] = []
     for group in unpacked.groups:
         inside = mask[group.members]
         if inside.any():
-            chosen.append((numbers[group.members[inside]], group.planes[:, inside]))
+            chosen.append(
+                (numbers[group.members[inside]], planes_of(group.stored, group.rises)[:, inside])
+            )
     return chosen
 
 

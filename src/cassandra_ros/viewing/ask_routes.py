@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Callable, Sequence
+from typing import Callable, Iterable, Sequence
 
 from cassandra_ros.arrays.array_types import column_types
+from cassandra_ros.arrays.envelope import Grid, Points
 from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidOption, TopicNotFound
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.overview.envelopes import EnvelopeCache
@@ -28,6 +29,7 @@ from cassandra_ros.query.tree.syntax import (
     Select,
     TimeNs,
 )
+from cassandra_ros.sql.sql_completion import complete_sql
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.viewing.answers import Json
@@ -35,6 +37,7 @@ from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.lossless_json import Cells
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE
+from cassandra_ros.viewing.sql_answers import sql_plan, sql_plot, sql_rows
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_ROWS = 200
@@ -45,6 +48,8 @@ PAGE_BYTES = 8 * 1024 * 1024
 """Approximate size of the values of a page at which it ends, bytes."""
 BUDGET_SEC = 0.6
 """Default time after which an incomplete plot is answered, s."""
+LANGUAGES = ("cql", "sql")
+"""Languages of statements: our query language, and DuckDB's SQL over all topics."""
 
 
 class ClientGone(CassandraRosError):
@@ -59,6 +64,13 @@ def _watch(call: ApiCall) -> Callable[[], None]:
             raise ClientGone("the client does not wait for the answer any more")
 
     return watch
+
+
+def _is_sql(call: ApiCall) -> bool:
+    language = call.text("language")
+    if language not in LANGUAGES:
+        raise InvalidOption(f"language {language!r}: give one of {', '.join(LANGUAGES)}")
+    return language == "sql"
 
 
 def _one(call: ApiCall, name: str) -> str | None:
@@ -86,6 +98,8 @@ def _narrowed(select: Select, terms: Sequence[Expression]) -> Select:
 def _query(call: ApiCall) -> Json:
     """Answer with a page of a statement's rows."""
     limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
+    if _is_sql(call):
+        return sql_rows(call, limit, PAGE_BYTES, _watch(call))
     result = call.store.statements.select(
         _windowed(call),
         node=_one(call, "nodes"),
@@ -139,6 +153,7 @@ def _page(call: ApiCall, result: QueryResult, limit: int) -> Json:
         "rows": rows,
         "times": times,
         "after": cursor,
+        "more": bool(cursor),
         "read": result.read,
     }
 
@@ -152,6 +167,8 @@ def _kinds(call: ApiCall, result: QueryResult) -> Json:
 
 def _explain(call: ApiCall) -> Json:
     """Run a statement to its end and answer how it was run."""
+    if _is_sql(call):
+        return sql_plan(call, _watch(call))
     plan = call.store.statements.explain(
         _statement(call), node=_one(call, "nodes"), run=_one(call, "runs"), watch=_watch(call)
     )
@@ -187,13 +204,20 @@ def _complete(call: ApiCall) -> Json:
             return ()
         return [table.definition for table in tables if table.definition is not None]
 
+    def topics() -> Sequence[str]:
+        return [topic.name for topic in store.getAllTopics()]
+
     names = NameSource(
-        lambda: [topic.name for topic in store.getAllTopics()],
+        topics,
         definitions,
         lambda: sorted({info.node for info in store.info() if info.node}),
         lambda: list(dict.fromkeys(run.name for run in store.runs() if run.name)),
     )
-    completion = complete(text, len(text) if cursor is None else cursor, names)
+    at = len(text) if cursor is None else cursor
+    if _is_sql(call):
+        completion = complete_sql(text, at, topics(), definitions)
+    else:
+        completion = complete(text, at, names)
     offers: Json = [
         {"text": offer.text, "kind": offer.kind, "note": offer.note} for offer in completion.offers
     ]
@@ -213,6 +237,10 @@ def _plot(call: ApiCall) -> Json:
     low, high = call.time_ns("start"), call.time_ns("end")
     if low is not None and high is not None and low > high:
         raise InvalidOption("start lies after end")
+    if _is_sql(call):
+        drawn = sql_plot(call, (low, high), pixels, _watch(call))
+        lines = _lines([(name, "") for name in drawn.columns], drawn.points)
+        return _picture("", lines, drawn.left_out, drawn.grid, drawn.points)
     window = Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
     series = call.store.statements.series(
         _statement(call),
@@ -226,32 +254,56 @@ def _plot(call: ApiCall) -> Json:
 
 
 def _shown(series: Series) -> Json:
-    points = series.points
-    columns: list[Json] = []
-    for n, column in enumerate(series.columns):
-        low, high = points.low[n], points.high[n]
-        shown: dict[str, Json] = {"name": column.name, "unit": column.unit}
-        shown["low"] = [_finite(value) for value in low.tolist()]
-        # Minimum and maximum are equal in all pixels: one of them is enough.
-        one = bool(((low == high) | (low != low)).all())
-        shown["high"] = None if one else [_finite(value) for value in high.tolist()]
-        columns.append(shown)
-    left_out: list[Json] = [{"name": name, "reason": reason} for name, reason in series.left_out]
+    lines = _lines([(column.name, column.unit) for column in series.columns], series.points)
+    picture = _picture(series.topic, lines, series.left_out, series.grid, series.points)
+    progress: dict[str, Json] = {"breaks": series.breaks.tolist(), "complete": series.complete}
     return {
-        "topic": series.topic,
-        "times": [str(t) for t in points.times.tolist()],
-        "rows": points.rows.tolist(),
-        "columns": columns,
-        "breaks": series.breaks.tolist(),
-        "left_out": left_out,
-        "start": str(series.grid.low),
-        "end": str(series.grid.high),
-        "pixel": str(series.grid.width),
-        "complete": series.complete,
+        **picture,
+        **progress,
         "share": series.share,
         "edges": series.edges,
         "how": _how(series),
     }
+
+
+def _picture(
+    topic: str,
+    lines: Sequence[Json],
+    left_out: Iterable[tuple[str, str]],
+    grid: Grid,
+    points: Points,
+) -> dict[str, Json]:
+    """Return a plot that is complete."""
+    omitted: list[Json] = [{"name": name, "reason": reason} for name, reason in left_out]
+    return {
+        "topic": topic,
+        "times": [str(t) for t in points.times.tolist()],
+        "rows": points.rows.tolist(),
+        "columns": lines,
+        "breaks": points.breaks.tolist(),
+        "left_out": omitted,
+        "start": str(grid.low),
+        "end": str(grid.high),
+        "pixel": str(grid.width),
+        "complete": True,
+        "share": 1.0,
+        "edges": 0,
+        "how": "",
+    }
+
+
+def _lines(columns: Iterable[tuple[str, str]], points: Points) -> Sequence[Json]:
+    """Return the minimum and the maximum of each pixel, by name and unit of the column."""
+    lines: list[Json] = []
+    for n, (name, unit) in enumerate(columns):
+        low, high = points.low[n], points.high[n]
+        line: dict[str, Json] = {"name": name, "unit": unit}
+        line["low"] = [_finite(value) for value in low.tolist()]
+        # Minimum and maximum are equal in all pixels: one of them is enough.
+        one = bool(((low == high) | (low != low)).all())
+        line["high"] = None if one else [_finite(value) for value in high.tolist()]
+        lines.append(line)
+    return lines
 
 
 def _finite(value: float) -> Json:
@@ -274,13 +326,21 @@ def _how(series: Series) -> str:
 
 
 _STATEMENT = Parameter("q", "text", "The statement: a SELECT.", required=True)
+_LANGUAGE = Parameter(
+    "language",
+    "text",
+    "Language of the statement: cql, the query language over one topic, or sql, DuckDB's SQL over "
+    "all of them.",
+    default="cql",
+)
 
 ROUTES: tuple[Route, ...] = (
     Route(
         "/api/query",
         _query,
         "A page of the rows of a statement: columns, kinds (types of ROS), rows, times (of the "
-        "message of each row), and after, the cursor of the next page ('' = the last page). "
+        "message of each row), and after, the cursor of the next page ('' = the last page). Of SQL "
+        "there is one page; more says whether it has further rows. "
         "Times and durations are texts of ns, and integers above 2^53 are texts, too; bytes are "
         "base64; NaN and the infinities are the texts 'nan', 'inf', '-inf'.",
         (
@@ -303,6 +363,7 @@ ROUTES: tuple[Route, ...] = (
             ),
             NODES,
             RUNS,
+            _LANGUAGE,
         ),
     ),
     Route(
@@ -310,7 +371,7 @@ ROUTES: tuple[Route, ...] = (
         _explain,
         "How a statement is answered: it is run to its end, and the answer counts what the server "
         "checked and what was read; text is for people.",
-        (_STATEMENT, NODES, RUNS),
+        (_STATEMENT, NODES, RUNS, _LANGUAGE),
     ),
     Route(
         "/api/complete",
@@ -320,6 +381,7 @@ ROUTES: tuple[Route, ...] = (
         (
             Parameter("q", "text", "The statement, as far as it is typed.", default=""),
             Parameter("at", "count", "Position in characters; missing: the end."),
+            _LANGUAGE,
         ),
     ),
     Route(
@@ -328,8 +390,8 @@ ROUTES: tuple[Route, ...] = (
         "The numbers of a statement over time: for each pixel that is not empty its time (ns), the "
         "number of rows (0 = unknown), and for each column low and high, its minimum and maximum "
         "(high null: all are the same as low). Answered within about a second: while complete is "
-        "false, how says what is missing, and another request gives more. Rows of groups and of "
-        "LIMIT are always complete.",
+        "false, how says what is missing, and another request gives more. Rows of groups, of LIMIT "
+        "and of SQL are always complete.",
         (
             _STATEMENT,
             *WHOLE_RANGE,
@@ -345,6 +407,7 @@ ROUTES: tuple[Route, ...] = (
             ),
             NODES,
             RUNS,
+            _LANGUAGE,
         ),
     ),
 )

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Any, Iterable, NamedTuple, Sequence
+from typing import Any, Iterable, NamedTuple, Protocol, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,87 @@ Int64Array = NDArray[np.int64]
 """Offsets in bytes, or indices of messages."""
 NumberArray = NDArray[Any]
 """Values of a numeric field."""
+
+
+class Planes(Protocol):
+    """A matrix (size, messages) of bytes; an array, or one that decodes its rows when read."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Size of a message, and number of messages."""
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+
+    @property
+    def T(self) -> ByteArray:  # noqa: N802 - numpy's name
+        """The messages one after the other: (messages, size)."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, key: Any) -> Any: ...
+
+
+def planes_of(stored: ByteArray, rises: NDArray[np.bool_] | None) -> Planes:
+    """Return the planes of a group of a block; ``rises``: which are stored as differences."""
+    return stored if rises is None else RisingPlanes(stored, rises)
+
+
+class RisingPlanes:
+    """Planes of which some are stored as differences, and decoded when they are read.
+
+    Most readers need few fields, so few planes.
+
+    Args:
+        stored: The matrix as it is stored.
+        rises: For each row whether it is stored as differences.
+    """
+
+    def __init__(self, stored: ByteArray, rises: NDArray[np.bool_]) -> None:
+        self._stored, self._rises = stored, rises
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Size of a message, and number of messages."""
+        return self._stored.shape
+
+    @property
+    def size(self) -> int:
+        """Number of bytes."""
+        return self._stored.size
+
+    def __len__(self) -> int:
+        return len(self._stored)
+
+    def __getitem__(self, key: Any) -> ByteArray:
+        """Return rows by a slice or indices of any shape, or with (:, key) columns."""
+        if not isinstance(key, tuple):
+            return _decoded(self._stored[key], self._rises[key])
+        columns = key[1]
+        found: ByteArray = self._stored[:, columns].copy()
+        rising = self._stored[self._rises]
+        if isinstance(columns, (int, np.integer)):
+            rising = rising[:, : columns + 1]
+            found[self._rises] = np.add.reduce(rising, axis=1, dtype=np.uint8)
+        else:
+            found[self._rises] = np.add.accumulate(rising, axis=1, dtype=np.uint8)[:, columns]
+        return found
+
+    @property
+    def T(self) -> ByteArray:  # noqa: N802 - numpy's name
+        """The messages one after the other: (messages, size)."""
+        return self[:].T
+
+
+def _decoded(stored: ByteArray, rises: NDArray[np.bool_]) -> ByteArray:
+    """Return rows of which some are stored as differences."""
+    if not rises.any():
+        return stored
+    found: ByteArray = stored.copy()
+    found[rises] = np.add.accumulate(stored[rises], axis=-1, dtype=np.uint8)
+    return found
+
 
 MIN_STACKED = 8
 """Minimum number of messages of one layout. Fewer are faster walked one by one, unless large."""
@@ -113,7 +194,7 @@ class Layout:
         """Return the offsets of a number, bool or time; empty if its array of messages is empty."""
         return self._numbers.get(path, _NOWHERE)
 
-    def fits(self, planes: ByteArray) -> NDArray[np.bool_]:
+    def fits(self, planes: Planes) -> NDArray[np.bool_]:
         """Return for each message whether it has this layout; all must have the same size."""
         same: NDArray[np.bool_] = (planes[self.prefixes] == self.lengths[:, None]).all(axis=0)
         return same
@@ -251,7 +332,7 @@ class Stack(NamedTuple):
     layout: Layout | Head
     members: Int64Array
     """Indices of the messages, as the caller numbers them."""
-    planes: ByteArray
+    planes: Planes
 
     def numbers(self, path: str, base: str, chosen: slice = slice(None)) -> NumberArray:
         """Return a primitive field: (offsets, messages). Times are in ns, a bool is 0 or 1."""
@@ -297,7 +378,7 @@ class Stacker:
         self.head = Head(definition)
         self._cache: dict[int, tuple[Layout, ...]] = {}
 
-    def stacks(self, planes: ByteArray, members: Int64Array) -> tuple[list[Stack], Int64Array]:
+    def stacks(self, planes: Planes, members: Int64Array) -> tuple[list[Stack], Int64Array]:
         """Group messages of equal size by their layout.
 
         Args:
@@ -329,7 +410,7 @@ class Stacker:
             left = left[~fits]
         return stacks, _joined([*rest, members[left]])
 
-    def heads(self, groups: Iterable[tuple[ByteArray, Int64Array]]) -> Stack:
+    def heads(self, groups: Iterable[tuple[Planes, Int64Array]]) -> Stack:
         """Return the heads of messages of any size as one stack; shorter messages are left out.
 
         Args:
@@ -391,18 +472,19 @@ def by_size(wires: Sequence[bytes]) -> Iterable[tuple[Int64Array, ByteArray]]:
             yield members, as_planes([wires[n] for n in members.tolist()])
 
 
-def read_numbers(planes: ByteArray, ats: Int64Array, base: str) -> NumberArray:
+def read_numbers(planes: Planes, ats: Int64Array, base: str) -> NumberArray:
     """Return the numbers at some offsets of all messages: (offsets, messages).
 
     See Stack.numbers.
     """
     unit, messages = PRIMITIVE_SIZES[base], planes.shape[1]
     numbers: NumberArray
-    if len(ats) <= MAX_OFFSETS_ONE_BY_ONE and planes.T.flags.c_contiguous:
+    array = planes if isinstance(planes, np.ndarray) else None
+    if array is not None and len(ats) <= MAX_OFFSETS_ONE_BY_ONE and array.T.flags.c_contiguous:
         # The messages are adjacent in memory: each number is read in place.
         numbers = np.empty((len(ats), messages), f"<u{unit}")
         for row, at in zip(numbers, ats.tolist()):
-            row[:] = np.ndarray((messages,), row.dtype, planes.T, at, (len(planes),))
+            row[:] = np.ndarray((messages,), row.dtype, array.T, at, (len(array),))
     else:
         rows = planes[ats[:, None] + np.arange(unit)]
         numbers = np.ascontiguousarray(rows.transpose(0, 2, 1)).view(f"<u{unit}")[..., 0]

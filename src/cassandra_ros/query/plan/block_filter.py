@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.messages.wire.message_stacks import DTYPES, NumberArray, Stack, stacker
+from cassandra_ros.messages.wire.message_stacks import (
+    DTYPES,
+    NumberArray,
+    Stack,
+    planes_of,
+    stacker,
+)
 from cassandra_ros.query.protocols import Block
 from cassandra_ros.query.tree.field_names import FieldRef, field_of
 from cassandra_ros.query.tree.literals import fitting
@@ -62,7 +68,7 @@ def compile_sift(expression: Expression, definition: Definition) -> Sift | None:
 
     def sift(block: Block) -> Mask | None:
         mask = np.ones(len(block), np.bool_)
-        groups = [(group.planes, group.members) for group in block.groups]
+        groups = [(planes_of(g.stored, g.rises), g.members) for g in block.groups]
         if by_head and len(groups) > 1:
             stacks = [finder.heads(groups)]
         else:
