@@ -17,7 +17,6 @@ import os
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
@@ -28,25 +27,26 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Iterator
 
-from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import LocalCluster, NodeStatus, free_port
+from stage import (
+    HERE,
+    PATIENCE_SEC,
+    RUN,
+    SMALL_HEAP,
+    Drive,
+    Progress,
+    Shell,
+    kill,
+    port_or,
+    print_table,
+    say,
+    shell_text,
+    stop_cluster,
+)
 
-HERE = Path(__file__).resolve().parent
+from cassandra_ros.local_server import LocalCluster
+
 BAG = HERE / "data" / "husky_gps_data.bag"
-# roscore's own rosout node writes to the plain names, so these two are played with a prefix. A
-# remapping would not do: it would also rename the player's own log topic, and roscpp numbers all
-# messages of a topic that it logs to anew (header.seq).
-PREFIX = "/husky"
-RENAMED = {topic: PREFIX + topic for topic in ("/rosout", "/rosout_agg")}
 LIVE, COPY, AGAIN = "husky_live", "husky_import", "husky_again"
-RUN = ["rosrun", "cassandra_ros"]
-SMALL_HEAP = "400M"
-"""Java heap of each of several nodes on one machine."""
-PATIENCE_SEC = 600
-"""Maximum time for a program to start or to end, s. A recorder stores first what still waits in its
-buffer, and a loaded machine is slow."""
-TELL_SEC = 10.0
-"""Interval between two lines that say what is being waited for, s."""
 DRIVE_SEC = 10.0
 """Time in which the bag is played at four times its speed, about, s."""
 
@@ -59,47 +59,18 @@ class Demo:
         self.secure = secure
         self.nodes = nodes
         self.stack = stack
-        self.env = dict(os.environ, PYTHONUNBUFFERED="1")
         self.findings: list[tuple[str, str]] = []
         self.home = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="husky_demo_")))
-
-    # ------------------------------------------------------------ processes
-
-    def say(self, text: str) -> None:
-        """Head a step."""
-        print(f"\n=== {text}", flush=True)
-
-    def run(self, *command: object, shown: int | None = None) -> str:
-        """Run a command as a user would; print it and what it prints; fail when it fails."""
-        words = [str(word) for word in command]
-        print(f"$ {_shell(words)}", flush=True)
-        done = subprocess.run(
-            words, env=self.env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
-        )
-        lines = done.stdout.rstrip().splitlines()
-        cut = lines if shown is None or len(lines) <= shown else [*lines[:shown], "..."]
-        print("\n".join(cut), flush=True)
-        if done.returncode:
-            raise SystemExit(f"demo: {words[2] if words[0] == 'rosrun' else words[0]} failed")
-        return done.stdout
-
-    def spawn(self, name: str, command: list[str], ready: str) -> Node:
-        """Start a program that stays, and wait for a line that says it is ready."""
-        print(f"$ {_shell(command)} &", flush=True)
-        node = Node(name, command, self.env, self.home)
-        self.stack.callback(node.stop)
-        node.wait_for(ready)
-        return node
+        self.shell = Shell(dict(os.environ, PYTHONUNBUFFERED="1"), self.home, stack)
+        self.drive = Drive(BAG, "/husky")
 
     def note(self, what: str, figure: str) -> None:
         """Keep a figure for the closing table."""
         self.findings.append((what, figure))
 
-    # ------------------------------------------------------------ steps
-
     def servers(self) -> None:
-        self.say("A Cassandra and a roscore of our own")
-        port = _port_or(9042)
+        say("A Cassandra and a roscore of our own")
+        port = port_or(9042)
         heap = SMALL_HEAP if self.nodes > 1 else None
         cluster = LocalCluster(
             self.home / "cassandra",
@@ -108,15 +79,15 @@ class Demo:
             heap=heap,
             secure=self.secure,
             say=print,
-            progress=_Progress().tell,
+            progress=Progress().tell,
         )
         self.cluster = cluster
-        self.stack.callback(self.stop_cluster)
+        self.stack.callback(stop_cluster, cluster)
         start = time.monotonic()
         cluster.start(die_with_us=True)
         self.note("Cassandra ready after", f"{time.monotonic() - start:.1f} s")
-        master = _port_or(11311)
-        self.env.update(
+        master = port_or(11311)
+        self.shell.env.update(
             CASSANDRA_ROS_HOST=",".join(node.address for node in cluster.nodes),
             CASSANDRA_ROS_PORT=str(port),
             CASSANDRA_ROS_KEYSPACE=LIVE,
@@ -126,44 +97,30 @@ class Demo:
             ROS_HOME=str(self.home / "ros"),
             ROS_LOG_DIR=str(self.home / "ros" / "log"),
         )
-        self.spawn("roscore", ["roscore", "-p", str(master)], r"started core service \[/rosout\]")
-
-    def stop_cluster(self) -> None:
-        """Stop Cassandra, also a node that hangs."""
-        try:
-            self.cluster.stop()
-        except ServerError as exc:
-            print(f"demo: {exc}", flush=True)
-            for status in self.cluster.status():
-                if status.pid:
-                    os.kill(status.pid, signal.SIGKILL)
+        self.shell.spawn(
+            "roscore", ["roscore", "-p", str(master)], r"started core service \[/rosout\]"
+        )
 
     def record(self) -> None:
-        self.say("Record the robot's 24 topics while it drives (four times as fast)")
-        topics = [RENAMED.get(topic, topic) for topic in _topics()]
+        say("Record the robot's 24 topics while it drives (four times as fast)")
+        topics = self.drive.recorded
         # The robot has /diagnostics of its own, which are to be compared.
         options = ["--node-id", "husky", "--no-diagnostics"]
         command = [*RUN, "recorder", *options, "--format", "ros", *topics]
-        recorder = self.spawn("recorder", command, rf"recording {len(topics)} topics")
-        play = ["rosbag", "play", "-q", "-r", "4", "-d", "2", "--wait-for-subscribers"]
-        play += ["--queue", "100000", str(BAG)]
-        logs = Node(
-            "rosbag", [*play, "--prefix", PREFIX, "--topics", *RENAMED], self.env, self.home
-        )
-        self.stack.callback(logs.stop)
-        print(f"$ {_shell(logs.command)} &", flush=True)
+        recorder = self.shell.spawn("recorder", command, rf"recording {len(topics)} topics")
+        rosout, others = self.drive.play_commands(rate=4)
+        logs = self.shell.begin("rosbag", rosout)
         with self.one_node_killed():
-            self.run(*play, "--topics", *(topic for topic in _topics() if topic not in RENAMED))
-        if logs.process.wait(PATIENCE_SEC):
-            raise SystemExit(f"demo: rosbag failed:\n{logs.text()}")
+            self.shell.run(*others)
+        logs.wait()
         time.sleep(1.0)
-        print("$ kill -INT recorder", flush=True)
+        self.shell.echo("kill -INT recorder")
         if recorder.stop():
             raise SystemExit(f"demo: the recorder lost messages:\n{recorder.text()}")
         print(recorder.text())
-        renames = [word for a, b in RENAMED.items() for word in ("--map", f"{a}:={b}")]
-        text = self.run(*RUN, "cassandra_bag", "verify", BAG, "--content", *renames)
-        self.note("recorded live, equal in content", _equal(text))
+        verify = [*RUN, "cassandra_bag", "verify", BAG, "--content", *self.drive.maps]
+        text = self.shell.run(*verify)
+        self.note("recorded live, equal in content", self.drive.equal(text))
 
     @contextmanager
     def one_node_killed(self) -> Iterator[None]:
@@ -172,207 +129,119 @@ class Demo:
             yield
             return
         victim = self.cluster.status()[1]
-        killer = threading.Timer(DRIVE_SEC / 2, self.kill, (victim,))
+        what = f"node {victim.node.number}"
+        killer = threading.Timer(DRIVE_SEC / 2, kill, (victim.pid, what, self.shell))
         killer.start()
         try:
             yield
         finally:
             killer.cancel()
             killer.join()
-        print(f"$ local_cassandra start    # node {victim.node.number} again", flush=True)
+        self.shell.echo(f"local_cassandra start    # {what} again")
         self.cluster.start(die_with_us=True)
         self.note("recorded with", f"node {victim.node.number} of {self.nodes} killed and back")
 
-    def kill(self, victim: NodeStatus) -> None:
-        """Kill the server of a node."""
-        print(f"$ kill -9 {victim.pid}    # node {victim.node.number}", flush=True)
-        os.kill(victim.pid, signal.SIGKILL)
-
     def ask(self) -> None:
-        self.say("Ask the past over services")
-        self.spawn("query_server", [*RUN, "query_server"], "services under /cassandra_ros")
+        say("Ask the past over services")
+        self.shell.spawn("query_server", [*RUN, "query_server"], "services under /cassandra_ros")
         call = ["rosservice", "call"]
         name = "/cassandra_ros/"
         newest = "{topic: /fix, key_text: '2100-01-01', nearest: before, omit_data: true}"
         begin = time.monotonic()
-        answer = self.run(*call, name + "getData", newest, shown=30)
+        answer = self.shell.run(*call, name + "getData", newest, shown=30)
         first = re.search(r"secs: (\d+)\n\s*nsecs:\s*(\d+)", answer)
         assert first is not None and "success: True" in answer, answer
         time_range = (
             f"{{topic: /imu/data, key: {{secs: {int(first[1]) - 5}}}, limit: 3, omit_data: true, "
             "omit_yaml: true}"
         )
-        answer = self.run(*call, name + "range", time_range, shown=45)
+        answer = self.shell.run(*call, name + "range", time_range, shown=45)
         assert answer.count("topic: ") == 3 and "success: True" in answer, answer
         cql = "select KEY, latitude, longitude from /fix where status.status >= 0 limit 3"
-        answer = self.run(*call, name + "executeCQL", f'{{statement: "{cql}"}}')
+        answer = self.shell.run(*call, name + "executeCQL", f'{{statement: "{cql}"}}')
         assert "success: True" in answer, answer
         self.note("three service calls", f"{time.monotonic() - begin:.1f} s, command line included")
 
     def read(self) -> None:
-        self.say("Read it in Python: the paper's listing")
-        store = ["--port", self.env["CASSANDRA_ROS_PORT"], "--keyspace", LIVE]
-        self.run(sys.executable, HERE / "listing.py", *store)
-        self.say("Draw the track from two CQL queries")
+        say("Read it in Python: the paper's listing")
+        store = ["--port", self.shell.env["CASSANDRA_ROS_PORT"], "--keyspace", LIVE]
+        self.shell.run(sys.executable, HERE / "listing.py", *store)
+        say("Draw the track from two CQL queries")
         picture = self.out / "track.png"
-        text = self.run(sys.executable, HERE / "track.py", *store, "--out", picture)
+        text = self.shell.run(sys.executable, HERE / "track.py", *store, "--out", picture)
         self.note("track drawn from CQL", text.partition(": ")[2].strip())
 
     def bags(self) -> None:
-        self.say("Import the bag, export it, compare exactly")
-        self.env["CASSANDRA_ROS_KEYSPACE"] = COPY
+        say("Import the bag, export it, compare exactly")
+        self.shell.env["CASSANDRA_ROS_KEYSPACE"] = COPY
         begin = time.monotonic()
-        self.run(*RUN, "cassandra_bag", "import", BAG, shown=8)
+        self.shell.run(*RUN, "cassandra_bag", "import", BAG, shown=8)
         self.note("import of the bag", f"{time.monotonic() - begin:.1f} s, program start included")
-        self.run(*RUN, "cassandra_bag", "info", shown=8)
-        text = self.run(*RUN, "cassandra_bag", "verify", BAG)
-        self.note("imported, equal in all", _equal(text))
+        self.shell.run(*RUN, "cassandra_bag", "info", shown=8)
+        text = self.shell.run(*RUN, "cassandra_bag", "verify", BAG)
+        self.note("imported, equal in all", self.drive.equal(text))
         exported = self.out / "exported.bag"
-        self.run(*RUN, "cassandra_bag", "export", "-f", exported, shown=8)
-        text = self.run(*RUN, "cassandra_bag", "verify", exported)
-        self.note("exported again, equal in all", _equal(text))
+        self.shell.run(*RUN, "cassandra_bag", "export", "-f", exported, shown=8)
+        text = self.shell.run(*RUN, "cassandra_bag", "verify", exported)
+        self.note("exported again, equal in all", self.drive.equal(text))
 
     def replay(self) -> None:
-        self.say("Play what is stored, record it again, compare (four times as fast)")
-        topics = [RENAMED.get(topic, topic) for topic in _topics()]
+        say("Play what is stored, record it again, compare (four times as fast)")
+        topics = self.drive.recorded
         options = ["--keyspace", AGAIN, "--node-id", "husky", "--no-diagnostics"]
         command = [*RUN, "recorder", *options, *topics]
-        recorder = self.spawn("recorder_again", command, rf"recording {len(topics)} topics")
-        renames = [f"{a}:={b}" for a, b in RENAMED.items()]
+        recorder = self.shell.spawn("recorder_again", command, rf"recording {len(topics)} topics")
+        renames = [f"{a}:={b}" for a, b in self.drive.renamed.items()]
         play = [*RUN, "player", "-r", "4", "--wait-for-subscribers", "--queue", "0"]
         begin = time.monotonic()
-        self.run(*play, *renames)
+        self.shell.run(*play, *renames)
         self.note("played, 38 s of it at -r 4", f"{time.monotonic() - begin:.1f} s")
-        print("$ kill -INT recorder", flush=True)
+        self.shell.echo("kill -INT recorder")
         if recorder.stop():
             raise SystemExit(f"demo: the recorder lost messages:\n{recorder.text()}")
         print(recorder.text().splitlines()[-1])
-        maps = [word for rename in renames for word in ("--map", rename)]
         verify = [*RUN, "cassandra_bag", "verify", self.out / "exported.bag"]
-        text = self.run(*verify, "--keyspace", AGAIN, "--content", *maps)
-        self.note("played and recorded again, equal", _equal(text))
+        text = self.shell.run(*verify, "--keyspace", AGAIN, "--content", *self.drive.maps)
+        self.note("played and recorded again, equal", self.drive.equal(text))
 
     def see(self) -> None:
-        self.say("See it in a browser, and take a window of it as a bag")
+        say("See it in a browser, and take a window of it as a bag")
         begin = time.monotonic()
-        port = str(_port_or(8080))
-        self.viewer = self.spawn("viewer", [*RUN, "viewer", "--port", port], r"http://\S+")
+        port = str(port_or(8080))
+        self.viewer = self.shell.spawn("viewer", [*RUN, "viewer", "--port", port], r"http://\S+")
         self.url = re.findall(r"http://[^\s,]+", self.viewer.text())[0].rstrip("/")
         topics = json.loads(self.fetch("/api/topics"))["topics"]
         self.note("viewer", f"{len(topics)} topics after {time.monotonic() - begin:.1f} s")
         window = self.out / "window.bag"
         fixes = {"topics": "/fix", "start": "2013-05-08T14:06:30Z", "end": "2013-05-08T14:06:40Z"}
         window.write_bytes(self.fetch("/window.bag", **fixes))
-        text = self.run("rosbag", "info", "-y", "-k", "messages", window)
+        text = self.shell.run("rosbag", "info", "-y", "-k", "messages", window)
         self.note("ten seconds of fixes, by URL", f"{int(text)} messages")
 
     def fetch(self, path: str, **parameters: str) -> bytes:
         """Return what the viewer answers."""
         query = urllib.parse.urlencode(parameters, safe="/:")
         address = self.url + path + (f"?{query}" if query else "")
-        print(f"$ {_shell(['curl', address])}", flush=True)
+        self.shell.echo(shell_text(["curl", address]))
         with urllib.request.urlopen(address, timeout=PATIENCE_SEC) as answer:  # noqa: S310 (our own viewer)
             return answer.read()
 
     def table(self) -> None:
-        self.say("What was recorded, asked and verified")
+        say("What was recorded, asked and verified")
         taken = sum(status.memory_bytes for status in self.cluster.status())
         heap = self.cluster.settings.java_heap_mb
         self.note(
             "memory of Cassandra at the end",
             f"{taken / 2**20:.0f} MiB on {self.nodes} node(s), each with a heap of {heap} MiB",
         )
-        width = max(len(what) for what, _ in self.findings)
-        for what, figure in self.findings:
-            print(f"{what:{width}}  {figure}")
-        print(f"{'pictures and bags':{width}}  {os.path.relpath(self.out)}")
+        self.note("pictures and bags", os.path.relpath(self.out))
+        print_table(self.findings)
 
     def leave_open(self) -> None:
         """Let the viewer run until Ctrl-C."""
         print(f"\nSee it: {self.url}/ (Ctrl-C ends it)", flush=True)
         with suppress(KeyboardInterrupt):
             self.viewer.process.wait()
-
-
-class _Progress:
-    """Lines that say what is being waited for, one in a while."""
-
-    def __init__(self) -> None:
-        self._told = time.monotonic()
-
-    def tell(self, what: str, seconds: float) -> None:
-        """Say what is being waited for, and since how many seconds."""
-        if min(seconds, time.monotonic() - self._told) >= TELL_SEC:
-            self._told = time.monotonic()
-            print(f"{what}: {seconds:.0f} s", flush=True)
-
-
-class Node:
-    """A program in the background; its output goes to a file."""
-
-    def __init__(self, name: str, command: list[str], env: dict[str, str], home: Path) -> None:
-        self.name = name
-        self.command = command
-        self.log = home / f"{name}.log"
-        with self.log.open("wb") as sink:
-            self.process = subprocess.Popen(
-                command, env=env, stdin=subprocess.DEVNULL, stdout=sink, stderr=subprocess.STDOUT
-            )
-
-    def text(self) -> str:
-        """Return what it has printed."""
-        return self.log.read_text(errors="replace").rstrip()
-
-    def wait_for(self, pattern: str) -> None:
-        """Wait for a line."""
-        deadline = time.monotonic() + PATIENCE_SEC
-        while not re.search(pattern, self.text()):
-            if self.process.poll() is not None or time.monotonic() > deadline:
-                raise SystemExit(f"demo: {self.name} did not start:\n{self.text()}")
-            time.sleep(0.1)
-
-    def stop(self) -> int:
-        """Interrupt it and wait for its end; return its exit status."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
-        try:
-            return self.process.wait(PATIENCE_SEC)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            return self.process.wait()
-
-
-def _topics() -> list[str]:
-    from cassandra_ros.bag.bag_reader import BagReader
-
-    with BagReader(BAG) as bag:
-        return sorted({connection.topic for connection in bag.connections.values()})
-
-
-def _equal(text: str) -> str:
-    found = re.search(r"^equal: .* (\d+) messages", text, re.MULTILINE)
-    assert found is not None, text
-    return f"{int(found[1]):,} of {_messages():,} messages"
-
-
-def _messages() -> int:
-    from cassandra_ros.bag.bag_reader import BagReader
-
-    with BagReader(BAG) as bag:
-        return bag.message_count
-
-
-def _port_or(wanted: int) -> int:
-    from cassandra_ros.local_server.ports import is_free
-
-    return wanted if is_free("127.0.0.1", wanted) else free_port()
-
-
-def _shell(words: list[str]) -> str:
-    import shlex
-
-    words = [os.path.relpath(w) if w.startswith(str(HERE.parent)) else w for w in words]
-    return " ".join(w if ":=" in w else shlex.quote(w) for w in words)
 
 
 def main() -> int:
@@ -382,13 +251,25 @@ def main() -> int:
     parser.add_argument("--secure", action="store_true", help="log in with a password, over TLS")
     text = "number of Cassandra nodes; of three one is killed meanwhile (default: 1)"
     parser.add_argument("--nodes", type=int, choices=(1, 3), default=1, help=text)
+    text = "two robots that copy themselves home, instead of one; goes alone"
+    parser.add_argument("--fleet", action="store_true", help=text)
     args = parser.parse_args()
+    if args.fleet and (args.view or args.secure or args.nodes > 1):
+        parser.error("--fleet goes without --view, --secure and --nodes")
     if shutil.which("rosrun") is None:
         sys.exit("demo: rosrun is not on the path; run: make demo")
     # Also where a shell started this in the background and SIGINT is ignored, here and, by
     # inheritance, in every node.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+    if args.fleet:
+        sys.path.append(str(HERE.parent))  # for the proxy, which the folder faults has
+        import fleet_demo
+
+        with ExitStack() as stack:
+            fleet_demo.run(stack)
+        print("\nNothing is left running.")
+        return 0
     args.out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         demo = Demo(args.out.resolve(), stack, args.secure, args.nodes)

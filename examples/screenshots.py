@@ -23,9 +23,9 @@ from urllib.parse import urlencode
 
 import office_patrol
 from chromium import Browser, chromium
-from demo import RUN, Node
 from office_patrol import BUMP_SEC, BUMPS_SEC, SECOND, START, TOURS
 from PIL import Image
+from stage import RUN, Program
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.local_server import LocalCluster, free_port
@@ -117,7 +117,7 @@ def start_viewer(stack: ExitStack) -> str:
     words = ("import", str(bag), "--node-id", ROBOT, "--format", "packed")
     subprocess.run([*RUN, "cassandra_bag", *words], env=env, check=True)
     add_events(cluster.settings.port)
-    viewer = Node("viewer", [*RUN, "viewer", "--port", str(free_port())], env, home)
+    viewer = Program("viewer", [*RUN, "viewer", "--port", str(free_port())], env, home)
     stack.callback(viewer.stop)
     viewer.wait_for(r"http://\S+")
     return re.findall(r"http://[^\s,]+", viewer.text())[0]

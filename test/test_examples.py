@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import subprocess
 import sys
@@ -191,6 +192,21 @@ def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore)
             ]
     finally:
         rosCas.cassandra.schema_change(f'DROP KEYSPACE "{rosCas.keyspace}"', what="cleaning up")
+
+
+@pytest.mark.long
+def test_two_robots_copy_themselves_home(ros_env):
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "examples/demo.py"), "--fleet"],
+        env={**os.environ, **ros_env},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        timeout=1800,
+    )
+    assert done.returncode == 0, done.stdout[-3000:]
+    assert done.stdout.count("of 12,303 messages") == done.stdout.count("of 8,647 messages") == 1
+    assert "Nothing is left running." in done.stdout
 
 
 def test_figure_3b_has_a_map_of_the_scans_and_says_where_to_look(cassandra, new_keyspace, bags):

@@ -46,7 +46,7 @@ BELOW = {
     "copying": {*TOPICS, "overview", "upkeep", "client"},
     "fleet": {*TOPICS, "client"},
     "spool": {"bag", "tables", "messages"},
-    "recording": {"spool", *TOPICS},
+    "recording": {"spool", "copying", *TOPICS},
     "playing": {*TOPICS, "overview"},
     "history": {"recording", *TOPICS},
     "bag": {*TOPICS, "overview", "client", "fleet"},

@@ -70,7 +70,7 @@ def directory(store):
     space = store.catalog.keyspace
     found = []
     for table in store.catalog.tables(None):
-        for row in space.directory.buckets(table.name, -(2**40), 2**40):
+        for row in space.directory.buckets_by_robot(table.name, -(2**40), 2**40):
             key = (table.metadata.topic, table.metadata.format, *row[:4])
             found.append((*key, row.rows, row.bytes, row.t_min, row.t_max, row.odd))
     return sorted(found)
@@ -357,7 +357,7 @@ def test_the_index_of_a_field_is_there_too(rosCas, home):
     rosCas.catalog.adder.close()
     Replicator(rosCas, home).copy()
     (table,) = home.getTopic("/t").tables
-    (row,) = home.catalog.keyspace.directory.buckets(table.name, -(2**40), 2**40)
+    (row,) = home.catalog.keyspace.directory.buckets_by_robot(table.name, -(2**40), 2**40)
     assert row.filled == frozenset(table.metadata.indexes.values()) != frozenset()
     assert [key.to_nsec() for (key,) in home.executeCQL("select KEY from t where data = 7")] == [
         T0 + 7

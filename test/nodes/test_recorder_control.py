@@ -278,10 +278,11 @@ print("lost", flush=True)
 
 
 def test_diagnostics(roscore, recorder):
-    recorder("/a", "-O", "d", "-b", "1")
+    recorder("/a", "-O", "d", "-b", "1", "--max-size", "1G")
     with publisher(roscore, "/a") as a, Child([sys.executable, "-c", LISTENER], roscore.env) as ear:
         a.await_subscribers().publish(text(1))
         ear.await_line("recorder: store recording run d")
+        ear.await_line("recorder: maximum size 0% of the maximum size is not copied")
         ear.await_line("recorder: /a recording 1")
 
 

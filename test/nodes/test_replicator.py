@@ -59,7 +59,7 @@ def test_it_copies_and_answers(rosCas, home, roscore, cassandra, client):
         name = "/replicator_of_test"  # others may have published there and be gone
         with RawSubscriber(roscore.uri, "/diagnostics", publisher=name) as diagnostics:
             text = diagnostics.read()
-        assert b"replicator_of_test: store" in text
+        assert b"replicator_of_test: maximum size" in text
         assert b"replicator_of_test: /t" in text
         assert client.call("/replicator_of_test/pause")["success"]
         await_true(lambda: status()["state"] == "paused")
@@ -73,3 +73,7 @@ def test_wrong_usage_is_told(roscore):
     with start_node(roscore, "replicator", "__name:=replicator_without_target") as child:
         assert child.wait() == 2
         assert "say where to copy" in child.output
+    words = ["--to", "nowhere", "--drop-uncopied", "__name:=replicator_without_size"]
+    with start_node(roscore, "replicator", *words) as child:
+        assert child.wait() == 2
+        assert "--drop-uncopied needs --max-size" in child.output

@@ -157,7 +157,7 @@ def test_what_a_recount_says_fails_where_something_changed(rosCas):
     wanted = row._replace(filled=row.filled | {"_ix1"})
     totals = BucketTotals(5, 50, 10, T0, T0 + 4, 3)
     assert directory.put_recount(table.name, wanted, totals, 0) is True
-    (row,) = directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
+    (row,) = directory.buckets_by_robot(table.name, *(table.bucket_of(T0),) * 2)
     assert row.closed and row.filled == {"_ix0", "_ix1"} and (row.rows, row.odd) == (5, 3)
     directory.mark(place, 0, (), totals, closed=True)
     assert directory.find(*place[:3])[0].filled == frozenset()
@@ -165,13 +165,14 @@ def test_what_a_recount_says_fails_where_something_changed(rosCas):
 
 def test_rows_of_an_earlier_release_fill_nothing(rosCas, cql):
     table = store(rosCas, "/t", 5)
-    (row,) = rosCas.catalog.keyspace.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
+    directory, ends = rosCas.catalog.keyspace.directory, (table.bucket_of(T0),) * 2
+    (row,) = directory.buckets_by_robot(table.name, *ends)
     cql.execute(
         f"DELETE filled FROM {rosCas.keyspace}.cr_bucket "
         "WHERE tbl = %s AND node = '' AND slot = %s AND bucket = %s AND writer = %s",
         (table.name, row.bucket // 4096, row.bucket, row.writer),
     )
-    (row,) = rosCas.catalog.keyspace.directory.buckets(table.name, *(table.bucket_of(T0),) * 2)
+    (row,) = directory.buckets_by_robot(table.name, *ends)
     assert row.filled == frozenset() and row.closed
     assert rosCas.getTopic("/t").createIndex("data") == 5
 
@@ -184,7 +185,7 @@ def test_a_writer_does_not_list_what_its_earlier_rows_lack(rosCas):
     ends = (table.bucket_of(T0),) * 2
     rows = {
         row.writer: row.filled
-        for row in rosCas.catalog.keyspace.directory.buckets(table.name, *ends)
+        for row in rosCas.catalog.keyspace.directory.buckets_by_robot(table.name, *ends)
     }
     assert rows == {9: frozenset(), 10: {"_ix0"}}
     assert rosCas.getTopic("/t").createIndex("data") == 10

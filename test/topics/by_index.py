@@ -12,7 +12,7 @@ FIRST, LAST = -(2**63), 2**63 - 1
 
 
 def directory_rows(rosCas, table):
-    return rosCas.catalog.keyspace.directory.buckets(table.name, FIRST, LAST)
+    return rosCas.catalog.keyspace.directory.buckets_by_robot(table.name, FIRST, LAST)
 
 
 def filled(rosCas, topic, field):

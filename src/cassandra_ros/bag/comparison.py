@@ -240,8 +240,7 @@ def _find_import(
         first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
         if table.metadata.own_time:
             first, last = -(2**63), 2**63 - 1
-        by_time = table.metadata.by_time
-        rows = keyspace.directory.buckets(table.name, first, last, nodes, by_time=by_time)
+        rows = keyspace.directory.buckets(table.name, table.metadata, first, last, nodes)
         writers.update((row.node, row.writer) for row in rows)
     imports = (run for run in keyspace.registry.runs() if run.kind == "import")
     runs = [run for run in imports if (run.node, run.writer) in writers]

@@ -28,7 +28,8 @@ class FleetExportReport(ExportReport):
     """The result of an export of several stores."""
 
     missing: Missing = field(default_factory=dict)
-    """The stores that did not answer, or not to the end → why."""
+    """The stores that did not answer, or not to the end → why, and how many messages that they had
+    listed before are not in the file."""
 
 
 def export_fleet(
@@ -82,7 +83,7 @@ def export_fleet(
             try:
                 number, wire = numbers.of(row), row.wire
             except MessageNotFound:
-                continue  # only a store has it that does not answer any more
+                continue  # deleted, or told in rows.missing with the store that went away
             writer.write(number, row.received, wire, *sent.of(row))
             report.add(row.topic, len(wire), early=False)
             last = row
@@ -91,7 +92,7 @@ def export_fleet(
         if keeps:
             events = fleet.events(None, first[0].received, last.received, nodeID=nodeID, run=run)
             report.events = sum(map(writer.add_event, events))
-            report.missing = {**rows.missing, **events.missing}
+            report.missing = {**events.missing, **rows.missing}
     return report
 
 

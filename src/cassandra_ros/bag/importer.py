@@ -404,7 +404,7 @@ def _stored_formats(
     for table in keyspace.tables.of_topic(connection.topic):
         first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
         if table.metadata.md5sum == connection.md5sum:
-            rows = keyspace.directory.buckets(table.name, first, last, (run.node,))
+            rows = keyspace.directory.buckets_by_robot(table.name, first, last, (run.node,))
             if any(row.writer == run.writer for row in rows):
                 found.add(table.metadata.format)
     return found

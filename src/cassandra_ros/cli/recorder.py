@@ -31,6 +31,7 @@ from cassandra_ros.cli.options import (
     strip_remappings,
 )
 from cassandra_ros.cli.parsers import error_line, program_parser
+from cassandra_ros.cli.quota_options import add_quota_options, check_quota_options
 from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
 from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
 from cassandra_ros.cli.script import end_now
@@ -180,6 +181,7 @@ def _add_limits(add: Add) -> None:
         "off). The free space of a Cassandra on another machine is unknown: watch it there"
     )
     add("-L", "--min-space", metavar="1G", type=byte_size, default="1G", help=text)
+    add_quota_options(add)
     text = "do not publish on /diagnostics"
     add("--no-diagnostics", dest="diagnostics", action="store_false", help=text)
     text = (
@@ -318,6 +320,7 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
         parser.error(
             "--snapshot writes when it is asked: leave out --split, --size, --duration and --limit"
         )
+    check_quota_options(options, parser)
     if options.journal and not options.spool:
         parser.error("--journal needs the spool: leave out --no-spool")
     try:

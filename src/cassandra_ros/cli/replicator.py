@@ -21,6 +21,7 @@ import sys
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import add_store_options, open_store, strip_remappings
 from cassandra_ros.cli.parsers import program_parser
+from cassandra_ros.cli.quota_options import add_quota_options, check_quota_options
 from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.target_options import add_target_options, open_target
 from cassandra_ros.printable import shown_lines
@@ -40,18 +41,7 @@ def make_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="delete there what is deleted here after it was copied",
     )
-    add(
-        "--max-size",
-        metavar="SIZE",
-        type=byte_size,
-        help="keep the topics here under this size, as 20G: what is copied is deleted, oldest "
-        "first; above 80 %% of what is not copied /diagnostics warns (default: no maximum)",
-    )
-    add(
-        "--drop-uncopied",
-        action="store_true",
-        help="with --max-size: also delete what is not copied, as a loss, if there is no other way",
-    )
+    add_quota_options(add)
     add("--no-diagnostics", dest="diagnostics", action="store_false", help="not on /diagnostics")
     add_target_options(parser, "--to", "the store to which topics are copied")
     add_store_options(parser)
@@ -65,6 +55,7 @@ def main() -> int:
     words = strip_remappings(None)
     parser.parse_args(words)  # wrong usage and --help need no master
     from cassandra_ros.copying.follower import Follower
+    from cassandra_ros.copying.quota import Quota
     from cassandra_ros.copying.replicator import Replicator
     from cassandra_ros.copying.rules import read_rules_file
     from cassandra_ros.nodes.replicator_node import follow, start_node
@@ -72,7 +63,9 @@ def main() -> int:
     options = parser.parse_args([*start_node(sys.argv), *words])
     if options.target is None:
         parser.error("say where to copy: --to HOST[:PORT][/KEYSPACE], or the parameter ~to")
+    check_quota_options(options, parser)
     rules = read_rules_file(options.rules)
+    quota = Quota(options.max_size, uncopied=options.drop_uncopied) if options.max_size else None
 
     def say(text: str) -> None:
         print(shown_lines(text), flush=True)
@@ -87,8 +80,7 @@ def main() -> int:
             rules=rules,
             rate=options.rate or None,
         ),
-        max_bytes=options.max_size,
-        drop_uncopied=options.drop_uncopied,
+        quota=quota,
     )
     problem = follow(follower, say, options.diagnostics)
     if problem:

@@ -13,7 +13,7 @@ from typing import Callable, Sequence
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.copying.copy_status import TopicStatus, copy_status
-from cassandra_ros.copying.quota import QuotaReport, keep_under
+from cassandra_ros.copying.quota import Quota, QuotaReport
 from cassandra_ros.copying.replicator import CopyReport, Replicator
 from cassandra_ros.errors import (
     AccessDenied,
@@ -33,8 +33,6 @@ PERIOD_SEC = 5.0
 """Interval between two passes if all is copied, s."""
 AWAY_SEC = (1.0, 2.0, 5.0, 10.0)
 """Pauses between attempts while a store does not answer, s; the last one is repeated."""
-NEARLY_FULL = 0.8
-"""Share of the maximum size that is not copied from which a warning is given."""
 CONNECTING, COPYING, FOLLOWING, AWAY, PAUSED = (
     "connecting",
     "copying",
@@ -92,8 +90,7 @@ class Follower:
         open_source, open_target: Connect to the stores; called again after a connection failed.
         make: Makes the replicator of two connected stores.
         period_sec: Interval between two passes if all is copied, s.
-        max_bytes: Size of the source above which what is copied is deleted there; None = no limit.
-        drop_uncopied: Whether what is not copied is deleted too, if there is no other way.
+        quota: Maximum size of the source; None = no maximum.
     """
 
     def __init__(
@@ -103,10 +100,9 @@ class Follower:
         make: Make,
         period_sec: float = PERIOD_SEC,
         *,
-        max_bytes: int | None = None,
-        drop_uncopied: bool = False,
+        quota: Quota | None = None,
     ) -> None:
-        self._max_bytes, self._drop_uncopied = max_bytes, drop_uncopied
+        self._quota = quota
         self._open_source, self._open_target, self._make = open_source, open_target, make
         self._period_sec = period_sec
         self._stores: list[RosCassandra] = []
@@ -212,9 +208,7 @@ class Follower:
         mean = 0.7 * self._status.bytes_per_sec + 0.3 * rate if state == COPYING else rate
         quota = self._keep_under()
         self._status = FollowerStatus(state, replicator.place, "", mean, mine, unused, quota)
-        full = quota is not None and quota.share >= NEARLY_FULL
         for text in [
-            *["what is not copied takes nearly all of the store's maximum size"] * full,
             *(f"no topic matches {pattern!r} yet" for pattern in unused),
             *(topic.refused for topic in mine if topic.refused),
         ]:
@@ -223,10 +217,10 @@ class Follower:
                 _log.warning("%s", text)
 
     def _keep_under(self) -> QuotaReport | None:
-        if self._max_bytes is None or not self._stores:
+        if self._quota is None or not self._stores:
             return None
-        catalog = self._stores[0].catalog
-        return keep_under(catalog, self._max_bytes, uncopied=self._drop_uncopied)
+        self._quota.keep(self._stores[0].catalog)
+        return self._quota.report
 
     def _connected(self) -> Replicator:
         if self._replicator is None:

@@ -8,6 +8,7 @@ deleted only if that is asked for, and is then a loss.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field
 from typing import NamedTuple
 from uuid import UUID
@@ -22,6 +23,11 @@ from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.topic_table import TopicTable
 from cassandra_ros.upkeep.retention_rules import Retained
+
+_log = logging.getLogger(__name__)
+
+NEARLY_FULL = 0.8
+"""Share of the maximum size that is not copied from which a warning is given."""
 
 
 @dataclass
@@ -39,6 +45,32 @@ class QuotaReport:
     def share(self) -> float:
         """Share of the maximum size in use by messages that no other store has."""
         return self.uncopied_bytes / self.max_bytes if self.max_bytes else 1.0
+
+    @property
+    def nearly_full(self) -> bool:
+        """Whether messages that no other store has take nearly all of the maximum size."""
+        return self.share >= NEARLY_FULL
+
+
+class Quota:
+    """A maximum size of a store, which a program keeps while it runs.
+
+    Args:
+        max_bytes, uncopied: As in keep_under.
+    """
+
+    def __init__(self, max_bytes: int, *, uncopied: bool = False) -> None:
+        self._max_bytes, self._uncopied = max_bytes, uncopied
+        self.report: QuotaReport | None = None
+        """State after the last ``keep``; None = there was none."""
+
+    def keep(self, catalog: Catalog) -> None:
+        """Delete messages until the store is small enough; warn when it becomes nearly full."""
+        before = self.report is not None and self.report.nearly_full
+        self.report = keep_under(catalog, self._max_bytes, uncopied=self._uncopied)
+        if self.report.nearly_full and not before:
+            share = f"{self.report.share:.0%}"
+            _log.warning("messages that no other store has take %s of the maximum size", share)
 
 
 class _Entry(NamedTuple):
@@ -88,8 +120,9 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
         if table.named:
             continue
         # By robot: the books have the heartbeats of cr_bucket.
-        listed = directory.buckets(table.name, -(2**63), 2**63 - 1, ttl=table.metadata.ttl)
-        rows = [row for row in settle(directory, table, listed) if row.rows]
+        listed = directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
+        there = [row for row in listed if not row.expired(table.metadata.ttl)]
+        rows = [row for row in settle(directory, table, there) if row.rows]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
         known: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
         for target in targets:

@@ -305,7 +305,8 @@ class Replicator:
         ends = source.bucket_of(low), source.bucket_of(min(high, MAX_NS))
         whose, ttl = selection.whose, source.metadata.ttl
         # By robot: the books have the heartbeats of cr_bucket.
-        rows_here = self._here.directory.buckets(source.name, *ends, whose.nodes, ttl)
+        listed = self._here.directory.buckets_by_robot(source.name, *ends, whose.nodes)
+        rows_here = [row for row in listed if not row.expired(ttl)]
         entries = [r for r in rows_here if whose.writers is None or r.writer in whose.writers]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows_here})
         found = {

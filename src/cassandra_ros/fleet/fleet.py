@@ -157,7 +157,7 @@ class Fleet:
         """Read the rows of a topic lazily, in order of time, without making message objects.
 
         Args:
-            topic: Name of the topic, with or without the leading slash.
+            topic: Its name, as in RosCassandra.getTopic.
             key, to_key, nodeID, limit, reverse, where, run: As in CassandraTopic.items, also the
                 errors.
 
@@ -243,13 +243,13 @@ class Fleet:
         its row, which tells which stores are missing.
 
         Args:
-            topic: Name of the topic.
-            key, to_key, nearest, default, nodeID, limit, where, run: As in CassandraTopic.getData.
+            topic: As in rows.
+            key, to_key, nearest, default, nodeID, limit, where, run: As in CassandraTopic.getData,
+                also the errors.
 
         Raises:
             MessageNotFound: There is no message at key; the text names the missing stores.
             TopicNotFound, SchemaConflict, StoreUnavailable: As in rows.
-            InvalidKey, InvalidQuery, RunNotFound: As in CassandraTopic.getData.
         """
         if to_key is not None:
             asked = {"nodeID": nodeID, "limit": limit, "where": where, "run": run}
@@ -290,13 +290,11 @@ class Fleet:
 
         Args:
             topics, key, to_key, nodeID, received, where, run, event: As in
-                RosCassandra.readMessages; the events are those of all stores.
+                RosCassandra.readMessages, also the errors; the events are those of all stores.
 
         Raises:
             TopicNotFound: No store has one of the topics; the text names all stores.
             EventNotFound: No store has such an event of that time, robot and run.
-            RunNotFound, InvalidOption, InvalidQuery, InvalidName, InvalidKey: As in
-                RosCassandra.readMessages.
         """
         names, answer = check_topics(topics), FleetAnswer(self._stores)
 

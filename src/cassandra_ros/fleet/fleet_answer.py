@@ -8,6 +8,7 @@ A store that was noted is asked nothing more for this answer; the next question 
 
 from __future__ import annotations
 
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain, islice
 from typing import Callable, Dict, Generic, Iterable, Iterator, List, Mapping, Sequence, TypeVar
@@ -28,7 +29,8 @@ _T = TypeVar("_T")
 _S = TypeVar("_S")
 
 Missing = Dict[str, str]
-"""Name of a store → why it did not answer."""
+"""Name of a store → why it did not answer, and how many messages that it had listed before are left
+out; it may have more."""
 AWAY = (
     *(StoreUnavailable, ConnectionFailed, AccessDenied, UnsupportedSchema),
     *(KeyspaceNotFound, TopicNotFound),
@@ -51,6 +53,9 @@ class FleetAnswer:
     def __init__(self, stores: Sequence[FleetStore]) -> None:
         self._stores = {store.name: store for store in stores}
         self.missing: Missing = {}
+        self._reasons: dict[str, str] = {}
+        self._left_out: dict[str, int] = {}
+        self._mutex = threading.Lock()
         self.catalogs: dict[str, Catalog] = self.each(self._stores, _catalog)
         if not self.catalogs:
             raise StoreUnavailable(f"no store of the fleet answers: {told(self.missing)}")
@@ -106,7 +111,17 @@ class FleetAnswer:
         """Note that a store does not answer. Raises the error if the fleet was closed."""
         if self._stores[name].closed:
             raise exc
-        self.missing.setdefault(name, " ".join(str(exc).split()))
+        with self._mutex:
+            self._reasons.setdefault(name, " ".join(str(exc).split()))
+            self.missing.setdefault(name, self._reasons[name])
+
+    def leave_out(self, name: str) -> None:
+        """Count a message that a store had listed before it went away, and that no other has."""
+        with self._mutex:
+            self._left_out[name] = self._left_out.get(name, 0) + 1
+            count = self._left_out[name]
+            which = f"at least {count} message{'s' * (count > 1)} that no other store has"
+            self.missing[name] = f"{self._reasons[name]}; left out: {which}"
 
     def probed(self, exc: CassandraRosError) -> None:
         """Note which stores do not answer, after an error of an unknown store.

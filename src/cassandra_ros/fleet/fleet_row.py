@@ -29,20 +29,15 @@ class FleetRow:
     Bytes that were not read yet come from the first store that answers, in the order of the fleet.
 
     Attributes:
-        t, received: Key time and receive time, ns since 1970.
-        node: nodeID; '' = not given.
-        seq: Writer id << 32 | counter.
-        name: Name of the message; '' in topics with a time key.
-        size: Number of serialised bytes.
-        columns, conn: As in the first store, see StoredRow.
-        table: Its TopicTable in the first store.
+        t, received, node, seq, name, size: As in StoredRow, the same in all stores.
+        columns, conn, table: As in StoredRow, those of the first store.
     """
 
-    __slots__ = "_answer _copies columns conn name node received seq size t table".split()
+    __slots__ = "_answer _copies _lost columns conn name node received seq size t table".split()
 
     def __init__(self, copies: Sequence[StoreRow], answer: FleetAnswer) -> None:
         row = copies[0][1]
-        self._copies, self._answer = copies, answer
+        self._copies, self._answer, self._lost = copies, answer, False
         self.t, self.node, self.seq, self.name = row.t, row.node, row.seq, row.name
         self.received, self.size, self.conn = row.received, row.size, row.conn
         self.columns, self.table = row.columns, row.table
@@ -70,17 +65,25 @@ class FleetRow:
         return self._answer.partial
 
     def _ask(self, work: Callable[[StoredRow], _T]) -> _T:
-        """Return what the first store says that answers, and whose copy is sound."""
+        """Return what the first store says that answers, and whose copy is sound.
+
+        If no store that has the message answers any more, it is counted as left out.
+        """
         missing = self._answer.missing
         problem: CassandraRosError | None = None
+        away = ""
         # What was read of a store that is away now can still be used: last.
         for name, row in sorted(self._copies, key=lambda copy: copy[0] in missing):
             try:
                 return work(row)
             except AWAY as exc:
                 self._answer.lose(name, exc)
+                away = away or name
             except (MessageNotFound, CorruptMessage) as exc:
                 problem = problem or exc
+        if away and not self._lost and not isinstance(problem, CorruptMessage):
+            self._lost = True  # counted once, though it may be asked again
+            self._answer.leave_out(away)
         raise problem or MessageNotFound(
             f"the message of topic {self.topic} at {self.t} is only in stores that do not answer "
             f"any more: {told(missing)}"

@@ -87,8 +87,7 @@ class StoredPast:
                 continue
             first = table.bucket_of(max(0, now_ns - _LOOK_BACK_NS))
             last = table.bucket_of(now_ns + _LOOK_BACK_NS)
-            by_time = table.metadata.by_time
-            buckets = directory.buckets(table.name, first, last, nodes, by_time=by_time)
+            buckets = directory.buckets(table.name, table.metadata, first, last, nodes)
             if any(
                 not row.closed
                 and row.age_sec < FRESH_SEC

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The status of a recorder on /diagnostics: one entry for the store, one for each topic."""
+"""The status of a recorder on /diagnostics: entries for the store and for each topic."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Mapping, NamedTuple, Sequence
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from cassandra_ros.nodes.quota_entry import quota_entry
 from cassandra_ros.recording.recording_status import WAITING, Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
 
@@ -41,6 +42,9 @@ class Diagnostics:
         array = DiagnosticArray()
         array.header.stamp = rospy.Time.now()
         array.status.append(self._of_store(status, rates))
+        if status.quota is not None:
+            level, text, values = quota_entry(status.quota)
+            array.status.append(self._status(level, "maximum size", text, values))
         array.status += [self._of_topic(report, status, rates) for report in status.topics]
         self._lost = {report.topic: report.lost for report in status.topics}
         self._publisher.publish(array)

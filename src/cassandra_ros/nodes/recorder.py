@@ -19,6 +19,7 @@ from std_msgs.msg import String
 
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.copying.quota import Quota
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidName, InvalidOption
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
@@ -27,6 +28,7 @@ from cassandra_ros.nodes.subscriptions import Subscriptions, published_topics, s
 from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.event_marks import EventMarks
 from cassandra_ros.recording.left_runs import LeftRuns
+from cassandra_ros.recording.quota_keeper import QuotaKeeper
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.recording_status import (
@@ -92,6 +94,7 @@ class Recorder:
         self._contexts: list[threading.Thread] = []
         self._store = _catalog_of(rosCas)
         self._left_runs: LeftRuns | None = None
+        self._quota: QuotaKeeper | None = None
         self._series = series = RunSeries(self._store, options, now_ns, self._begun)
         bound = options.snapshot
         self._marks = EventMarks(series.events.put)
@@ -167,6 +170,9 @@ class Recorder:
             plan = self._options.spool_plan
             if plan is not None:
                 self._left_runs = LeftRuns(store_future(self._store), plan, self._say)
+            if self._options.max_size:
+                quota = Quota(self._options.max_size, uncopied=self._options.drop_uncopied)
+                self._quota = QuotaKeeper(store_future(self._store), quota)
         return "" if current is None else current.name
 
     def stop(self, topics: Topics = ()) -> list[TopicReport]:
@@ -274,6 +280,7 @@ class Recorder:
             held,
             self._options.buffsize,
             OnDisk() if current is None else current.on_disk,
+            quota=None if self._quota is None else self._quota.report,
         )
         if snapshots is None:
             return status
@@ -356,6 +363,8 @@ class Recorder:
         self._registration.stop()
         if self._left_runs is not None:
             self._left_runs.stop(JOIN_SEC)
+        if self._quota is not None:
+            self._quota.stop(JOIN_SEC)
         if self._poller is not None and self._poller.is_alive():
             self._poller.join(JOIN_SEC)
         self.stop()

@@ -18,14 +18,13 @@ from std_srvs.srv import Trigger, TriggerRequest, TriggerResponse
 from cassandra_ros.copying.copy_status import TopicStatus
 from cassandra_ros.copying.follower import (
     AWAY,
-    NEARLY_FULL,
     PAUSED,
     Follower,
     FollowerStatus,
 )
-from cassandra_ros.copying.quota import QuotaReport
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.msg import CopiedTopic
+from cassandra_ros.nodes.quota_entry import quota_entry
 from cassandra_ros.nodes.ros_node import REMAP, bound_master_calls, forward_logging, own_name
 from cassandra_ros.srv import (
     ReplicatorStatus,
@@ -168,7 +167,8 @@ class _Diagnostics:
         array.header.stamp = rospy.Time.from_sec(time.time())
         array.status = [self._of_target(status), *map(self._of_topic, status.topics)]
         if status.quota is not None:
-            array.status.append(self._of_store(status.quota))
+            level, text, values = quota_entry(status.quota)
+            array.status.append(self._status(level, "maximum size", text, values))
         self._publisher.publish(array)
 
     def _of_target(self, status: FollowerStatus) -> DiagnosticStatus:
@@ -187,17 +187,6 @@ class _Diagnostics:
             "left s": "unknown" if left is None else f"{left:.0f}",
         }
         return self._status(level, "target", text, values)
-
-    def _of_store(self, quota: QuotaReport) -> DiagnosticStatus:
-        nearly = quota.share >= NEARLY_FULL
-        level = DiagnosticStatus.WARN if nearly else DiagnosticStatus.OK
-        text = f"{quota.share:.0%} of the maximum size is not copied"
-        values = {
-            "bytes": str(quota.bytes),
-            "maximum bytes": str(quota.max_bytes),
-            "bytes not copied": str(quota.uncopied_bytes),
-        }
-        return self._status(level, "store", text, values)
 
     def _of_topic(self, topic: TopicStatus) -> DiagnosticStatus:
         level, text = DiagnosticStatus.OK, "copied"

@@ -149,10 +149,8 @@ class LatchedFinder:
             if metadata.named or metadata.own_time:
                 continue  # their rows are not ordered by receive time
             length = metadata.bucket_ns
-            ends, ttl = (t // length, to // length), metadata.ttl
-            listed = self._keyspace.directory.buckets(
-                name, *ends, self._whose.nodes, ttl, by_time=metadata.by_time
-            )
+            ends, directory = (t // length, to // length), self._keyspace.directory
+            listed = directory.buckets(name, metadata, *ends, self._whose.nodes)
             writers = self._whose.writers
             rows = [row for row in listed if writers is None or row.writer in writers]
             for row in self._counted(name, metadata, rows):
@@ -187,7 +185,7 @@ class LatchedFinder:
         length, conns = table.metadata.bucket_ns, self._latched[table.name]
         robots = tuple({node for node, _ in sources})
         buckets = self._keyspace.directory.buckets(
-            table.name, since // length, (t - 1) // length, robots, table.metadata.ttl
+            table.name, table.metadata, since // length, (t - 1) // length, robots
         )
         there = [row for row in buckets if (row.node, row.writer) in sources]
         if not there:

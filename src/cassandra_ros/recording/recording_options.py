@@ -81,6 +81,11 @@ class RecorderOptions:
     """Returns the free space where the store keeps its data, bytes; None = it is not known."""
     min_space: int = 0
     """Minimum free space there, bytes; below it no message is stored."""
+    max_size: int = 0
+    """Maximum size of all topics of the store, serialised bytes; 0 = no maximum. What another store
+    has is deleted first, oldest first."""
+    drop_uncopied: bool = False
+    """Whether what no other store has is deleted, too, as a loss, to keep the maximum size."""
     places: bool = True
     """Whether the places of the robot are stored while it is recorded, to speed up NEAR."""
 

@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass
 from typing import Collection, Mapping, Sequence
 
+from cassandra_ros.copying.quota import QuotaReport
 from cassandra_ros.recording.backlog import OnDisk
 from cassandra_ros.recording.topic_counts import TopicReport
 
@@ -45,6 +46,8 @@ class RecordingStatus:
     """In a snapshot: time from the oldest to the newest message in memory, s."""
     held_messages: int = 0
     """In a snapshot: number of messages in memory."""
+    quota: QuotaReport | None = None
+    """Use of the maximum size of the store; None = it has none, or was not checked yet."""
 
 
 class Rates:

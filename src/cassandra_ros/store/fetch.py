@@ -105,7 +105,7 @@ def first_at(
 def _probable(directory: Directory, table: RowTable) -> Collection[str]:
     """Return the nodes that are asked before the directory tells which have rows."""
     many = len(table.known_nodes) > FEW_NODES
-    by_time = many and directory.reads_by_time(table.metadata.by_time, None)
+    by_time = many and directory.reads_by_time(table.metadata, None)
     return () if by_time else table.known_nodes
 
 
@@ -113,7 +113,7 @@ def _begin_listing(directory: Directory, table: RowTable, t: int) -> Callable[[]
     """Request the nodes that may have rows with a key time; return what waits for the answer."""
     bucket = table.bucket_of(t)
     slot = slot_of(bucket)
-    if directory.reads_by_time(table.metadata.by_time, None):
+    if directory.reads_by_time(table.metadata, None):
         rows = directory.begin_active(table.name, slot, bucket, bucket)
         return lambda: {r.node for r in rows() if not r.closed or r.t_min <= t <= r.t_max}
     listed = directory.begin_nodes(table.name, (slot, slot))
@@ -158,7 +158,7 @@ def beside(
         seen = nodes or ()
         if nodes is None:
             few = directory.has_few_nodes(table.name, slot_of(bucket))
-            if not few and directory.reads_by_time(table.metadata.by_time, nodes):
+            if not few and directory.reads_by_time(table.metadata, nodes):
                 buckets.append((table, directory.begin_bucket(table.name, bucket)))
                 continue
             seen, listed = directory.begin_slot(table.name, slot_of(bucket))
@@ -369,8 +369,7 @@ def keys_by_shadow(
         yield from sorted(row_keys, key=lambda key: key.position)
         return
     buckets: dict[int, set[str]] = {}
-    by_time = table.metadata.by_time
-    for row in directory.buckets(table.name, FIRST[0], LAST[0], nodes, by_time=by_time):
+    for row in directory.buckets(table.name, table.metadata, FIRST[0], LAST[0], nodes):
         buckets.setdefault(row.bucket, set()).add(row.node)
     statement = table.select_shadow(shadow, bucket=True)
     for bucket in sorted(buckets):

@@ -463,12 +463,11 @@ def _walk(directory: Directory, table: RowTable, read: Read) -> BucketWalk:
     return BucketWalk(
         directory,
         table.name,
+        table.metadata,
         *_first_and_last(read, table),
         read.whose.nodes,
-        table.metadata.ttl,
         reverse=read.reverse,
         few=_takes_few(read),
-        by_time=table.metadata.by_time,
     )
 
 

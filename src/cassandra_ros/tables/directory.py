@@ -41,6 +41,7 @@ from typing import (
 from cassandra_ros.connection.cassandra import AT_ONCE, Cassandra, CqlRow
 from cassandra_ros.connection.requests import Seconds, sent_ahead
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.tables.bucket_columns import (
     BucketColumns,
     SlotRange,
@@ -195,11 +196,15 @@ class BucketRow(NamedTuple):
         return self[5:11]
 
     def expired(self, ttl: int) -> bool:
-        """Return whether all rows of this writer in the bucket have expired; ttl in seconds."""
+        """Return whether all rows of this writer in the bucket have expired.
+
+        Args:
+            ttl: Lifetime of the table's rows, s; 0 = for ever.
+        """
         # A bucket is closed after its last row. While it is open, a row may come that was retried
         # for minutes.
         margin = CLOCKS_SEC if self.closed else TTL_MARGIN_SEC
-        return self.age_sec > ttl + margin
+        return bool(ttl) and self.age_sec > ttl + margin
 
 
 @dataclass
@@ -331,42 +336,54 @@ class Directory:
         what, retry_sec = "reading the directory of nodes", self._tables.retry_sec
         return self._cassandra.begin(cql, (table, *slots, limit), what=what, retry_sec=retry_sec)
 
-    def reads_by_time(self, by_time: bool, nodes: Sequence[str] | None) -> bool:
+    def reads_by_time(self, metadata: TopicMetadata, nodes: Sequence[str] | None) -> bool:
         """Return whether the buckets of a table are read from cr_active.
 
         Args:
-            by_time: Whether cr_active lists all of them; see TopicMetadata.
             nodes: The nodeIDs to read; None = all.
         """
-        return by_time and nodes is None and self._lists_by_time()
+        return metadata.by_time and nodes is None and self._lists_by_time()
 
     def buckets(
         self,
         table: str,
+        metadata: TopicMetadata,
         first: int,
         last: int,
         nodes: Sequence[str] | None = None,
-        ttl: int = 0,
-        *,
-        by_time: bool = False,
     ) -> list[BucketRow]:
-        """Return the buckets of a table in [first, last], one row for each writer.
+        """Return the buckets of a table in [first, last] whose rows have not all expired.
 
         Args:
             nodes: The nodeIDs to read; None = all.
-            ttl: Lifetime of the table's rows, seconds; buckets with only expired rows are left out.
-            by_time: Whether cr_active lists all buckets of the table; see TopicMetadata.
+
+        Returns:
+            One row for each writer; do not compare the heartbeats with others.
         """
-        asked: Iterable[Callable[[], list[BucketRow]]]
-        if self.reads_by_time(by_time, nodes):
-            slots = self._slots_between(table, slot_of(first), slot_of(last))
-            asked = (self.begin_active(table, slot, first, last) for slot in slots)
+        if self.reads_by_time(metadata, nodes):
+            rows = self.buckets_by_time(table, first, last)
         else:
-            listed = self.nodes(table, slot_of(first), slot_of(last))
-            found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
-            asked = self.begin_buckets((table, node, slot, first, last) for slot, node in found)
-        every = [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
-        return every if not ttl else [row for row in every if not row.expired(ttl)]
+            rows = self.buckets_by_robot(table, first, last, nodes)
+        return [row for row in rows if not row.expired(metadata.ttl)]
+
+    def buckets_by_time(self, table: str, first: int, last: int) -> list[BucketRow]:
+        """Return the buckets of all robots in [first, last] that cr_active lists."""
+        slots = self._slots_between(table, slot_of(first), slot_of(last))
+        asked = (self.begin_active(table, slot, first, last) for slot in slots)
+        return [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
+
+    def buckets_by_robot(
+        self, table: str, first: int, last: int, nodes: Sequence[str] | None = None
+    ) -> list[BucketRow]:
+        """Return the buckets in [first, last] that cr_bucket lists, with its heartbeats.
+
+        Args:
+            nodes: The nodeIDs to read; None = all.
+        """
+        listed = self.nodes(table, slot_of(first), slot_of(last))
+        found = [(slot, node) for slot, node in listed if nodes is None or node in nodes]
+        asked = self.begin_buckets((table, node, slot, first, last) for slot, node in found)
+        return [row for answer in sent_ahead(asked, AT_ONCE) for row in answer()]
 
     def _slots_between(self, table: str, first: int, last: int) -> Iterable[int]:
         """Return the slots in [first, last] that may have buckets of a table."""
@@ -652,9 +669,7 @@ class BucketWalk:
 
     Args:
         nodes: nodeIDs to read; None = all.
-        ttl: Lifetime of the table's rows, seconds; expired buckets are left out.
         few: Whether probably only few of the buckets are needed.
-        by_time: Whether cr_active lists all buckets of the table; see TopicMetadata.
 
     Attributes:
         met: Nodes found so far that have buckets; of a slot with many nodes perhaps only some.
@@ -664,23 +679,22 @@ class BucketWalk:
         self,
         directory: Directory,
         table: str,
+        metadata: TopicMetadata,
         first: int,
         last: int,
         nodes: Sequence[str] | None = None,
-        ttl: int = 0,
         *,
         reverse: bool = False,
         few: bool = False,
-        by_time: bool = False,
     ) -> None:
         self._directory = directory
         self._table = table
         self._ends = first, last
         self._nodes = nodes
-        self._ttl = ttl
+        self._ttl = metadata.ttl
         self._reverse = reverse
         self._few = few
-        self._by_time = directory.reads_by_time(by_time, nodes)
+        self._by_time = directory.reads_by_time(metadata, nodes)
         self.met: set[str] = set()
 
     def groups(self) -> Iterator[BucketGroup]:
@@ -785,7 +799,7 @@ class BucketWalk:
         groups: dict[tuple[int, str], Group] = {}
         for row in found:
             inside = row.bucket >= end if self._reverse else row.bucket <= end
-            if inside and not (self._ttl and row.expired(self._ttl)):
+            if inside and not row.expired(self._ttl):
                 groups.setdefault((row.bucket, row.node), []).append(row)
         return [groups[key] for key in sorted(groups, reverse=self._reverse)], end
 

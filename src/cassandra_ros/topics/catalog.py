@@ -159,9 +159,7 @@ class Catalog:
         return any(
             row.writing and row.age_sec <= STALE_SEC
             for table in tables
-            for row in directory.buckets(
-                table.name, 0, table.bucket_of(LAST_NS), by_time=table.metadata.by_time
-            )
+            for row in directory.buckets(table.name, table.metadata, 0, table.bucket_of(LAST_NS))
         )
 
     def remove(self, topic: str, *, renew: bool = False) -> int:

@@ -88,7 +88,7 @@ def _count(directory: Directory, table: TopicTable, read: Read) -> int:
     if (
         whose.writers is None
         and not metadata.ttl
-        and directory.reads_by_time(metadata.by_time, whose.nodes)
+        and directory.reads_by_time(metadata, whose.nodes)
     ):
         if first <= last:
             count, rows = directory.count_closed(table.name, first, last)
@@ -179,8 +179,7 @@ def buckets_of(
     ends: tuple[int, int] = (-(2**63), 2**63 - 1),
 ) -> list[BucketRow]:
     """Return the buckets of a table with messages of ``whose``, one row for each writer."""
-    metadata = table.metadata
-    rows = directory.buckets(table.name, *ends, whose.nodes, metadata.ttl, by_time=metadata.by_time)
+    rows = directory.buckets(table.name, table.metadata, *ends, whose.nodes)
     return rows if whose.writers is None else [row for row in rows if row.writer in whose.writers]
 
 

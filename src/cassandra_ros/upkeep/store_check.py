@@ -184,7 +184,7 @@ class _Check:
 
     def _buckets(self, table: TopicTable) -> None:
         low, high = (table.bucket_of(t) for t in self._time_range)
-        listed = self._space.directory.buckets(table.name, low, high)  # by robot: see _by_time
+        listed = self._space.directory.buckets_by_robot(table.name, low, high)  # see _by_time
         groups: dict[tuple[str, int], list[BucketRow]] = {}
         for row in listed:
             groups.setdefault((row.node, row.bucket), []).append(row)
@@ -338,9 +338,9 @@ class _Check:
         They have been compared with the rows, so what differs is wrong in cr_active.
         """
         directory, ends, ttl = self._space.directory, (table.name, low, high), table.metadata.ttl
-        active = {_entry(row): row for row in directory.buckets(*ends, by_time=True)}
-        for entry in directory.buckets(*ends, ttl=ttl):
-            if not _differs(entry, active.get(_entry(entry))):
+        active = {_entry(row): row for row in directory.buckets_by_time(*ends)}
+        for entry in directory.buckets_by_robot(*ends):
+            if entry.expired(ttl) or not _differs(entry, active.get(_entry(entry))):
                 continue
             # A client may have opened or closed the bucket between the two reads.
             place = table.name, entry.node, entry.bucket
@@ -376,7 +376,7 @@ class _Check:
         """List the buckets of a table of schema version 1 by time, too, unless one is written."""
         self._space.side_tables.make()
         since_us = self._space.cassandra.server_time_us()
-        rows = self._space.directory.buckets(table.name, -(2**63), 2**63 - 1)
+        rows = self._space.directory.buckets_by_robot(table.name, -(2**63), 2**63 - 1)
         if any(row.writing and row.age_sec <= STALE_SEC for row in rows):
             return
         self._space.directory.list_by_time(table.name, rows, table.metadata.ttl, since_us)

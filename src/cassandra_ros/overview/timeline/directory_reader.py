@@ -143,7 +143,7 @@ class DirectoryReader:
         for (table, _), answer in zip(slot_ranges, sent_ahead(answers, AT_ONCE)):
             length, ttl = table.metadata.bucket_ns, table.metadata.ttl
             times: list[int] = []
-            rows = [row for row in answer() if not (ttl and row.expired(ttl))]
+            rows = [row for row in answer() if not row.expired(ttl)]
             for row in [] if any(row.cut for row in rows) else rows:
                 if row.rows:
                     times += (row.t_min, row.t_max)
