@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import re
 from concurrent.futures import Future
 
 import pytest
@@ -53,9 +54,9 @@ def test_the_store_is_kept_under_its_size_while_it_grows(rosCas, home, caplog): 
         assert keeper.report.nearly_full
     assert times(rosCas, "/b") == []
     assert len(times(rosCas, "/a")) == len(times(rosCas, "/c")) == 100
-    assert [record.message for record in caplog.records] == [
-        "messages that no other store has take 133% of the maximum size"
-    ]
+    # One warning; a check may have come in the middle of the writing.
+    (warned,) = (record.message for record in caplog.records)
+    assert re.fullmatch(r"messages that no other store has take \d+% of the maximum size", warned)
     assert rosCas.losses() == []
     assert messages(home, "/b") == every
 
