@@ -43,10 +43,10 @@ def examples(number, least=1):
     return max(least, round(number * SHARES[ASKED]))
 
 
-def random_statements(number, repeatable=True):
+def random_statements(number, repeatable=True, least=1):
     """Return the settings of a search with this number of random statements."""
     return settings(
-        max_examples=examples(number),
+        max_examples=examples(number, least),
         derandomize=repeatable,
         deadline=None,
         database=None,
