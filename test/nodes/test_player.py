@@ -18,6 +18,7 @@ from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import Int32, String
 
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 
@@ -112,6 +113,26 @@ def test_what_is_played_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
 @pytest.mark.long
 def test_a_bag_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
     record_again(roscore, start, turtle, tmp_path / "again.bag", tuple(turtle.expected))
+
+
+def test_several_stores_are_played_as_one(roscore, fresh):
+    with fresh() as home, fresh() as robot:
+        numbers = robot.addTopic("/n", format="packed")
+        for n in range(60):
+            if n == 40:
+                assert Replicator(robot, home).copy().complete
+            numbers.addData(Int32(n), key=T0 + n * SEC)
+        at = f"{robot.cassandra.hosts[0]}:{robot.cassandra.port}"
+        places = [f"{at}/{home.keyspace}", f"{at}/{robot.keyspace}", "127.0.0.1:1"]
+        options = [word for place in places for word in ("--store", place)]
+        command = ("player", *options, "/n", "-i", "-d", "0", "--wait-for-subscribers")
+        with start_node(roscore, *command) as child:
+            with RawSubscriber(roscore.uri, "/n") as heard:
+                played = [struct.unpack("<i", wire)[0] for wire in heard.rest()]
+            assert child.wait() == 3, child.output
+    assert played == list(range(60))
+    assert "the replay goes on without store 127.0.0.1:1: " in child.output
+    assert child.lines[-1].startswith("player: store 127.0.0.1:1 did not answer")
 
 
 def test_steered_by_services(roscore, player, rosCas):

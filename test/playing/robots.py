@@ -31,13 +31,14 @@ class Robot:
     def flush(self):
         self._writer.flush()
 
-    def send(self, topic, t, text, caller="/a", latched=False):
+    def send(self, topic, t, text, caller="/a", latched=False, count=None):
         key = (topic, caller, latched)
         if key not in self._handles:
             fields = {"latching": "1"} if latched else {}
             connection = string_connection(topic, callerid=caller, **fields)
             self._handles[key] = self._writer.connect(connection, bucket_ns=self._bucket_ns)
         t_ns = T0 + round(t * SEC)
+        self._count = self._count if count is None else count
         self._writer.write(self._handles[key], t_ns, self._count, string_wire(text))
         self._count += 1
 

@@ -19,6 +19,7 @@ from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.playback import Playback
+from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.read_ahead import ReadAhead
 
 SEC = 10**9
@@ -74,7 +75,7 @@ def playing(store):
 
     def start(selection=None, lags=lambda t: False, into=None, **options):
         into = into or Into()
-        stream = Stream(store.catalog, selection or PlaySelection(topics=["/n"]))
+        stream = Stream(PlayedKeyspace(store.catalog), selection or PlaySelection(topics=["/n"]))
         playback = Playback(stream, into, PlayerOptions(**options), lags, lambda played, exc: None)
         thread = threading.Thread(target=playback.run)
         thread.start()
@@ -162,7 +163,7 @@ def test_another_rate_holds_from_now_on(playing):
 
 
 def test_another_rate_does_not_make_up_for_what_is_late(store):
-    stream = Stream(store.catalog, PlaySelection(topics=["/n"]))
+    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
     playback = Playback(stream, Into(), PlayerOptions(), lambda t: False, lambda played, exc: None)
     ticks = [0]
     playback.pace = Pace(T0, 1.0, lambda: ticks[0])
@@ -191,7 +192,7 @@ def test_time_goes_back_before_what_is_latched_comes_again(rosCas):
         robot.send("/map", 0, "m", latched=True)
         for n in range(1, 10):
             robot.send("/tick", n, str(n))
-    stream, into = Stream(rosCas.catalog, PlaySelection()), Told()
+    stream, into = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection()), Told()
     options = PlayerOptions(paused=True, keep_alive=True)
     playback = Playback(stream, into, options, lambda t: False, lambda played, exc: None)
     thread = threading.Thread(target=playback.run)
@@ -244,7 +245,9 @@ def test_it_pauses_before_messages_of_a_topic(playing):
 
 
 def test_nothing_to_play_says_why(playing, store):
-    stream = Stream(store.catalog, PlaySelection(topics=["/n"], start=0.01, duration=0.02))
+    stream = Stream(
+        PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"], start=0.01, duration=0.02)
+    )
     nothing = Playback(stream, Into(), PlayerOptions(), lambda t: False, lambda played, exc: None)
     with pytest.raises(MessageNotFound, match="nothing to play: .* from 2014-07-10T"):
         nothing.run()
@@ -253,7 +256,7 @@ def test_nothing_to_play_says_why(playing, store):
 def test_a_store_that_is_away_for_a_while(store, monkeypatch):
     """Reading goes on after the last message, also between messages of equal times."""
     monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.01)
-    stream = Stream(store.catalog, BOTH)
+    stream = Stream(PlayedKeyspace(store.catalog), BOTH)
     every = list(stream.messages(T0))
     changed, failures = threading.Condition(), iter(range(1, 6))
 
@@ -296,7 +299,7 @@ def test_what_is_latched_may_be_away_or_gone(rosCas, monkeypatch):
             rosCas.getTopic("/a").removeData(run=1)
             return found
 
-    stream, into, lost = Flaky(rosCas.catalog, PlaySelection(start=5)), Into(), []
+    stream, into, lost = Flaky(PlayedKeyspace(rosCas.catalog), PlaySelection(start=5)), Into(), []
     skipped = lambda played, exc: lost.append((played.topic, type(exc)))  # noqa: E731
     Playback(stream, into, PlayerOptions(immediate=True), lambda t: False, skipped).run()
     assert [p.topic for p in into.got] == ["/b", "/tick"]
@@ -304,7 +307,7 @@ def test_what_is_latched_may_be_away_or_gone(rosCas, monkeypatch):
 
 
 def test_no_more_is_read_ahead_than_the_budget(store):
-    stream = Stream(store.catalog, PlaySelection(topics=["/n"]))
+    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
     changed, begun = threading.Condition(), threading.Event()
     taken = []
 
@@ -330,7 +333,7 @@ def test_no_more_is_read_ahead_than_the_budget(store):
 
 
 def test_who_reads_ends_where_it_is_closed_with_its_budget_used_up(store):
-    stream = Stream(store.catalog, PlaySelection(topics=["/n"]))
+    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(topics=["/n"]))
     ended = threading.Event()
 
     def begin(t):

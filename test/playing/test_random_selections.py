@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import random
 from collections import defaultdict
+from contextlib import ExitStack
 from typing import NamedTuple
 
 import pytest
@@ -13,9 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from playing.robots import SEC, T0, Robot, text_of
 
+from cassandra_ros import Fleet
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.played_fleet import PlayedFleet
+from cassandra_ros.playing.played_store import PlayedKeyspace
 
 RUNS = {1: ("r1", 0), 2: ("r1", 7), 3: ("r2", 100), 4: ("", 103)}
 """Writer id -> nodeID and second of the beginning."""
@@ -34,21 +38,32 @@ class SentMessage(NamedTuple):
     text: str
 
 
-@pytest.fixture(scope="module")
-def recordings(fresh):
-    """Four runs on a grid of half seconds, with many equal stamps; /map is latched by two."""
+@pytest.fixture(scope="module", params=["keyspace", "fleet"])
+def recordings(request, fresh):
+    """Four runs on a grid of half seconds, with many equal stamps; /map is latched by two.
+
+    In a fleet one of two stores has a message, or both have it.
+    """
     rand, sent = random.Random(7), []
-    with fresh() as rosCas:
+    with ExitStack() as stack:
+        stores = [stack.enter_context(fresh()) for _ in range(1 + (request.param == "fleet"))]
         for writer, (node, begin) in RUNS.items():
-            with Robot(rosCas, writer, node) as robot:
+            with ExitStack() as robots:
+                each = [robots.enter_context(Robot(store, writer, node)) for store in stores]
                 for count, half in enumerate(sorted(rand.choices(range(24), k=40))):
                     topic = rand.choice(TOPICS)
                     caller = rand.choice("xy") if topic == "/map" else "x"
                     text = rand.choice("klmnopq")
-                    robot.send(topic, begin + half / 2, text, caller, latched=topic == "/map")
+                    latched, t = topic == "/map", begin + half / 2
+                    for robot in rand.sample(each, rand.randint(1, len(each))):
+                        robot.send(topic, t, text, caller, latched=latched, count=count)
                     t = T0 + (2 * begin + half) * SEC // 2
                     sent.append(SentMessage(t, node, writer, count, topic, caller, text))
-        yield rosCas, sorted(sent)
+        if len(stores) == 1:
+            yield PlayedKeyspace(stores[0].catalog), sorted(sent)
+            return
+        places = [f"{s.cassandra.hosts[0]}:{s.cassandra.port}/{s.keyspace}" for s in stores]
+        yield PlayedFleet(stack.enter_context(Fleet(places))), sorted(sent)
 
 
 def shifts(sent, align):
@@ -151,13 +166,13 @@ SELECTIONS = st.builds(
 @settings(max_examples=25)
 @given(selection=SELECTIONS, at=HALVES)
 def test_what_is_played(recordings, selection, at):
-    rosCas, every = recordings
+    store, every = recordings
     wanted = expected(every, selection)
     if isinstance(wanted, type):
         with pytest.raises(wanted):
-            Stream(rosCas.catalog, selection)
+            Stream(store, selection)
         return
-    stream = Stream(rosCas.catalog, selection)
+    stream = Stream(store, selection)
     found = list(stream.messages())
 
     def shown(played):

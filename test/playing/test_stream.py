@@ -22,6 +22,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames
 from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.played_store import PlayedKeyspace
 
 
 def before(store, *args, **options):
@@ -51,7 +52,7 @@ def fill(rosCas):
 
 
 def test_all_topics_in_one_order(filled):
-    stream = Stream(filled.catalog, PlaySelection(end=f"{T0 + 2 * SEC}"))
+    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(end=f"{T0 + 2 * SEC}"))
     assert played(stream) == [
         ("/static", 0, "s1"),
         ("/tick", 0, "t0"),
@@ -88,7 +89,10 @@ def test_all_topics_in_one_order(filled):
     ],
 )
 def test_what_is_chosen(filled, selection, expected):
-    assert texts(p.row for p in Stream(filled.catalog, selection).messages()) == expected
+    assert (
+        texts(p.row for p in Stream(PlayedKeyspace(filled.catalog), selection).messages())
+        == expected
+    )
 
 
 @pytest.mark.parametrize(
@@ -114,7 +118,7 @@ def test_what_is_chosen(filled, selection, expected):
 )
 def test_bad_input_is_named(filled, selection, error, text):
     with pytest.raises(error, match=text):
-        Stream(filled.catalog, selection)
+        Stream(PlayedKeyspace(filled.catalog), selection)
 
 
 def test_a_topic_that_cannot_be_read_here_is_left_out(cassandra, keyspace, rosCas, caplog):
@@ -126,9 +130,11 @@ def test_a_topic_that_cannot_be_read_here_is_left_out(cassandra, keyspace, rosCa
     name = f'"{keyspace}"."{table.name}"'
     rosCas.cassandra.schema_change(f"ALTER TABLE {name} WITH comment = '{comment}'", what="test")
     with RosCassandra(cassandra.host, cassandra.port, keyspace=keyspace) as other:
-        assert [p.topic for p in Stream(other.catalog, PlaySelection()).messages()] == ["/good"]
+        assert [
+            p.topic for p in Stream(PlayedKeyspace(other.catalog), PlaySelection()).messages()
+        ] == ["/good"]
         with pytest.raises(DefinitionError):
-            Stream(other.catalog, PlaySelection(["/good", "/bad"]))
+            Stream(PlayedKeyspace(other.catalog), PlaySelection(["/good", "/bad"]))
     assert "topic /bad is left out, it cannot be read here" in caplog.text
 
 
@@ -145,7 +151,7 @@ def test_names():
 
 
 def test_channels_come_from_the_connections(filled):
-    channels = Stream(filled.catalog, PlaySelection(prefix="/again")).channels()
+    channels = Stream(PlayedKeyspace(filled.catalog), PlaySelection(prefix="/again")).channels()
     assert [(c.topic, c.type, c.latched) for c in channels] == [
         ("/again/static", "std_msgs/String", True),
         ("/again/tick", "std_msgs/String", False),
@@ -155,15 +161,15 @@ def test_channels_come_from_the_connections(filled):
 
 
 def test_what_was_latched_before_the_start(filled):
-    stream = Stream(filled.catalog, PlaySelection(nodeID="r1", start=2))
+    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(nodeID="r1", start=2))
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["s2", "s3"]
     # Before its start nothing is played.
     assert texts(p.row for p in stream.latched(T0 + SEC)) == ["s2", "s3"]
-    stream = Stream(filled.catalog, PlaySelection(nodeID="r1"))
+    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(nodeID="r1"))
     assert texts(p.row for p in stream.latched(T0 + SEC)) == ["s1", "s2"]
     assert texts(p.row for p in stream.latched(T0)) == []
     # A run that has nothing in the window gives nothing.
-    stream = Stream(filled.catalog, PlaySelection(start=86_402))
+    stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(start=86_402))
     assert texts(p.row for p in stream.latched(stream.start_ns)) == ["z1"]
     # The topic alone was sent once, long before.
     assert texts(before(filled, T0 + 9 * SEC, ["/static"], run="run 1")) == [

@@ -84,9 +84,9 @@ def refuse(options: argparse.Namespace, names: Mapping[str, object]) -> None:
         options.parser.error(f"{given} asks one store: it goes without --store")
 
 
-def tell_missing(missing: Mapping[str, str]) -> int:
+def tell_missing(missing: Mapping[str, str], program: str = "cassandra_bag") -> int:
     """Print which stores did not answer; return the exit status."""
     for name, reason in missing.items():
         text = f"store {name} did not answer, what only it has is left out: {reason}"
-        print(error_line("cassandra_bag", text), file=sys.stderr)
+        print(error_line(program, text), file=sys.stderr)
     return STORE_MISSING if missing else 0

@@ -8,6 +8,9 @@ installed. Remap names as everywhere in ROS: /scan:=/old/scan.
 Times are seconds from the first message (12.5), seconds since 1970 (1368021980.25), nanoseconds
 (from 13 digits on) or ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC).
 
+With --store, given once or several times, the messages of all these stores are played as one, each
+once; a store that does not answer is named, and the replay goes on with the others.
+
 On a terminal: space pauses and resumes, s steps while paused, t turns --pause-topics off and on.
 Other nodes control the player by the services ~pause, ~resume, ~step, ~seek, ~setRate, ~stop and
 ~status (and ~pause_playback, as of rosbag play).
@@ -18,9 +21,11 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
 from cassandra_ros.cli.candidates import answer_shell
+from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, tell_missing
 from cassandra_ros.cli.keyboard import Keyboard
 from cassandra_ros.cli.options import (
     add_store_options,
@@ -46,6 +51,8 @@ from cassandra_ros.errors import InvalidName, InvalidOption
 from cassandra_ros.printable import shown, shown_lines
 
 if TYPE_CHECKING:
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.fleet.fleet import Fleet
     from cassandra_ros.nodes.player import PlayerState
     from cassandra_ros.playing.play_options import PlayerOptions
     from cassandra_ros.playing.play_selection import PlaySelection
@@ -81,6 +88,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_pace(parser.add_argument_group("how"))
     _add_names(parser.add_argument_group("on which topics"))
     add_store_options(parser)
+    add_fleet_options(parser)
     return parser
 
 
@@ -214,13 +222,17 @@ def main() -> int:
         if not options.quiet:
             print(shown_lines(text), flush=True)
 
-    with open_store(options) as ros_cas, Keyboard() as keyboard:
+    with ExitStack() as opened:
+        store: RosCassandra | Fleet
+        store = open_fleet(options) if options.stores else open_store(options)
+        opened.enter_context(store)
+        keyboard = opened.enter_context(Keyboard())
         shows = not options.quiet and sys.stdout.isatty()
         line = StatusLine(shows, hint=not options.quiet and keyboard.is_there)
-        state = play(ros_cas, selection, player_options, sys.argv, say, line.show, keyboard.pressed)
+        state = play(store, selection, player_options, sys.argv, say, line.show, keyboard.pressed)
         line.end()
     say(closing_line(state))
-    return 0
+    return tell_missing(state.missing, PROGRAM)
 
 
 class StatusLine:

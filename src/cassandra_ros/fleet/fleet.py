@@ -4,50 +4,54 @@
 
 from __future__ import annotations
 
-import heapq
 import logging
 from dataclasses import replace
 from functools import partial
-from itertools import chain, groupby, islice
+from itertools import chain, islice
 from operator import itemgetter
-from typing import Any, Callable, Iterable, Iterator, Mapping, Sequence, TypeVar
+from typing import Any, Iterable, Iterator, Sequence, TypeVar
 
-from cassandra_ros.arguments import check_limit, check_nodes, check_seconds, check_topics
+from cassandra_ros.arguments import check_limit, check_seconds, check_topics
 from cassandra_ros.connection.address import ANSWER_SEC, DEFAULT_KEYSPACE
 from cassandra_ros.errors import (
-    DefinitionError,
-    EventNotFound,
     InvalidKey,
     InvalidOption,
     InvalidQuery,
     MessageNotFound,
-    RunNotFound,
     TopicNotFound,
 )
-from cassandra_ros.fleet.fleet_answer import AWAY, FleetAnswer, FleetList, FleetRows, told
+from cassandra_ros.fleet.fleet_answer import FleetAnswer, FleetList, FleetRows, settled, told
 from cassandra_ros.fleet.fleet_info import FleetTopicInfo, describe_topic
-from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, key_order, merged_rows
+from cassandra_ros.fleet.fleet_reads import (
+    conditions_of,
+    events_of,
+    merged_topics,
+    rows_of,
+    times_of_events,
+    topic_names,
+    topics_of,
+    whose_of,
+)
+from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.fleet.fleet_store import FleetStore, read_places
 from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
-from cassandra_ros.read import LAST_NS, Named, Read, TimeRange, Whose
+from cassandra_ros.read import LAST_NS, Named, Read, TimeRange
 from cassandra_ros.tables.event_table import Event
 from cassandra_ros.topics.catalog import Conditions
-from cassandra_ros.topics.event_finder import MOST_EVENTS, EventChoice, EventRule
-from cassandra_ros.topics.event_times import EventTimes
-from cassandra_ros.topics.query_result import Condition, QueryResult
+from cassandra_ros.topics.event_finder import EventChoice, EventRule
+from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.topics.row_finder import (
     NEAREST,
     AnyKey,
     Where,
-    checked_where,
     is_ours,
     range_between,
 )
 from cassandra_ros.topics.run_finder import RunName
-from cassandra_ros.topics.stored_row import Key, StoredRow
+from cassandra_ros.topics.stored_row import Key
 
 _log = logging.getLogger(__name__)
 _T = TypeVar("_T")
@@ -71,6 +75,9 @@ class Fleet:
         cqlshrc, credentials: Files with the login for stores that name none, as in class Cassandra.
         consistency: Name of a consistency level, as in class Cassandra.
 
+    Attributes:
+        stores: The stores, in this order.
+
     Raises:
         InvalidOption: A store is given twice or is not of this form, or the file is not valid.
     """
@@ -90,11 +97,11 @@ class Fleet:
         if not limit_sec:
             raise InvalidOption("answer_sec=0: no store answers at once; give seconds, as 10.0")
         places = read_places(stores, file, keyspace, cqlshrc, credentials)
-        self._stores = [FleetStore(place, consistency, limit_sec) for place in places]
+        self.stores = [FleetStore(place, consistency, limit_sec) for place in places]
 
     def close(self) -> None:
         """Close the connections. A second call does nothing."""
-        for store in self._stores:
+        for store in self.stores:
             store.close()
 
     def __enter__(self) -> Fleet:
@@ -104,17 +111,17 @@ class Fleet:
         self.close()
 
     def __repr__(self) -> str:
-        return f"<Fleet of {', '.join(store.name for store in self._stores)}>"
+        return f"<Fleet of {', '.join(store.name for store in self.stores)}>"
 
     def hurry(self) -> None:
         """End all waits soon, because the program has to end; a signal handler may call it."""
-        for store in self._stores:
+        for store in self.stores:
             store.hurry()
 
     def topics(self) -> FleetList[str]:
         """Return the names of all topics, sorted."""
-        answer = FleetAnswer(self._stores)
-        return FleetList(_all_names(answer), answer)
+        answer = FleetAnswer(self.stores)
+        return FleetList(topic_names(answer), answer)
 
     def info(
         self,
@@ -133,14 +140,14 @@ class Fleet:
         Raises:
             TopicNotFound: No store has one of the topics; the text names all stores.
         """
-        names, answer = check_topics(topics), FleetAnswer(self._stores)
+        names, answer = check_topics(topics), FleetAnswer(self.stores)
 
         def describe() -> list[FleetTopicInfo]:
-            whose = _whose(answer, nodeID, run)
-            found = _topics(answer, names)
+            whose = whose_of(answer, nodeID, run)
+            found = topics_of(answer, names)
             return [info for topic in found for info in describe_topic(answer, topic, whose)]
 
-        return FleetList(_settled(answer, describe), answer)
+        return FleetList(settled(answer, describe), answer)
 
     def rows(
         self,
@@ -166,15 +173,15 @@ class Fleet:
             SchemaConflict: The stores have different key formats for it.
             StoreUnavailable: No store answers.
         """
-        limit, answer = check_limit(limit), FleetAnswer(self._stores)
+        limit, answer = check_limit(limit), FleetAnswer(self.stores)
 
         def begin() -> Iterator[FleetRow]:
-            whose = _whose(answer, nodeID, run)
+            whose = whose_of(answer, nodeID, run)
             found = find_topic(answer, topic)
             read = replace(found.read_of(key, to_key, whose), reverse=reverse, wanted=limit)
-            return islice(_rows_of(found, read, where), limit)
+            return islice(rows_of(found, read, where), limit)
 
-        return FleetRows(_settled(answer, begin), answer)
+        return FleetRows(settled(answer, begin), answer)
 
     def items(
         self,
@@ -220,9 +227,9 @@ class Fleet:
         Args:
             topic, key, nearest, nodeID, where, run: As in getData, also the errors.
         """
-        answer = FleetAnswer(self._stores)
+        answer = FleetAnswer(self.stores)
         find = partial(_find, answer, topic, key, nearest, where, nodeID, run)
-        return _settled(answer, find)
+        return settled(answer, find)
 
     def getData(
         self,
@@ -257,9 +264,9 @@ class Fleet:
             return pairs.listed(itemgetter(1))
         if key is None:
             raise InvalidKey("getData needs a key (and to_key for a time range); items() reads all")
-        answer = FleetAnswer(self._stores)
+        answer = FleetAnswer(self.stores)
         find = partial(_find, answer, topic, key, nearest, where, nodeID, run)
-        row = _settled(answer, find)
+        row = settled(answer, find)
         if row is not None:
             message = row.message()
             if answer.partial:
@@ -296,18 +303,21 @@ class Fleet:
             TopicNotFound: No store has one of the topics; the text names all stores.
             EventNotFound: No store has such an event of that time, robot and run.
         """
-        names, answer = check_topics(topics), FleetAnswer(self._stores)
+        names, answer = check_topics(topics), FleetAnswer(self.stores)
 
         def begin() -> Iterator[FleetRow]:
-            read = Read(range_between(key, to_key), _whose(answer, nodeID, run))
-            found = _topics(answer, names)
-            conditions = _conditions(answer, found, where)
-            parts = _during(answer, event, read)
+            read = Read(range_between(key, to_key), whose_of(answer, nodeID, run))
+            found = topics_of(answer, names)
+            conditions = conditions_of(answer, found, where)
+            choice = EventChoice.of(event)
+            parts = [read]
+            if choice is not None:
+                parts = times_of_events(answer, choice, read).reads(read)
             return chain.from_iterable(
-                _merged(answer, found, part, conditions, received) for part in parts
+                merged_topics(answer, found, part, conditions, received) for part in parts
             )
 
-        return FleetRows(_settled(answer, begin), answer)
+        return FleetRows(settled(answer, begin), answer)
 
     def events(
         self,
@@ -326,13 +336,13 @@ class Fleet:
         Args:
             name, key, to_key, like, nodeID, run: As in RosCassandra.events, also the errors.
         """
-        answer = FleetAnswer(self._stores)
+        answer = FleetAnswer(self.stores)
 
         def begin() -> Iterator[Event]:
-            whose = _whose(answer, nodeID, run)
-            return _events(answer, name, like, range_between(key, to_key), whose)
+            whose = whose_of(answer, nodeID, run)
+            return events_of(answer, name, like, range_between(key, to_key), whose)
 
-        return FleetRows(_settled(answer, begin), answer)
+        return FleetRows(settled(answer, begin), answer)
 
     def executeCQL(
         self,
@@ -375,163 +385,18 @@ class Fleet:
             reason = "a fleet is only read: run the statement at the store that it changes"
             text = select.text
             raise InvalidQuery(text, len(text) - len(text.lstrip()), reason)
-        answer = FleetAnswer(self._stores)
+        answer = FleetAnswer(self.stores)
 
         def begin() -> QueryResult:
-            whose = _whose(answer, nodeID, run)
+            whose = whose_of(answer, nodeID, run)
             try:
                 found = find_topic(answer, select.topic)
             except TopicNotFound as exc:
                 raise InvalidQuery(select.text, select.topic_position, str(exc)) from exc
             return QueryResult(select, found, whose, limit=limit)
 
-        result = _settled(answer, begin)
+        result = settled(answer, begin)
         return FleetRows(iter(result), answer, result.columns)
-
-
-def _settled(answer: FleetAnswer, make: Callable[[], _T]) -> _T:
-    """Return what a function makes; call it again without a store that went away meanwhile."""
-    while True:
-        try:
-            return make()
-        except AWAY as exc:
-            answer.probed(exc)
-
-
-def _whose(answer: FleetAnswer, node: str | None, run: RunName) -> Whose:
-    """Return the robot, and the writers that a run has in any store; raises RunNotFound."""
-    nodes = check_nodes(node)
-    if run is None:
-        return Whose(nodes)
-    reasons: list[str] = []
-
-    def find(name: str) -> frozenset[int]:
-        try:
-            return answer.catalogs[name].keyspace.runs.writers(run) or frozenset()
-        except RunNotFound as exc:
-            reasons.append(f"{name}: {exc}")
-            return frozenset()
-
-    found = answer.each({name: name for name in answer.catalogs}, find)
-    writers = frozenset().union(*found.values())
-    if not writers:
-        away = f"; these do not answer: {told(answer.missing)}" if answer.partial else ""
-        raise RunNotFound(f"no store of the fleet has run {run!r:.80} – {'; '.join(reasons)}{away}")
-    return Whose(nodes, writers)
-
-
-def _events(
-    answer: FleetAnswer, name: str | None, like: str | None, within: TimeRange, whose: Whose
-) -> Iterator[Event]:
-    """Yield the events of all stores in order of their starts, each once."""
-    finders = {store: c.keyspace.events.find for store, c in answer.catalogs.items()}
-    begins = {store: partial(find, name, like, within, whose) for store, find in finders.items()}
-    merged = heapq.merge(*answer.rows(begins).values(), key=Event.order)
-    copies = (list(group) for _, group in groupby(merged, key=Event.order))
-    # It may have ended in one store and last in a copy.
-    return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
-
-
-def _during(answer: FleetAnswer, rule: EventRule, read: Read) -> Sequence[Read]:
-    """Return the reads of messages during events; without a rule the whole read."""
-    choice = EventChoice.of(rule)
-    if choice is None:
-        return [read]
-    name, before, after = choice
-    low, high = read.time_range
-    within = TimeRange(max(0, low - after), min(LAST_NS, high + before))
-    events = list(islice(_events(answer, name, None, within, read.whose), MOST_EVENTS + 1))
-    if len(events) > MOST_EVENTS:
-        raise InvalidOption(
-            f"there are more than {MOST_EVENTS} events {name!r:.80}: give a shorter time range"
-        )
-    if not events:
-        away = f"; these do not answer: {told(answer.missing)}" if answer.partial else ""
-        raise EventNotFound(
-            f"no store of the fleet has an event {name!r:.80} of this time, robot and run{away}"
-        )
-    return EventTimes(events, before, after).reads(read)
-
-
-def _all_names(answer: FleetAnswer) -> list[str]:
-    return sorted(
-        set().union(*answer.each(answer.catalogs, lambda c: c.names(fresh=False)).values())
-    )
-
-
-def _topics(answer: FleetAnswer, names: Sequence[str] | None) -> list[FleetTopic]:
-    """Return topics, each once whatever its spelling; None = all that can be read."""
-    found: dict[frozenset[tuple[str, str]], FleetTopic] = {}
-    for name in _all_names(answer) if names is None else names:
-        try:
-            topic = find_topic(answer, name)
-        except DefinitionError as exc:
-            if names is not None:
-                raise
-            _log.error("topic %s is left out, it cannot be read here: %s", name, exc)
-            continue
-        found.setdefault(frozenset(topic.names.items()), topic)
-    return list(found.values())
-
-
-def _conditions(
-    answer: FleetAnswer, topics: Sequence[FleetTopic], where: Conditions
-) -> dict[str, Where]:
-    """Return the condition of each topic that has one."""
-    if where is None:
-        return {}
-    if not isinstance(where, Mapping):
-        raise InvalidOption(f"where= is a mapping of topics to conditions, not {where!r:.80}")
-    found: dict[str, Where] = {}
-    for name, condition in where.items():
-        topic = find_topic(answer, name).name
-        if topic not in [each.name for each in topics]:
-            raise InvalidOption(f"there is a condition for topic {topic}, which is not read")
-        if topic in found:
-            raise InvalidOption(f"there are two conditions for topic {topic}; join them")
-        found[topic] = condition
-    return found
-
-
-def _rows_of(topic: FleetTopic, read: Read, where: Where | None) -> Iterator[FleetRow]:
-    """Yield the rows of a read that satisfy a condition."""
-    if where is None:
-        return topic.read(read)
-    condition = Condition(*checked_where(where))
-    if read.only is None:
-        return condition.rows(topic, read)
-    return filter(condition.test(topic.tables, read.whose), topic.read(read))
-
-
-def _merged(
-    answer: FleetAnswer,
-    topics: Sequence[FleetTopic],
-    read: Read,
-    conditions: Mapping[str, Where],
-    received: bool,
-) -> Iterator[FleetRow]:
-    """Yield the rows of several topics; those without a condition are read together."""
-    order = arrival_order if received else key_order
-    plain: dict[str, list[str]] = {name: [] for name in answer.catalogs}
-    streams: list[Iterator[FleetRow]] = []
-    for topic in topics:
-        where = conditions.get(topic.name)
-        if where is None and topic.key_format != "hash":
-            for store, name in topic.names.items():
-                plain.setdefault(store, []).append(name)
-        elif received and where is not None:
-            test = Condition(*checked_where(where)).test(topic.tables, read.whose)
-            streams.append(filter(test, topic.received(read)))
-        else:
-            streams.append(topic.received(read) if received else _rows_of(topic, read, where))
-
-    def begin(store: str) -> Iterator[StoredRow]:
-        catalog = answer.catalogs[store]
-        return catalog.merged(catalog.tables(plain[store]), {}, read, received=received)
-
-    begins = {store: partial(begin, store) for store, names in plain.items() if names}
-    streams.append(merged_rows(answer, begins, order))
-    return heapq.merge(*streams, key=order)
 
 
 def _find(
@@ -544,16 +409,16 @@ def _find(
     run: RunName,
 ) -> FleetRow | None:
     """Return the row that getData means by a key."""
-    whose, found = _whose(answer, node, run), find_topic(answer, topic)
+    whose, found = whose_of(answer, node, run), find_topic(answer, topic)
     if nearest is not None:
         return _nearest(found, found.read_of(key, None, whose), nearest, where)
     read = found.read_of_one(key, whose)
     if is_ours(key) and whose.has(key):
         at = key.t if isinstance(read.only, Named) else key.ns
-        rows = _rows_of(found, read, where)
+        rows = rows_of(found, read, where)
         return next((r for r in rows if (r.t, r.node, r.seq) == (at, key.node, key.seq)), None)
     newest = isinstance(read.only, Named)  # of one name the newest; of equal values the first
-    return next(_rows_of(found, replace(read, reverse=newest, wanted=1), where), None)
+    return next(rows_of(found, replace(read, reverse=newest, wanted=1), where), None)
 
 
 def _nearest(topic: FleetTopic, read: Read, nearest: str, where: Where | None) -> FleetRow | None:
@@ -567,10 +432,10 @@ def _nearest(topic: FleetTopic, read: Read, nearest: str, where: Where | None) -
     before = after = None
     if nearest != "before":
         later = replace(read, time_range=TimeRange(t, LAST_NS), wanted=1)
-        after = next(_rows_of(topic, later, where), None)
+        after = next(rows_of(topic, later, where), None)
     if nearest != "after":
         earlier = replace(read, time_range=TimeRange(0, t), reverse=True, wanted=2)
-        for row in _rows_of(topic, earlier, where):
+        for row in rows_of(topic, earlier, where):
             if before is not None and row.t != before.t:
                 break
             before = row  # in descending order the last of equal stamps comes first

@@ -207,3 +207,12 @@ class FleetList(List[_T]):
     def partial(self) -> bool:
         """Whether a store did not answer, so that its messages may be missing."""
         return bool(self.missing)
+
+
+def settled(answer: FleetAnswer, make: Callable[[], _T]) -> _T:
+    """Return what a function makes; call it again without a store that went away meanwhile."""
+    while True:
+        try:
+            return make()
+        except AWAY as exc:
+            answer.probed(exc)

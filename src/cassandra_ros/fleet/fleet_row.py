@@ -110,6 +110,11 @@ class FleetRow:
         return (self.t, self.node, self.seq, self.name)
 
     @property
+    def arrival(self) -> tuple[int, str, int, str]:
+        """Position of the row in the order of reads by receive time."""
+        return (self.received, self.node, self.seq, self.table.name)
+
+    @property
     def key(self) -> Key:
         """Row key: exact time or name, with the place of the row in the first store."""
         return self._copies[0][1].key
@@ -123,6 +128,12 @@ class FleetRow:
             CorruptMessage: It is damaged in each store.
         """
         return self._ask(lambda row: row.wire)
+
+    def keep_wire(self) -> bytes:
+        """Return the serialised message, and release the columns from which it was made."""
+        wire = self._ask(lambda row: row.keep_wire())
+        self.columns = ()
+        return wire
 
     @property
     def connection(self) -> Connection:

@@ -15,6 +15,7 @@ import rospy
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError, InvalidOption
+from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.nodes.outlets import Outlets, PlayedTopic
@@ -25,6 +26,8 @@ from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import PlayedMessage, Stream
 from cassandra_ros.playing.play_times import PlayTime, read_when
 from cassandra_ros.playing.playback import ENDED, Playback
+from cassandra_ros.playing.played_fleet import PlayedFleet
+from cassandra_ros.playing.played_store import PlayedKeyspace, PlayedStore
 from cassandra_ros.recording.message_buffer import starts_with_header
 
 _log = logging.getLogger(__name__)
@@ -49,6 +52,8 @@ class PlayerState:
     read_ahead: int
     """Size of the messages that are read and not yet played, bytes."""
     topics: list[PlayedTopic]
+    missing: Mapping[str, str]
+    """The stores of a fleet that did not answer so far, or not to the end → why."""
 
 
 class Player:
@@ -59,7 +64,8 @@ class Player:
     other busy threads ``sys.setswitchinterval(0.0002)`` makes publishing more punctual.
 
     Args:
-        rosCas: The open keyspace; the caller closes it after the player.
+        rosCas: The open keyspace, or a fleet, whose stores are played as one; the caller closes it
+            after the player.
         selection: Messages to be played; default: all.
         options: Options of the replay.
 
@@ -70,14 +76,13 @@ class Player:
 
     def __init__(
         self,
-        rosCas: RosCassandra,
+        rosCas: RosCassandra | Fleet,
         selection: PlaySelection | None = None,
         options: PlayerOptions | None = None,
     ) -> None:
         self.options = options = options or PlayerOptions()
         """Options of the replay."""
-        self._rosCas = rosCas
-        self._stream = Stream(rosCas.catalog, selection or PlaySelection())
+        self._stream = Stream(_played(rosCas), selection or PlaySelection())
         self._outlets: Outlets | None = None
         self._registration = Registration()
         self._control: rospy.Subscriber | None = None
@@ -191,6 +196,7 @@ class Player:
             playback.pace.rate,
             playback.read_ahead_bytes,
             [] if self._outlets is None else self._outlets.topics(),
+            dict(stream.missing),
         )
 
     def __enter__(self) -> Player:
@@ -203,11 +209,7 @@ class Player:
 
     def _warn_of_losses(self) -> None:
         """Log the losses in the time range that is played."""
-        selection, stream = self._stream.selection, self._stream
-        ends = (None, None) if selection.align_start else (stream.start_ns, stream.end_ns)
-        losses = self._rosCas.losses(
-            stream.topics, *ends, nodeID=selection.nodeID, run=selection.run
-        )
+        losses = self._stream.losses()
         for loss in losses[:MAX_LOSSES]:
             _log.warning(
                 "%s messages of topic %s from %s to %s were not recorded: %s",
@@ -310,3 +312,7 @@ class Player:
         _, secs, nsecs = _SEQ_AND_STAMP.unpack_from(wire)
         self._control_ns = secs * SECOND_NS + nsecs
         self._playback.wake()
+
+
+def _played(asked: RosCassandra | Fleet) -> PlayedStore:
+    return PlayedFleet(asked) if isinstance(asked, Fleet) else PlayedKeyspace(asked.catalog)

@@ -15,6 +15,7 @@ from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger, Trig
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import CassandraRosError
+from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
 from cassandra_ros.nodes.player import Player, PlayerState
@@ -58,7 +59,7 @@ Keys = Callable[[], str]
 
 
 def play(
-    ros_cas: RosCassandra,
+    store: RosCassandra | Fleet,
     selection: PlaySelection,
     options: PlayerOptions,
     argv: Sequence[str],
@@ -69,7 +70,7 @@ def play(
     """Play until the end, a signal or the master ends it; return the last state.
 
     Args:
-        ros_cas: The open keyspace.
+        store: The open keyspace, or the fleet.
         selection: Messages to be played.
         options: Options of the replay.
         argv: The command line, with remappings.
@@ -77,14 +78,15 @@ def play(
         show: Shows the state of the player; called every POLL_SEC.
         keys: Returns the keys pressed since the last call.
     """
-    player = Player(ros_cas, selection, options)  # raises errors before the node is started
+    player = Player(store, selection, options)  # raises errors before the node is started
     sys.setswitchinterval(SWITCH_SEC)
     _start_node(argv)
+    hurry = store.hurry if isinstance(store, Fleet) else store.cassandra.outage.hurry
     signals: list[int] = []
 
     def signalled(number: int, frame: FrameType | None) -> None:
         signals.append(number)
-        ros_cas.cassandra.outage.hurry()
+        hurry()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)
@@ -93,8 +95,12 @@ def play(
         say(f"services under {rospy.get_name()}")
         player.start()
         _say_what(player, say)
-        stopped = 0
+        stopped, missing = 0, 0
         while not player.wait(POLL_SEC):
+            away = list(player.stream.missing.items())
+            for name, reason in away[missing:]:
+                _log.warning("the replay goes on without store %s: %s", name, reason)
+            missing = len(away)
             if len(signals) > stopped or (rospy.is_shutdown() and not stopped):
                 stopped += 1
                 player.stop(abandon=stopped > 1)

@@ -13,7 +13,7 @@ import logging
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Callable, Dict, Iterable, Iterator, Sequence, Tuple
+from typing import Callable, Dict, Iterable, Iterator, Protocol, Sequence, Tuple, TypeVar
 
 from cassandra_ros.arguments import check_topics
 from cassandra_ros.errors import CorruptMessage
@@ -37,6 +37,57 @@ Publisher = Tuple[Source, int]
 """A run, and the number of one of its connections in a table."""
 Tests = Dict[str, Callable[[StoredRow], bool]]
 """Topic → test whether a message is wanted; of topics that are not in it all messages are."""
+
+
+class LatchedRow(Protocol):
+    """What is asked of a row here, see StoredRow."""
+
+    @property
+    def node(self) -> str:
+        """NodeID."""
+
+    @property
+    def seq(self) -> int:
+        """Writer id << 32 | counter."""
+
+    @property
+    def conn(self) -> int:
+        """Number of its connection."""
+
+    @property
+    def connection(self) -> Connection:
+        """The connection."""
+
+    @property
+    def table(self) -> TopicTable:
+        """Table of the message."""
+
+    @property
+    def arrival(self) -> tuple[int, str, int, str]:
+        """Position of the row in the order of reads by receive time."""
+
+
+_Row = TypeVar("_Row", bound=LatchedRow, covariant=True)
+
+
+class Latched(Protocol[_Row]):
+    """Finds latched messages, see LatchedFinder."""
+
+    @property
+    def latches(self) -> bool:
+        """Whether there is a latched connection."""
+
+    def is_latched(self, row: LatchedRow) -> bool:
+        """Return whether a message came over a latched connection."""
+
+    def before(self, t: int, to: int = LAST_NS) -> Sequence[_Row]:
+        """Return the last latched message before t of each publisher with messages in [t, to]."""
+
+    def sources(self, t: int, to: int) -> frozenset[Source]:
+        """Return the runs that have messages of any topic in [t, to]."""
+
+    def of_sources(self, sources: frozenset[Source], t: int, since: int = 0) -> Sequence[_Row]:
+        """Return the last latched message in [since, t) of each publisher of some runs."""
 
 
 def latched_before(
@@ -125,7 +176,7 @@ class LatchedFinder:
         """Whether the tables have a latched connection."""
         return bool(self._latched)
 
-    def is_latched(self, row: StoredRow) -> bool:
+    def is_latched(self, row: LatchedRow) -> bool:
         """Return whether a message came over a latched connection."""
         if row.table.name in {table.name for table in self._tables}:
             return row.conn in self._latched.get(row.table.name, ())
@@ -230,6 +281,9 @@ class LatchedFinder:
         return test is None or test(row)
 
 
+_Found = TypeVar("_Found", bound=LatchedRow)
+
+
 class LatchedRecord:
     """The latched messages of one source that were given already."""
 
@@ -238,7 +292,7 @@ class LatchedRecord:
         self._looked: dict[Source, int] = {}
         """For each robot and writer the time up to which latched messages were searched for, ns."""
 
-    def changes(self, finder: LatchedFinder, low: int, high: int) -> list[StoredRow]:
+    def changes(self, finder: Latched[_Found], low: int, high: int) -> list[_Found]:
         """Return the messages latched before ``low`` and not given yet; record them as given."""
         if not finder.latches:
             return []
@@ -250,16 +304,16 @@ class LatchedRecord:
         self._looked.update(dict.fromkeys(sources, low))
         return rows
 
-    def _is_new(self, row: StoredRow) -> bool:
+    def _is_new(self, row: LatchedRow) -> bool:
         last = self._last.get((row.table.name, publisher_of(row)))
         return last is None or last < row.arrival
 
-    def note(self, row: StoredRow) -> None:
+    def note(self, row: LatchedRow) -> None:
         """Record a message as given."""
         self._last[row.table.name, publisher_of(row)] = row.arrival
 
 
-def publisher_of(row: StoredRow) -> Publisher:
+def publisher_of(row: LatchedRow) -> Publisher:
     """Return the publisher of a message: its run, and the number of its connection in the table."""
     return (row.node, split_seq(row.seq)[0]), row.conn
 

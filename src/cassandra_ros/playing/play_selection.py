@@ -11,7 +11,8 @@ from typing import Mapping, Sequence, Union
 from cassandra_ros.arguments import check_ros_name, check_topics
 from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.playing.play_times import PlayTime
-from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.playing.played_store import PlayedStore
+from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.patterns import compiled, matching
 from cassandra_ros.topics.row_finder import Where
@@ -74,7 +75,7 @@ class PlaySelection:
     event: EventRule = None
 
 
-def chosen_topics(catalog: Catalog, selection: PlaySelection) -> list[str]:
+def chosen_topics(store: PlayedStore, selection: PlaySelection) -> list[str]:
     """Return the names of the topics that are played, sorted.
 
     Raises:
@@ -83,28 +84,27 @@ def chosen_topics(catalog: Catalog, selection: PlaySelection) -> list[str]:
     """
     given, names = check_topics(selection.topics), set()
     if selection.regex and given is not None:
-        stored = {topic.name for topic in catalog.all(None)}
-        names = matching("topic", given, stored, f"keyspace {catalog.keyspace.name}")
+        names = matching("topic", given, set(store.names()), store.called)
     elif given is not None:
-        names = {catalog.get(name).name for name in given}
+        names = {store.name_of(name) for name in given}
     else:
-        names = {topic.name for topic in catalog.all(None)}
+        names = set(store.names())
     if selection.exclude:
         pattern = compiled("exclude", selection.exclude)
         names = {name for name in names if not pattern.fullmatch(name)}
     if selection.regex or given is None:  # a topic given by name raises its error later
-        names = {name for name in names if _is_readable(catalog, name)}
+        names = {name for name in names if _is_readable(store, name)}
     if not names:
         raise TopicNotFound(
-            f"there is no topic to play in keyspace {catalog.keyspace.name}"
+            f"there is no topic to play in {store.called}"
             + (f": exclude {selection.exclude!r:.80} leaves none" if selection.exclude else "")
         )
     return sorted(names)
 
 
-def _is_readable(catalog: Catalog, topic: str) -> bool:
+def _is_readable(store: PlayedStore, topic: str) -> bool:
     try:
-        _ = catalog.get(topic).tables
+        store.check_readable(topic)
     except DefinitionError as exc:
         _log.error("topic %s is left out, it cannot be read here: %s", topic, exc)
         return False

@@ -9,18 +9,13 @@ from functools import cached_property
 from typing import FrozenSet, Iterable, Iterator, Optional, Sequence
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.overview.latched_messages import (
-    LatchedFinder,
-    LatchedRecord,
-    tests_of,
-)
+from cassandra_ros.overview.latched_messages import Latched, LatchedRecord
+from cassandra_ros.playing.played_store import PlayedRow, PlayedStore
 from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Read, TimeRange, Whose
-from cassandra_ros.topics.catalog import Catalog, Conditions
+from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.event_times import EventTimes, Reads
-from cassandra_ros.topics.row_finder import Filter, Where
-from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.topics.topic_table import TopicTable
+from cassandra_ros.topics.row_finder import Where
 
 Writers = Optional[FrozenSet[int]]
 """Writer ids; None = all, {0} = rows without a writer id."""
@@ -34,7 +29,7 @@ class PlaySource:
     and the times that they return are on that time line.
     """
 
-    catalog: Catalog
+    store: PlayedStore
     topics: Sequence[str]
     whose: Whose
     """nodeIDs and writer ids of its messages. The writer ids {0} mean rows that name no writer."""
@@ -67,14 +62,14 @@ class PlaySource:
         row = next(self._stored(self.chosen), None)
         return None if row is None else row.received
 
-    def rows(self, time_range: TimeRange) -> Iterator[tuple[int, StoredRow]]:
+    def rows(self, time_range: TimeRange) -> Iterator[tuple[int, PlayedRow]]:
         """Yield its rows in a time range, each with its time."""
         inner = self._received(time_range)
         return ((row.received + self.shift, row) for row in self._stored(inner))
 
     def rows_noting_latched(
         self, time_range: TimeRange, sent: LatchedRecord
-    ) -> Iterator[tuple[int, StoredRow]]:
+    ) -> Iterator[tuple[int, PlayedRow]]:
         """Yield the rows as ``rows`` does, and record in ``sent`` the latched ones."""
         for t, row in self.rows(time_range):
             if self._finder.is_latched(row):
@@ -86,12 +81,12 @@ class PlaySource:
         low, high = time_range.low - self.shift, time_range.high - self.shift
         return TimeRange(max(0, low, self.chosen.low), min(high, self.chosen.high))
 
-    def _stored(self, time_range: TimeRange) -> Iterator[StoredRow]:
+    def _stored(self, time_range: TimeRange) -> Iterator[PlayedRow]:
         if time_range.low > time_range.high:
             return iter(())
         whole = Read(time_range, self.whose)
         parts = [whole] if self.times is None else self.times.reads(whole)
-        return self.catalog.read_parts(self.topics, Reads(whole, parts), self.where, received=True)
+        return self.store.rows(self.topics, Reads(whole, parts), self.where)
 
     def events(self, time_range: TimeRange) -> Iterator[TimeRange]:
         """Yield the time ranges of its events in a time range, in order."""
@@ -101,36 +96,25 @@ class PlaySource:
 
     def hits(self, topic: str, condition: Where, time_range: TimeRange) -> Iterator[int]:
         """Yield the times of the messages of a topic that satisfy a condition, ns."""
-        inner, stored_topic = self._received(time_range), self.catalog.get(topic)
+        inner = self._received(time_range)
         if inner.low > inner.high:
             return iter(())
-        read = Read(inner, self.whose)
-        if any(table.metadata.own_time or table.named for table in stored_topic.tables):
-            rows = self.catalog.read([topic], read, {topic: condition}, received=True)
-        else:
-            rows = Filter(stored_topic, condition, self.whose).rows(read, bare=True)
+        rows = self.store.hits(topic, condition, Read(inner, self.whose))
         return (row.received + self.shift for row in rows)
 
     @cached_property
-    def _tables(self) -> list[TopicTable]:
-        return list({e.table.name: e.table for e in self.stored_ranges}.values())
-
-    @cached_property
-    def _finder(self) -> LatchedFinder:
-        tests = tests_of(self.catalog, self.where, self.whose)
-        return LatchedFinder(self.catalog.keyspace, self._tables, self.whose, tests)
+    def _finder(self) -> Latched[PlayedRow]:
+        return self.store.latched(self.topics, self.whose, self.where)
 
     def latched(
         self, window: TimeRange, sent: LatchedRecord | None = None
-    ) -> list[tuple[int, StoredRow]]:
+    ) -> list[tuple[int, PlayedRow]]:
         """Return the messages latched before a window, in order of reception: time and row."""
         low, high = window.low - self.shift, window.high - self.shift
         if low <= min(stored_range.first for stored_range in self.stored_ranges):
             return []  # the source has no earlier message
-        if sent is None:
-            rows = self._finder.before(low, high)
-        else:
-            rows = sent.changes(self._finder, low, high)
+        finder = self._finder
+        rows = finder.before(low, high) if sent is None else sent.changes(finder, low, high)
         return [(row.received + self.shift, row) for row in rows]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import replace
-from typing import Iterator, NamedTuple, Sequence, Tuple
+from typing import Iterator, Mapping, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, SECOND_NS, split_seq
@@ -20,6 +20,7 @@ from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
 from cassandra_ros.playing.play_source import PlaySource, with_first_times
 from cassandra_ros.playing.play_times import check_length, read_when, resolve_times
+from cassandra_ros.playing.played_store import PlayedRow, PlayedStore
 from cassandra_ros.playing.robot_alignment import (
     aligned,
     check_alignment,
@@ -27,13 +28,12 @@ from cassandra_ros.playing.robot_alignment import (
     split_sources,
     valid_name,
 )
-from cassandra_ros.playing.stored_ranges import StoredRange, stored_ranges
+from cassandra_ros.playing.stored_ranges import StoredRange
 from cassandra_ros.read import Read, TimeRange
-from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.event_finder import EventChoice
 from cassandra_ros.topics.hit_windows import WindowPart, joined, merge_windows
 from cassandra_ros.topics.row_finder import Where
-from cassandra_ros.topics.stored_row import StoredRow
 
 PIECE_NS = 60 * SECOND_NS
 """Maximum length of a piece of a window, ns.
@@ -78,7 +78,7 @@ class WindowRule(NamedTuple):
         )
 
 
-_Timed = Tuple[int, StoredRow]
+_Timed = Tuple[int, PlayedRow]
 """Time on the replay's time line, ns, and row."""
 
 
@@ -87,7 +87,7 @@ class PlayedMessage(NamedTuple):
 
     t: int
     """Time on the replay's time line, ns."""
-    row: StoredRow
+    row: PlayedRow
     topic: str
     """Name under which it is published."""
     window: TimeRange
@@ -130,8 +130,8 @@ class Stream:
         InvalidName, InvalidQuery: A name or a condition cannot be read.
     """
 
-    def __init__(self, catalog: Catalog, selection: PlaySelection) -> None:
-        self._catalog = catalog
+    def __init__(self, store: PlayedStore, selection: PlaySelection) -> None:
+        self._store = store
         self.selection = selection
         self._names = PublishedNames(selection.prefix, selection.remap)
         self._align = check_alignment(selection.align_start)
@@ -143,7 +143,7 @@ class Stream:
         self._event = EventChoice.of(selection.event)
         if self._event is not None and self._around is not None:
             raise InvalidOption("an event and around were given: give one of them")
-        self.topics = chosen_topics(catalog, selection)
+        self.topics = chosen_topics(store, selection)
         self._stored_ranges = self._find_stored_ranges()
         self._play_sources = self._find_sources(start, end)
         if self._align:
@@ -157,9 +157,8 @@ class Stream:
 
     def _find_stored_ranges(self) -> list[StoredRange]:
         asked = self.selection
-        self._whose = self._catalog.whose(asked.nodeID, asked.run)
-        tables = self._catalog.tables(self.topics)
-        ranges = stored_ranges(self._catalog.keyspace, tables, self._whose)
+        self._whose = self._store.whose(asked.nodeID, asked.run)
+        ranges = self._store.ranges(self.topics, self._whose)
         if ranges:
             return ranges
         node = "" if asked.nodeID is None else f" of node {asked.nodeID!r}"
@@ -174,9 +173,9 @@ class Stream:
         asked = self.selection
         times = None
         if self._event is not None:
-            times = self._catalog.keyspace.events.chosen(self._event, Read(whose=self._whose))
+            times = self._store.event_times(self._event, self._whose)
         whole = PlaySource(
-            self._catalog,
+            self._store,
             self.topics,
             self._whose,
             asked.where,
@@ -207,8 +206,7 @@ class Stream:
         raise MessageNotFound(f"no message of the selection is left: no message {text}")
 
     def _source_names(self) -> dict[Source, str]:
-        run_names = {run.writer: run.name for run in self._catalog.keyspace.registry.runs()}
-        return source_names(self._stored_ranges, run_names, self._align)
+        return source_names(self._stored_ranges, self._store.run_names(), self._align)
 
     def _name_of(self, topic: str, node: str, writer: int) -> str:
         if not self.selection.node_prefix:
@@ -271,7 +269,7 @@ class Stream:
         for stored_range in self._stored_ranges:
             by_table.setdefault(stored_range.table.name, []).append(stored_range)
         channels: dict[tuple[str, str, str], Channel] = {}
-        for name, _, connection in self._catalog.keyspace.connections.of_tables(by_table):
+        for name, _, connection in self._store.connections(by_table):
             metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
             kind = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition
@@ -281,6 +279,16 @@ class Stream:
                 known = channels.get(key, Channel(*key, text, latched))
                 channels[key] = known._replace(latched=known.latched or latched)
         return sorted(channels.values())
+
+    @property
+    def missing(self) -> Mapping[str, str]:
+        """The stores of a fleet that did not answer so far, or not to the end → why."""
+        return self._store.missing
+
+    def losses(self) -> Sequence[Loss]:
+        """Return the losses in the time range that is played; with align_start all of them."""
+        whole = TimeRange() if self._align else TimeRange(self.start_ns, self.end_ns)
+        return self._store.losses(self.topics, Read(whole, self._whose))
 
     def latched(self, t: int) -> list[PlayedMessage]:
         """Return the latched messages received before ``t``, in order of reception.
@@ -332,7 +340,7 @@ class Stream:
             *(source.rows_noting_latched(time_range, each) for source, each in pairs), key=_order
         )
 
-    def _played(self, t: int, row: StoredRow, window: TimeRange) -> PlayedMessage:
+    def _played(self, t: int, row: PlayedRow, window: TimeRange) -> PlayedMessage:
         name = self._name_of(row.topic, row.node, split_seq(row.seq)[0])
         return PlayedMessage(t, row, name, window)
 
