@@ -11,7 +11,12 @@ import pytest
 from nodes.children import await_true, start_client, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import Int32
+from viewers import running_viewer
 
+from cassandra_ros.bag.exporter import export_bag
+from cassandra_ros.bag.importer import import_bag
+
+SEC = 10**9
 SETTINGS = """
 events:
 - {name: high, topic: /n, where: data > 5, labels: {kind: level}}
@@ -94,6 +99,57 @@ def call_verb(cassandra, keyspace, capsys):
         return capsys.readouterr().out
 
     return call
+
+
+def test_every_door_makes_an_event_of_the_same_name(
+    roscore, cassandra, keyspace, recorder, rosCas, client, call_verb, fresh, tmp_path
+):
+    def at(second):
+        return 1_500_000_000 * SEC + second * SEC
+
+    # Python, the command line, the viewer, an MCAP file.
+    rosCas.addEvent("bump", at(0), at(1), nodeID="husky", labels={"door": "python"})
+    times = ("--start", str(at(10)), "--end", str(at(11)))
+    call_verb("event", "add", "bump", *times, "--node-id", "husky", "--label", "door=verb")
+    added = {"name": "bump", "start": str(at(20)), "end": str(at(21)), "node": "husky"}
+    with running_viewer(rosCas, allow_writes=True) as viewer:
+        assert viewer.ask("/api/events/add", added, "POST").status == 200
+    with fresh() as other:
+        other.addTopic("/n", format="ros").addData(Int32(3), key=at(30))
+        other.addEvent("bump", at(30), at(31), nodeID="husky", labels={"door": "file"})
+        export_bag(other, tmp_path / "bump.mcap")
+    import_bag(rosCas, tmp_path / "bump.mcap", nodeID="husky")
+    # Services of both nodes, and a condition of the recorder's settings.
+    config = tmp_path / "settings.yaml"
+    config.write_text(SETTINGS.replace("high", "bump"))
+    child = recorder("/n", "--config", config, "--node-id", "husky")
+    with RawPublisher(roscore.uri, "/n", header_of(Int32)) as numbers:
+        numbers.await_subscribers()
+        for n in (1, 8, 2):
+            numbers.publish(message(Int32(n)))
+        await_true(lambda: len(list(rosCas.events("bump"))) == 5)
+        for _ in range(2):
+            assert client.call("/recorder/mark", name="bump", labels=["door=mark"])["success"]
+    assert child.end() == 0, child.output
+    where = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
+    with start_node(roscore, "query_server", *where, "--allow-writes") as child:
+        child.await_line("writes are allowed")
+        for _ in range(2):
+            answer = client.call("/cassandra_ros/mark", name="bump", node_id="husky")
+            assert answer["success"], answer
+        assert child.end() == 0, child.output
+
+    events = list(rosCas.events("bump"))
+    assert [event.start_ns for event in events[:4]] == [at(0), at(10), at(20), at(30)]
+    doors = [event.labels.get("door", "") for event in events]
+    assert doors[:4] == ["python", "verb", "", "file"] and doors.count("mark") == 1
+    assert [event.labels for event in events].count({"kind": "level"}) == 1
+    assert len(events) == 7
+    assert all(event.node == "husky" and event.end_ns is not None for event in events)
+    listed = json.loads(call_verb("event", "list", "bump", "--json"))
+    assert len(listed) == 7
+    rows = rosCas.executeCQL("SELECT data FROM /n WHERE EVENT 'bump' AND NODE = 'husky'")
+    assert rows == [(3,), (8,)]
 
 
 def test_a_query_server_marks_if_it_may_write(roscore, cassandra, keyspace, rosCas, client):
