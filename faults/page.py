@@ -18,6 +18,7 @@ TITLES = {
     "recorder": "The recorder, and ROS around it",
     "store": "Cassandra, and the network before it",
     "verb": "Verbs",
+    "copy": "A robot that is copied home",
     "cluster": "Three nodes",
 }
 COLUMNS = {

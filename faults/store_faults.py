@@ -119,13 +119,13 @@ def store_comes_late(trial: Trial) -> None:
 
 def disk_full(trial: Trial) -> None:
     """The disk of Cassandra is full; later there is room again, and it is stopped and started."""
-    folder = _small_disk(trial, DISK_MB)
+    folder = small_disk(trial, DISK_MB)
     trial.server = Server(folder / "server")
     trial.open.callback(trial.server.stop)
     trial.server.start()
     _, publisher = trial.record("--min-space", "0")
     publisher.await_share(0.3)
-    ballast = _fill_disk(folder)
+    ballast = fill_disk(folder)
     log = trial.server.cluster.nodes[0].log
     await_true("Cassandra misses room", lambda: NO_ROOM in log.read_text(errors="replace"))
     publisher.await_share(0.4)
@@ -137,14 +137,14 @@ def disk_full(trial: Trial) -> None:
 
 def spool_disk_full(trial: Trial) -> None:
     """While Cassandra cannot be reached, the disk of the recorder's spool is full for some time."""
-    folder = _small_disk(trial, SPOOL_DISK_MB)
+    folder = small_disk(trial, SPOOL_DISK_MB)
     proxy, place = _proxied(trial)
     options = ("--buffsize", "1", "--spool-dir", folder / "spool", "--min-space", "0")
     _, publisher = trial.record(*options, place=place)
     publisher.await_share(0.1)
     proxy.cut()
     publisher.await_share(0.2)
-    ballast = _fill_disk(folder)
+    ballast = fill_disk(folder)
     publisher.await_share(1.5)
     ballast.unlink()
     publisher.await_share(0.2)
@@ -152,7 +152,7 @@ def spool_disk_full(trial: Trial) -> None:
     trial.await_normal()
 
 
-def _small_disk(trial: Trial, megabytes: int) -> Path:
+def small_disk(trial: Trial, megabytes: int) -> Path:
     """Mount a disk of some MB; return its folder."""
     if os.geteuid():
         raise Skipped("only root can mount a disk of a small size")
@@ -166,7 +166,7 @@ def _small_disk(trial: Trial, megabytes: int) -> Path:
     return folder
 
 
-def _fill_disk(folder: Path) -> Path:
+def fill_disk(folder: Path) -> Path:
     """Write a file that takes the rest of a disk; return it."""
     ballast = folder / "ballast"
     with open(ballast, "wb", buffering=0) as file, contextlib.suppress(OSError):

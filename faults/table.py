@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import Callable, NamedTuple
 
-from faults import cluster_faults, recorder_faults, store_faults, verb_faults
+from faults import cluster_faults, copy_faults, recorder_faults, store_faults, verb_faults
 from faults.trial import Result, Skipped, Trial
 from faults.world import World
 
@@ -34,6 +34,7 @@ GROUPS = {
     "recorder": recorder_faults,
     "store": store_faults,
     "verb": verb_faults,
+    "copy": copy_faults,
     "cluster": cluster_faults,
 }
 FAULTS = {

@@ -12,6 +12,7 @@ import time
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Callable
 
 from cassandra import DriverException
 from cassandra.cluster import NoHostAvailable
@@ -95,6 +96,8 @@ class Trial:
         self.told = 0
         self.open = contextlib.ExitStack()
         """What is closed after the account: proxies, servers of this trial."""
+        self.at_end: list[Callable[[], None]] = []
+        """What is done when publishers and recorders have ended, before the account."""
         self._enough = self.folder / "enough"
         """File that ends the publishers."""
         self._logs: list[Path] = []
@@ -182,13 +185,13 @@ class Trial:
         where = self._store_options(place or self.place)
         return self.run(PROGRAMS / "cassandra_bag", verb, *where, *others)
 
-    def done(self, *words: object, status: int = 0) -> str:
+    def done(self, *words: object, status: int = 0, place: Place | None = None) -> str:
         """Run a verb of cassandra_bag to its end; return its output.
 
         Raises:
             Failed: It has another exit status.
         """
-        program = self.verb(*words)
+        program = self.verb(*words, place=place)
         if program.process.wait(VERB_SEC) != status:
             raise Failed(f"{words}: exit status {program.process.returncode}:\n{program.output}")
         return program.output
@@ -266,6 +269,8 @@ class Trial:
         for program in self._programs:
             if program.runs and str(PROGRAMS / "recorder") in program.process.args:
                 program.end()
+        for work in self.at_end:
+            work()
         self.result.sums = run_account(self._case(), self.folder, self.world.env)
         self.result.check = self._findings()
         self.result.seconds = round(time.monotonic() - self._began, 1)
