@@ -51,7 +51,10 @@ def test_the_example_can_be_read():
         ("topics: []", "topics must be a list"),
         ("topics: [{pattern: '('}]", "not a regular expression"),
         ("topics: [{pattern: a, evry: 1s}]", "did you mean every?"),
-        ("topics: [{pattern: a, every: 1}]", "no period"),
+        ("topics: [{pattern: a, every: 1}]", "no length of time"),
+        ("topics: [{pattern: a, every: 0s}]", "no period"),
+        ("topics: [{pattern: a, before: 5s}]", "need an event"),
+        ("topics: [{pattern: a, event: ''}]", "name of an event"),
         ("topics: [{pattern: a, order: x}]", "no whole number"),
         ("topics: [{pattern: a, format: bag}]", "bag"),
         ("topics: [{pattern: a, label: x}]", "no label"),
@@ -129,6 +132,45 @@ def test_messages_are_chosen_by_condition_and_thinned(rosCas, home, fmt):  # noq
     copy(rosCas, home, "topics: [{pattern: .*}]")
     assert messages(home) == messages(rosCas)
     assert states(rosCas) == {"/t": (101, 0, 0)}
+
+
+@pytest.mark.parametrize("fmt", ["ros", "packed"])
+def test_messages_around_events_are_copied(rosCas, home, fmt):  # noqa: F811
+    for writer_id, node in ((1, "husky"), (2, "jackal")):
+        with rosCas.messageWriter(writer_id=writer_id, nodeID=node, format=fmt) as writer:
+            connection = api_connection("/t", definition_of(Int64), f"/{node}")
+            handle = writer.connect(connection, bucket_ns=10 * SEC)
+            for n in range(60):
+                writer.write(handle, T0 + n * SEC, n, serialize(Int64(n)))
+    rules = "topics: [{pattern: .*, event: bump, before: 1s, after: 1s}]"
+
+    def there():
+        return sorted((row.node, row.message().data) for row in home.getTopic("/t").rows())
+
+    def bump(first, last, node):
+        rosCas.addEvent("bump", T0 + first * SEC, T0 + last * SEC, nodeID=node)
+
+    assert copy(rosCas, home, rules).messages == 0
+    assert states(rosCas) == {"/t": (0, 120, 0)}
+    bump(12, 13, "husky")
+    rosCas.addEvent("door", T0, T0 + 50 * SEC)
+    assert copy(rosCas, home, rules).messages == 4
+    expected = [("husky", n) for n in (11, 12, 13, 14)]
+    assert there() == expected
+    assert states(rosCas) == {"/t": (4, 116, 0)}
+    assert copy(rosCas, home, rules).messages == 0
+    # Events that are added later, of all robots, and in a bucket of which some messages are there.
+    bump(41, 42, "")
+    bump(15, 16, "husky")
+    assert copy(rosCas, home, rules).messages == 11
+    expected += [("husky", n) for n in (15, 16, 17)]
+    expected += [(node, n) for node in ("husky", "jackal") for n in (40, 41, 42, 43)]
+    assert there() == sorted(expected)
+    assert states(rosCas) == {"/t": (15, 105, 0)}
+    assert [event.name for event in home.events()] == ["door", "bump", "bump", "bump"]
+    copy(rosCas, home, "topics: [{pattern: .*}]")
+    assert messages(home) == messages(rosCas)
+    assert states(rosCas) == {"/t": (120, 0, 0)}
 
 
 def test_topics_go_in_order_and_as_long_as_there_is_time(rosCas, home):  # noqa: F811

@@ -86,7 +86,7 @@ class PieceCopy:
         target: Id of the target in the books.
         sent: Called with each number of bytes before they are sent; it may wait.
         choose: Reads the messages that a rule takes; None = all are copied.
-        rule: What the books call this rule; '' = all are copied.
+        rule: Returns what the books say of the messages that a rule takes of a bucket; '' = all.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class PieceCopy:
         selection: Selection,
         sent: Callable[[int], None],
         choose: Choose | None = None,
-        rule: str = "",
+        rule: Callable[[BucketRow], str] = lambda row: "",
     ) -> None:
         self._pair = pair
         self._books, self._id = books, target
@@ -115,7 +115,7 @@ class PieceCopy:
         here = self._pair.here
         seen = here.cassandra.server_time_us()
         before = self._present(piece)
-        known = {} if again else {k: b for k, b in books.items() if self._is_ours(b)}
+        known = {} if again else self._known(before, books)
         rows = [row for row in before if not self._is_confirmed(row, known)]
         count = CopyCount()
         if not rows:
@@ -139,13 +139,19 @@ class PieceCopy:
         rows = (row for bucket in buckets for row in directory.find(name, piece.node, bucket))
         return [row for row in rows if (row.bucket, row.writer) in keys]
 
-    def _is_ours(self, book: CopiedBucket) -> bool:
-        """Return whether an entry of the books tells of the same messages in the same table."""
-        return book.there in self._pair.names and book.rule in ("", self._rule)
+    def _known(self, rows: Sequence[BucketRow], books: Books) -> Books:
+        """Return the entries of the books that tell of the same messages in the same table."""
+        known: dict[_Entry, CopiedBucket] = {}
+        for row in rows:
+            book = books.get((row.bucket, row.writer))
+            if book is not None and book.there in self._pair.names:
+                if book.rule in ("", self._rule(row)):
+                    known[row.bucket, row.writer] = book
+        return known
 
     def _is_confirmed(self, row: BucketRow, books: Books) -> bool:
         book = books.get((row.bucket, row.writer))
-        return book is not None and book.confirms(row, self._pair.names, self._rule)
+        return book is not None and book.confirms(row, self._pair.names, self._rule(row))
 
     def _is_covered(self, row: BucketRow) -> bool:
         """Return whether a bucket is wholly in the time range."""
@@ -294,7 +300,7 @@ class PieceCopy:
             heartbeat=row.heartbeat,
             seen=seen,
             final=final,
-            rule=self._rule,
+            rule=self._rule(row),
             released=book is not None and book.released,
             rows=row.rows,
             n=numbers[0],

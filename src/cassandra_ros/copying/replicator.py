@@ -4,13 +4,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import takewhile
-from typing import Callable, Iterable, Iterator, Sequence
+from itertools import chain, takewhile
+from typing import Callable, Iterable, Iterator, Mapping, Sequence
 from uuid import UUID
 
 from cassandra_ros.arguments import check_topics
@@ -41,10 +42,11 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Time
-from cassandra_ros.read import EVERYBODY, Read, Whose
+from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.tables.copy_books import CopiedBucket, CopiedTable, CopyBooks
 from cassandra_ros.tables.directory import BucketRow, slot_of
 from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
@@ -300,7 +302,7 @@ class Replicator:
         if source.named:
             rows = named_rows(source, selection)
             size = sum(row.size for row in rows)
-            return _Work(pair, rule, selection, [], {}, len(rows), size)
+            return _Work(pair, rule, selection, messages=len(rows), bytes=size)
         low, high = selection.time_range
         ends = source.bucket_of(low), source.bucket_of(min(high, MAX_NS))
         whose, ttl = selection.whose, source.metadata.ttl
@@ -308,23 +310,34 @@ class Replicator:
         listed = self._here.directory.buckets_by_robot(source.name, *ends, whose.nodes)
         rows_here = [row for row in listed if not row.expired(ttl)]
         entries = [r for r in rows_here if whose.writers is None or r.writer in whose.writers]
+        times = self._times_of(rule)
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows_here})
         found = {
             (book.node, book.bucket, book.writer): book
             for book in self._books.buckets(self._id, source.name, slots)
         }
-        late = [row for row in entries if again or not _confirmed(row, found, pair, rule)]
-        pieces = list(_pieces(pair, late, entries))
-        books: dict[str, dict[tuple[int, int], CopiedBucket]] = {}
-        size = sum(row.bytes for row in late)
-        work = _Work(pair, rule, selection, pieces, books, sum(row.rows for row in late), size)
+        if times is not None:
+            without = [row for row in entries if not _spans(times, source, row)]
+            self._note_left_out(source, pair.target.name, without, found)
+            entries = [row for row in entries if _spans(times, source, row)]
+        work = _Work(pair, rule, selection, times=times)
+        late = [row for row in entries if again or not work.has(row, found)]
+        work.pieces = list(_pieces(pair, late, entries))
+        work.messages, work.bytes = sum(row.rows for row in late), sum(row.bytes for row in late)
         work.writers = {row.writer for row in entries}
         if rule.selects_runs and self._selection.whose == EVERYBODY:
             others = [row for row in rows_here if row.writer not in (whose.writers or ())]
             self._note_left_out(source, pair.target.name, others, found)
         for (node, bucket, writer), book in found.items():
-            books.setdefault(node, {})[bucket, writer] = book
+            work.books.setdefault(node, {})[bucket, writer] = book
         return work
+
+    def _times_of(self, rule: CopyRule) -> EventTimes | None:
+        """Return the times of the events of a rule; None = it takes messages of all time."""
+        if not rule.event:
+            return None
+        events = self._here.events.find(rule.event, whose=self._selection.whose)
+        return EventTimes(events, rule.before_ns, rule.after_ns)
 
     def _note_left_out(
         self,
@@ -333,7 +346,7 @@ class Replicator:
         rows: Sequence[BucketRow],
         books: dict[tuple[str, int, int], CopiedBucket],
     ) -> None:
-        """Note in the books that a rule does not take the messages of some runs."""
+        """Note in the books that a rule takes no message of some buckets."""
         for row in rows:
             book = books.get((row.node, row.bucket, row.writer))
             if book is not None and book.heartbeat == row.heartbeat:
@@ -357,11 +370,15 @@ class Replicator:
 
     def _choose(self, work: _Work) -> Choose | None:
         """Return the reader of the messages that a rule takes; None = it takes all."""
-        rule, source = work.rule, work.pair.source
+        rule, source, times = work.rule, work.pair.source, work.times
         if not rule.thins:
             return None
 
         def taken(read: Read) -> Iterator[StoredRow]:
+            parts = [read] if times is None else times.reads(read)
+            return chain.from_iterable(map(passing_rows, parts))
+
+        def passing_rows(read: Read) -> Iterator[StoredRow]:
             if not rule.where:
                 return self._here.rows.read([source], read)
             conditions = {source.metadata.topic: rule.where}
@@ -397,8 +414,9 @@ class Replicator:
         self, work: _Work, result: TopicCopy, tell: _Tell, again: bool, ends: float
     ) -> None:
         sent, choose = self._sent(work.rule), self._choose(work)
-        thinning = work.rule.thinning
-        copy = PieceCopy(work.pair, self._books, self._id, work.selection, sent, choose, thinning)
+        copy = PieceCopy(
+            work.pair, self._books, self._id, work.selection, sent, choose, work.thinning_of
+        )
         # Conversions of one table exclude each other.
         threads = PIECES_AT_ONCE if work.pair.columns is not None and choose is None else 1
         pieces = list(work.pieces)
@@ -454,12 +472,29 @@ class _Work:
     pair: TablePair
     rule: CopyRule
     selection: Selection
-    pieces: Sequence[Piece]
-    books: dict[str, dict[tuple[int, int], CopiedBucket]]
+    times: EventTimes | None = None
+    """Times of the events during which messages are copied; None = of all time."""
+    pieces: Sequence[Piece] = ()
+    books: dict[str, dict[tuple[int, int], CopiedBucket]] = field(default_factory=dict)
     """Node → what the books say of its buckets."""
-    messages: int
-    bytes: int
+    messages: int = 0
+    bytes: int = 0
     writers: set[int] = field(default_factory=set)
+
+    def thinning_of(self, row: BucketRow) -> str:
+        """Return what the books call the messages that the rule takes of a bucket.
+
+        It changes with the events, so that an event that is added later is copied then.
+        """
+        if self.times is None:
+            return self.rule.thinning
+        spans = repr(_spans(self.times, self.pair.source, row)).encode()
+        return f"{self.rule.thinning}, {hashlib.md5(spans).hexdigest()}"
+
+    def has(self, row: BucketRow, books: Mapping[tuple[str, int, int], CopiedBucket]) -> bool:
+        """Return whether by the books the target has all that the rule takes of a bucket."""
+        book = books.get((row.node, row.bucket, row.writer))
+        return book is not None and book.confirms(row, self.pair.names, self.thinning_of(row))
 
     @property
     def mean_bytes(self) -> float:
@@ -496,14 +531,11 @@ def _identity(space: Keyspace) -> UUID | None:
     return UUID(str(rows[0][0])) if rows else None
 
 
-def _confirmed(
-    row: BucketRow,
-    books: dict[tuple[str, int, int], CopiedBucket],
-    pair: TablePair,
-    rule: CopyRule,
-) -> bool:
-    book = books.get((row.node, row.bucket, row.writer))
-    return book is not None and book.confirms(row, pair.names, rule.thinning)
+def _spans(times: EventTimes, table: TopicTable, row: BucketRow) -> list[TimeRange]:
+    """Return the time ranges of events in a bucket of a robot."""
+    low = row.bucket * table.bucket_ns
+    whole = Read(TimeRange(low, low + table.bucket_ns - 1), Whose((row.node,)))
+    return [part.time_range for part in times.reads(whole)]
 
 
 def _pieces(

@@ -12,7 +12,7 @@ from typing import Callable, Mapping, Sequence
 
 import yaml
 
-from cassandra_ros.arguments import check_pattern, check_text
+from cassandra_ros.arguments import check_event_name, check_pattern, check_text
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.keys import SECOND_NS
@@ -45,6 +45,11 @@ class CopyRule:
     """KEY=VALUE that a run must have; '' = all messages."""
     where: str = ""
     """Condition that a message must satisfy; '' = all."""
+    event: str = ""
+    """Name of events: only messages of a robot during them are copied; '' = of all time."""
+    before_ns: int = 0
+    after_ns: int = 0
+    """Time before and after each event of which messages are copied, too, ns."""
     every_ns: int = 0
     """Length of a period of which one message of each connection is copied, ns; 0 = all."""
     rate: float | None = None
@@ -58,12 +63,16 @@ class CopyRule:
     @property
     def thins(self) -> bool:
         """Whether some messages of a run are left out."""
-        return bool(self.where or self.every_ns)
+        return bool(self.where or self.every_ns or self.event)
 
     @property
     def thinning(self) -> str:
         """What the books call the way in which messages are left out; '' = none are."""
-        return f"every {self.every_ns} ns, where {self.where}" if self.thins else ""
+        if not self.thins:
+            return ""
+        text = f"every {self.every_ns} ns, where {self.where}"
+        reach = f"{self.before_ns} ns before, {self.after_ns} ns after"
+        return f"{text}, event {self.event}, {reach}" if self.event else text
 
     def takes(self, run: Run) -> bool:
         """Return whether the messages of a run are copied."""
@@ -136,7 +145,10 @@ def _rule(number: int, entry: object) -> CopyRule:
             raise InvalidOption(f"entry {number} has an unknown key {name!r:.80}; {hint}")
     try:
         values = {_NAMES.get(name, name): _READERS[name](value) for name, value in entry.items()}
-        return CopyRule(**values)  # type: ignore[arg-type]
+        rule = CopyRule(**values)  # type: ignore[arg-type]
+        if (rule.before_ns or rule.after_ns) and not rule.event:
+            raise InvalidOption("before and after need an event")
+        return rule
     except CassandraRosError as exc:
         raise InvalidOption(f"entry {number}, pattern {entry['pattern']!r:.80}: {exc}") from exc
 
@@ -179,11 +191,18 @@ def _read_where(value: object) -> str:
     return check_text("where", value, wanted="a condition, as 'linear.x > 0.5'")
 
 
-def _read_every(value: object) -> int:
+def _read_length(value: object) -> int:
     match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]*)?|\.[0-9]+)([smh])", str(value))
-    if match is None or not float(match[1]):
-        raise InvalidOption(f"{str(value)!r:.80} is no period, like 1s, 0.5s or 5m")
-    return max(1, round(float(match[1]) * _SECONDS[match[2]] * SECOND_NS))
+    if match is None:
+        raise InvalidOption(f"{str(value)!r:.80} is no length of time, like 1s, 0.5s or 5m")
+    return round(float(match[1]) * _SECONDS[match[2]] * SECOND_NS)
+
+
+def _read_every(value: object) -> int:
+    length = _read_length(value)
+    if not length:
+        raise InvalidOption(f"every {value} is no period: give a longer one, like 1s")
+    return length
 
 
 _READERS: Mapping[str, Callable[[object], object]] = {
@@ -194,10 +213,13 @@ _READERS: Mapping[str, Callable[[object], object]] = {
     "run": check_pattern,
     "label": _read_label,
     "where": _read_where,
+    "event": check_event_name,
+    "before": _read_length,
+    "after": _read_length,
     "every": _read_every,
     "rate": read_bandwidth,
 }
 """Functions that read the values of CopyRule from YAML, by their names there."""
-_NAMES = {"every": "every_ns"}
+_NAMES = {"every": "every_ns", "before": "before_ns", "after": "after_ns"}
 """Fields of CopyRule with another name than in YAML."""
 assert {_NAMES.get(n, n) for n in _READERS} == {f.name for f in fields(CopyRule)}  # noqa: S101
