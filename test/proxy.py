@@ -14,9 +14,9 @@ import threading
 from typing import NamedTuple
 
 from cassandra import ConsistencyLevel
-from cassandra.protocol import BatchMessage, ExecuteMessage, SupportedMessage
+from cassandra.protocol import BatchMessage, ExecuteMessage, QueryMessage, SupportedMessage
 
-EXECUTE, BATCH = ExecuteMessage.opcode, BatchMessage.opcode
+EXECUTE, BATCH, QUERY = ExecuteMessage.opcode, BatchMessage.opcode, QueryMessage.opcode
 _ERROR = 0x00
 _HEAD = struct.Struct(">BBhBi")  # version, flags, stream, opcode, length of the body
 _ONE_NODE = struct.pack(">Hii", ConsistencyLevel.LOCAL_ONE, 0, 1)  # received 0 of 1
@@ -230,7 +230,7 @@ class _Pair:
             pass  # who had sent it is gone
 
     def _fail(self, frame):
-        body = TIMED_OUT[frame.opcode]
+        body = TIMED_OUT.get(frame.opcode, READ_TIMED_OUT)
         self._send("client", Frame(frame.version | 0x80, 0, frame.stream, _ERROR, body))
 
     def _answer(self, frame):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from campaign import sparing
 from nodes.children import await_true
-from proxy import BATCH, EXECUTE, READ_TIMED_OUT, TIMED_OUT, asks_on
+from proxy import BATCH, EXECUTE, QUERY, READ_TIMED_OUT, TIMED_OUT, asks_on
 from std_msgs.msg import Header, String, UInt8MultiArray
 from store.text_messages import (
     SEC,
@@ -372,6 +372,15 @@ def test_a_directory_that_fails_once_hides_no_bucket(far, proxy, rosCas, nodeID)
     words = table.name.encode() + after
     failed = proxy.catch(lambda f: f.opcode == EXECUTE and words in f.body, most=1)
     assert len(list(far.getTopic("/a").rows(nodeID=nodeID))) == 10
+    assert len(failed.frames) == 1
+
+
+def test_the_replication_of_a_keyspace_is_read_again(far, proxy, rosCas):
+    """The driver asks for it with its own connection, whose error is of no kind."""
+    fill(rosCas)
+    words = b"FROM system_schema.keyspaces WHERE keyspace_name"
+    failed = proxy.catch(lambda f: f.opcode == QUERY and words in f.body, most=1)
+    assert far.getTopic("/h").countTopicData() == 2 * COUNT
     assert len(failed.frames) == 1
 
 

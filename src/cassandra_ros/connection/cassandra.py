@@ -13,7 +13,12 @@ from contextlib import suppress
 from itertools import takewhile
 from typing import Any, Callable, Iterable, Sequence, Tuple
 
-from cassandra import ConsistencyLevel, UnresolvableContactPoints
+from cassandra import (
+    ConsistencyLevel,
+    DriverException,
+    OperationTimedOut,
+    UnresolvableContactPoints,
+)
 from cassandra.auth import PlainTextAuthProvider
 from cassandra.cluster import (
     EXEC_PROFILE_DEFAULT,
@@ -499,9 +504,18 @@ class Cassandra:
 
     def use_keyspace(self, keyspace: str) -> None:
         """Read how a keyspace is replicated, so that rows go straight to a node that holds them."""
-        self.require_open()
-        with translated(f"reading the replication of {keyspace}", self.outage.nodes):
-            self._links.await_open(RETRY_SEC).cluster.refresh_keyspace_metadata(keyspace)
+
+        def refresh() -> None:
+            self.require_open()
+            try:
+                self._links.await_open(RETRY_SEC).cluster.refresh_keyspace_metadata(keyspace)
+            except DriverException as exc:
+                if type(exc) is not DriverException:
+                    raise
+                # The driver logs why its own connection got no answer, and raises no kind of error.
+                raise OperationTimedOut(str(exc)) from exc
+
+        retried(f"reading the replication of {keyspace}", refresh, outage=self.outage)
         self._keyspaces.add(keyspace)
 
     def send_raw(self, statement: Statement) -> ResponseFuture:
