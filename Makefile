@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-fleet bench-spark bench-trees bench-mechanisms deb clean distclean
+.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-fleet bench-copy bench-spark bench-trees bench-mechanisms deb clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -43,6 +43,7 @@ help:
 	@echo "make bench-formats  measure formats on messages of real bags: bytes on disk, time"
 	@echo "make bench-play     measure how late messages are played, beside rosbag play"
 	@echo "make bench-viewer   measure the viewer on a recording of a day, ten million messages"
+	@echo "make bench-copy     measure a copy into another keyspace beside export and import, and beside writing"
 	@echo "make bench-fleet    measure questions about 1 to 1,000 robots in one keyspace (ARGS=\"--robots 1 100 --topics 2\")"
 	@echo "make bench-spark    install Spark into .venv (350 MB on disk), and measure it with one executor and with two"
 	@echo "make bench-trees    compare two checkouts: ARGS=\"EARLIER LATER\""
@@ -120,6 +121,9 @@ bench-viewer: setup
 
 bench-fleet: setup
 	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_fleet.py $(ARGS)
+
+bench-copy: setup
+	@$(IN_WORKSPACE) $(PYTHON) benchmark/bench_copy.py $(ARGS)
 
 bench-spark: setup
 	@$(PYTHON) -m pip install -q --disable-pip-version-check -r requirements-spark.txt
