@@ -19,6 +19,7 @@ from faults.world import World
 
 SLOW = [name for name, fault in FAULTS.items() if fault.group == "cluster"]
 SLOW += ["disk_full", "copy_target_killed", "copy_source_killed"]
+SLOW += ["home_killed", "robot_store_killed", "home_full"]
 """Faults of the campaign alone: several servers; requests that time out, and a server stopped."""
 
 
