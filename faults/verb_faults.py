@@ -16,6 +16,7 @@ from faults.world import Failed, Program, Server
 KILLS = 4, 20
 """Number of kills in the short and in the long form."""
 PACE_HZ = 10_000.0
+DELETION_HZ = 40_000.0
 """Messages that a verb works on in a second of processor time, about; kills are spread over it."""
 
 
@@ -52,7 +53,8 @@ def deletion_killed(trial: Trial) -> None:
     trial.done("import", trial.bag(), "--format", "ros")
     start, end = trial.time_of(0.25), trial.time_of(0.75)
     trial.removed.append((start, end))
-    _killed_and_completed(trial, "delete", "--start", start, "--end", end, "--yes")
+    words = ("delete", "--start", start, "--end", end, "--yes")
+    _killed_and_completed(trial, *words, pace_hz=DELETION_HZ)
 
 
 def deletion_killed_packed(trial: Trial) -> None:
@@ -60,7 +62,8 @@ def deletion_killed_packed(trial: Trial) -> None:
     trial.done("import", trial.bag(), "--format", "packed")
     start, end = trial.time_of(0.25), trial.time_of(0.75)
     trial.removed.append((start, end))
-    _killed_and_completed(trial, "delete", "--start", start, "--end", end, "--yes")
+    words = ("delete", "--start", start, "--end", end, "--yes")
+    _killed_and_completed(trial, *words, pace_hz=DELETION_HZ)
 
 
 def retention_killed(trial: Trial) -> None:
@@ -69,7 +72,8 @@ def retention_killed(trial: Trial) -> None:
     now = trial.time_of(1.0)
     age_sec = trial.messages // 2000
     trial.removed.append((START_NS, now - age_sec * 10**9))
-    _killed_and_completed(trial, "retention", "--max-age", age_sec, "--now", now, "--yes")
+    words = ("retention", "--max-age", age_sec, "--now", now, "--yes")
+    _killed_and_completed(trial, *words, pace_hz=DELETION_HZ)
 
 
 def index_killed(trial: Trial) -> None:
@@ -166,7 +170,7 @@ def _source(trial: Trial, form: str) -> tuple[str, list[object]]:
     return source, ["--keyspace", source, "--to", target]
 
 
-def _killed_and_completed(trial: Trial, *words: object) -> None:
+def _killed_and_completed(trial: Trial, *words: object, pace_hz: float = PACE_HZ) -> None:
     """Kill a verb at random moments, early ones first; each process goes on with what is left.
 
     A moment is an amount of processor time, so that a busy machine does not shift it, and for every
@@ -175,7 +179,7 @@ def _killed_and_completed(trial: Trial, *words: object) -> None:
     before = _children_cpu_sec()
     trial.verb("list").process.wait()  # before an import there is no keyspace
     start_sec = _children_cpu_sec() - before
-    work_sec = trial.messages / PACE_HZ
+    work_sec = trial.messages / pace_hz
     count = KILLS[not trial.short]
     killed = 0
     for number in range(count):

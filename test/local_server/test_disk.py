@@ -32,7 +32,7 @@ def set_free(monkeypatch, mib):
 def test_the_local_server_is_known_by_its_address(folder):
     assert local_directory("127.0.0.1", 9177) == local_directory("localhost", 9177) == folder
     assert local_directory("127.0.0.2", 9177) == folder  # the second node
-    for other in (("127.0.0.3", 9177), ("127.0.0.1", 9042), ("192.0.2.1", 9177), ("no.such.", 1)):
+    for other in (("127.0.0.3", 9177), ("127.0.0.1", 9178), ("192.0.2.1", 9177), ("no.such.", 1)):
         assert local_directory(*other) is None
 
 
