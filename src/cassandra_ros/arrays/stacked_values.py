@@ -23,6 +23,7 @@ from cassandra_ros.messages.wire.message_stacks import (
     Planes,
     Stack,
     by_size,
+    copy_planes,
     stacker,
 )
 from cassandra_ros.query.protocols import Table
@@ -81,9 +82,9 @@ def _join(parts: Sequence[Planes], count: int) -> ByteArray:
         return np.concatenate(arrays, axis=1)  # messages that are adjacent in memory stay so
     joined = np.empty((len(parts[0]), count), np.uint8)
     at = 0
-    for planes in parts:  # one by one, so that decoded planes do not all exist
+    for planes in parts:
         after = at + planes.shape[1]
-        joined[:, at:after] = planes[:]
+        copy_planes(planes, joined[:, at:after])
         at = after
     return joined
 

@@ -99,6 +99,19 @@ class RisingPlanes:
         """The messages one after the other: (messages, size)."""
         return self[:].T
 
+    def copy_to(self, out: ByteArray) -> None:
+        """Write all planes into a matrix of their shape."""
+        out[:] = self._stored
+        out[self._rises] = np.add.accumulate(self._stored[self._rises], axis=1, dtype=np.uint8)
+
+
+def copy_planes(planes: Planes, out: ByteArray) -> None:
+    """Write planes into a matrix of their shape, without a copy beside it."""
+    if isinstance(planes, RisingPlanes):
+        planes.copy_to(out)
+    else:
+        out[:] = planes[:]
+
 
 def _decoded(stored: ByteArray, rises: NDArray[np.bool_]) -> ByteArray:
     """Return rows of which some are stored as differences."""
