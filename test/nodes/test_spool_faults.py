@@ -65,7 +65,8 @@ def by_run(rosCas):
 
 def left_in(spool):
     """Writer ids of the runs in a spool, whose folder the first run makes."""
-    return {int(name) for name in os.listdir(spool)} if spool.is_dir() else set()
+    names = os.listdir(spool) if spool.is_dir() else ()
+    return {int(name) for name in names if name.isdigit()}
 
 
 @pytest.mark.fault
