@@ -316,11 +316,11 @@ class Replicator:
             (book.node, book.bucket, book.writer): book
             for book in self._books.buckets(self._id, source.name, slots)
         }
-        if times is not None:
-            without = [row for row in entries if not _spans(times, source, row)]
-            self._note_left_out(source, pair.target.name, without, found)
-            entries = [row for row in entries if _spans(times, source, row)]
         work = _Work(pair, rule, selection, times=times)
+        if times is not None:
+            without = [row for row in entries if not work.spans(row)]
+            self._note_left_out(source, pair.target.name, without, found)
+            entries = [row for row in entries if work.spans(row)]
         late = [row for row in entries if again or not work.has(row, found)]
         work.pieces = list(_pieces(pair, late, entries))
         work.messages, work.bytes = sum(row.rows for row in late), sum(row.bytes for row in late)
@@ -480,6 +480,7 @@ class _Work:
     messages: int = 0
     bytes: int = 0
     writers: set[int] = field(default_factory=set)
+    _spans: dict[tuple[str, int], list[TimeRange]] = field(default_factory=dict)
 
     def thinning_of(self, row: BucketRow) -> str:
         """Return what the books call the messages that the rule takes of a bucket.
@@ -488,8 +489,19 @@ class _Work:
         """
         if self.times is None:
             return self.rule.thinning
-        spans = repr(_spans(self.times, self.pair.source, row)).encode()
+        spans = repr(self.spans(row)).encode()
         return f"{self.rule.thinning}, {hashlib.md5(spans).hexdigest()}"
+
+    def spans(self, row: BucketRow) -> list[TimeRange]:
+        """Return the time ranges of the events in a bucket of a robot."""
+        spans = self._spans.get((row.node, row.bucket))
+        if spans is None:
+            length = self.pair.source.bucket_ns
+            low = row.bucket * length
+            whole = Read(TimeRange(low, low + length - 1), Whose((row.node,)))
+            parts = [] if self.times is None else self.times.reads(whole)
+            spans = self._spans[row.node, row.bucket] = [part.time_range for part in parts]
+        return spans
 
     def has(self, row: BucketRow, books: Mapping[tuple[str, int, int], CopiedBucket]) -> bool:
         """Return whether by the books the target has all that the rule takes of a bucket."""
@@ -529,13 +541,6 @@ def _identity(space: Keyspace) -> UUID | None:
     """Return the id of a keyspace: that of one of its side tables; None if it has none yet."""
     rows = space.cassandra.system_schema("tables", "id", space.name, "cr_run")
     return UUID(str(rows[0][0])) if rows else None
-
-
-def _spans(times: EventTimes, table: TopicTable, row: BucketRow) -> list[TimeRange]:
-    """Return the time ranges of events in a bucket of a robot."""
-    low = row.bucket * table.bucket_ns
-    whole = Read(TimeRange(low, low + table.bucket_ns - 1), Whose((row.node,)))
-    return [part.time_range for part in times.reads(whole)]
 
 
 def _pieces(
