@@ -52,7 +52,7 @@ def is_time_type(kind: Any) -> bool:
 
 
 def times_of(column: Any) -> AnyArray:
-    """Return the times of a column, ns; -1 where there is none, or one outside of ROS time."""
+    """Return the times of a column, ns; -1 for a missing time and for one that ROS cannot hold."""
     arrow = load_arrow("sql")
     times: AnyArray = column.cast(arrow.int64()).fill_null(-1).to_numpy(zero_copy_only=False)
     return np.where((times >= 0) & (times <= MAX_NS), times, -1)
