@@ -200,6 +200,36 @@ def test_play_launch_plays(launched, roscore, rosCas):
     assert "Traceback" not in child.output
 
 
+def test_play_launch_plays_several_stores_and_names_one_that_is_away(
+    launched, roscore, rosCas, cassandra, tmp_path
+):
+    begin = time.time_ns() // 10**9 * 10**9 - 10**11
+    with rosCas.messageWriter(nodeID="robot 1") as writer:
+        handle = writer.connect(live_connection("/launched/a", header_of(String)))
+        for n in range(3):
+            writer.write(handle, begin + n * 10**7, n, message(String(str(n))))
+    stores = tmp_path / "stores"
+    place = f"{cassandra.host}:{cassandra.port}/{rosCas.keyspace}"
+    stores.write_text(
+        f"[home]\nplace = {place}\n[away]\nplace = {cassandra.host}:{free_port()}\n"
+    )
+    child = launched(
+        "play.launch",
+        host="",
+        port="",
+        stores="home away",
+        store_file=stores,
+        store_timeout="30",
+        topics="/launched/a",
+        wait_for_subscribers="true",
+        required="true",
+    )
+    assert hear(roscore.uri, "/launched/a") == [message(String(text)) for text in "012"]
+    child.await_line("store away did not answer")
+    child.await_line("REQUIRED process [player")
+    assert child.wait() == 0, child.output
+
+
 def hear(uri, topic):
     with RawSubscriber(uri, topic) as subscriber:
         return subscriber.rest()
