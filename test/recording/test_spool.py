@@ -26,6 +26,7 @@ from cassandra_ros.spool.spool_folder import SpoolFolder
 from cassandra_ros.tables.registry import LossKind
 
 FORMATS = ("ros", "binary", "packed")
+TOPICS = 30
 
 
 def text(n):
@@ -113,6 +114,41 @@ def test_a_store_that_is_away_at_the_end(proxy, store, rosCas, folder, format, j
     (run,) = rosCas.runs()
     assert (run.state, run.stored, run.lost) == ("ended", {"/text": 3000}, {})
     assert rosCas.getTopic("/text").countTopicData() == 3000
+
+
+def await_kept(recorder, messages):
+    await_true(lambda: recorder.on_disk.messages == messages)
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_topics_that_begin_one_after_the_other(proxy, store, rosCas, folder, ends):
+    """Each stays what it is, though the files name a connection more than once."""
+    recorder = Recording(store.catalog, format="packed", spool=SpoolPlan(folder))
+    send(recorder, [0], "/topic0")
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(recorder, [0], "/topic0")
+    await_true(lambda: recorder.is_held_up)
+    headers = [{**header_of(String), "callerid": f"/node{n}"} for n in range(TOPICS)]
+    for step in range(TOPICS):
+        kept = recorder.on_disk.messages
+        for n in range(step + 1):
+            send(recorder, [f"{n} {step}"], f"/topic{n}", headers[n])
+        await_kept(recorder, kept + step + 1)
+    if ends:
+        recorder.close()
+        proxy.mend()
+        (done,) = drain(rosCas, folder)
+        assert done.complete and not done.lost
+    else:
+        proxy.mend()
+        count = 2 + TOPICS * (TOPICS + 1) // 2
+        await_true(lambda: sum(each.stored for each in recorder.reports()) == count, 60)
+        recorder.close()
+    for n in range(TOPICS):
+        early = [text(0)] * 2 if n == 0 else []
+        expected = early + [text(f"{n} {step}") for step in range(n, TOPICS)]
+        assert rows_of(rosCas, f"/topic{n}") == expected
 
 
 def left_behind(proxy, store, folder, numbers, **options):

@@ -65,6 +65,21 @@ def test_what_is_written_is_read(written):
     assert path.stat().st_mode & 0o777 == 0o600
 
 
+def test_a_connection_is_one_object_in_all_chunks(tmp_path):
+    """Who knows a connection by its id would take a new object at a freed place for an old one."""
+    path = tmp_path / "000001.mcap"
+    writer = SegmentWriter(path, LABELLED)
+    connections = [connection(n) for n in range(CHUNKS)]
+    for chunk in range(CHUNKS):  # each connection begins in a chunk of its own
+        writer.append([(each, 1, chunk, b"") for each in connections[: chunk + 1]])
+    writer.close()
+    seen = {}
+    for part in SegmentReader(path).parts():
+        for each, *_ in part.messages:
+            assert seen.setdefault(each.topic, each) is each
+    assert len(seen) == CHUNKS
+
+
 def test_other_readers_of_mcap_take_it(written, tmp_path):
     path, messages, ends = written
     with McapReader(path) as reader:

@@ -93,7 +93,8 @@ class SegmentReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.connections: dict[int, Connection] = {}
-        """Connections that were read so far, by channel id."""
+        """Connections that were read so far, by channel id. A file names a connection in several
+        chunks; it stays the same object, because users know it by its id."""
         try:
             # The whole file, for a mapped one ends the process when its disk is removed.
             self._data = path.read_bytes()
@@ -182,7 +183,8 @@ class SegmentReader:
             return None
         where = f"{self.path}: the chunk at byte {record.start}"
         try:
-            self.connections.update(mcap_records.read_channels(content, where))
+            for number, connection in mcap_records.read_channels(content, where).items():
+                self.connections.setdefault(number, connection)
             found = find_messages(content, where)
             columns = (each.tolist() for each in found)
             return [
