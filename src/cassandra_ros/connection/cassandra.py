@@ -81,6 +81,9 @@ CHANGES_AT_ONCE = 4
 """Maximum number of DDL statements that wait for their answers from a cluster of one node."""
 AGREEMENT_SEC = 10
 """How long the driver waits after a DDL statement for the agreement of several nodes, s."""
+SAME_SCHEMA_SEC = 150.0
+"""Maximum time until several nodes have the same schema, s. A busy node that missed a change asks
+the others for it 60 s later (Cassandra's migration_delay_ms), and again after another 60 s."""
 
 _NEEDS = {
     "ONE": "a node that has a copy of the row",
@@ -444,7 +447,7 @@ class Cassandra:
         """Run one DDL statement and wait until all nodes agree on the schema.
 
         Raises:
-            StoreUnavailable: The nodes do not agree within 30 s.
+            StoreUnavailable: The nodes do not agree within SAME_SCHEMA_SEC.
         """
         self.change_schema([(cql, what)])
 
@@ -455,7 +458,7 @@ class Cassandra:
         agree. Several nodes get each statement after they have agreed on the one before it.
 
         Raises:
-            StoreUnavailable: The nodes do not agree within 30 s.
+            StoreUnavailable: The nodes do not agree within SAME_SCHEMA_SEC.
             CassandraRosError: The first error. Statements after it are not sent; those on their
                 way have been answered.
         """
@@ -483,13 +486,13 @@ class Cassandra:
             raise failures[0]
 
     def _agree(self, what: str) -> None:
-        """Wait until all nodes have the same schema; raises StoreUnavailable after 30 s.
+        """Wait until all nodes have the same schema; raises StoreUnavailable after a limit.
 
         The driver has waited before, at the node that made the change: this one may ask a node that
         has not heard of it, and with the others that have not finds agreement. But the driver does
         not tell whether its wait had an end.
         """
-        agreed, deadline = False, time.monotonic() + 30.0
+        agreed, deadline = False, time.monotonic() + SAME_SCHEMA_SEC
         with translated(what, self.outage.nodes):
             while not agreed and time.monotonic() < deadline:
                 agreed = self._cluster.control_connection.wait_for_schema_agreement(wait_time=5.0)

@@ -384,7 +384,7 @@ class SideTables:
             if wanted > 1:
                 _log.warning(
                     "making keyspace %s: %d nodes have to agree on it and on each of its tables, "
-                    "which may take up to a minute",
+                    "which may take a minute or two",
                     self.keyspace,
                     self._cassandra.live_nodes(),
                 )
