@@ -210,9 +210,7 @@ def test_play_launch_plays_several_stores_and_names_one_that_is_away(
             writer.write(handle, begin + n * 10**7, n, message(String(str(n))))
     stores = tmp_path / "stores"
     place = f"{cassandra.host}:{cassandra.port}/{rosCas.keyspace}"
-    stores.write_text(
-        f"[home]\nplace = {place}\n[away]\nplace = {cassandra.host}:{free_port()}\n"
-    )
+    stores.write_text(f"[home]\nplace = {place}\n[away]\nplace = {cassandra.host}:{free_port()}\n")
     child = launched(
         "play.launch",
         host="",
