@@ -64,7 +64,8 @@ class EventNames:
         keys = batch.column("KEY").cast(arrow.int64()).to_numpy(zero_copy_only=False)
         nodes = batch.column("NODE").dictionary_encode()
         places = nodes.indices.to_numpy(zero_copy_only=False)
-        messages, codes = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+        messages: list[AnyArray] = [np.empty(0, np.int64)]
+        codes: list[AnyArray] = [np.empty(0, np.int64)]
         for n, node in enumerate(nodes.dictionary.to_pylist()):
             members = np.flatnonzero(places == n)
             members = members[np.argsort(keys[members], kind="stable")]
