@@ -38,6 +38,8 @@ MAX_CONFLICTS = 5
 
 The schema lock may be held by other clients for a while; a table of another kind stays a conflict.
 """
+TOGETHER = 32
+"""Maximum number of tables that are made under one lock: the messages of these topics go on then."""
 LAST_TRIES_SEC = 20.0
 """How long tables are still attempted after the recording has ended, s."""
 
@@ -86,8 +88,8 @@ class TableMaker:
         ended = False
         while not ended:
             sources = [self._asked.get()]
-            while sources[-1] is not None and not self._asked.empty():  # only this thread gets
-                sources.append(self._asked.get())
+            while sources[-1] is not None and len(sources) < TOGETHER and not self._asked.empty():
+                sources.append(self._asked.get())  # only this thread gets
             ended = sources[-1] is None
             self._make([source for source in sources if source is not None])
 
@@ -129,7 +131,8 @@ class TableMaker:
         except Exception as exc:  # noqa: BLE001 - our mistake: counted, the other topics go on
             _log.exception("the table of topic %s could not be made", source.topic)
             source.fail(f"internal error: {type(exc).__name__}: {exc}")
-        _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
+        if self._deadline:  # else its messages are in the spool, and the connection is closed
+            _log.error("topic %s cannot be recorded: %s", source.topic, source.error)
         return True
 
 

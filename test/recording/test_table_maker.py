@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The thread that makes tables: many at once, but not so many that the first topics wait long."""
+
+from __future__ import annotations
+
+import threading
+
+from nodes.children import await_true
+from nodes.raw_publisher import header_of
+from std_msgs.msg import String
+
+from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.messages.connection_header import live_connection
+from cassandra_ros.recording.message_buffer import MessageSource
+from cassandra_ros.recording.table_maker import TOGETHER, TableMaker
+
+
+def source(n):
+    return MessageSource(live_connection(f"/topic{n}", header_of(String)))
+
+
+def test_many_tables_are_made_in_groups():
+    groups, decided, begin = [], [], threading.Event()
+
+    def connect(each):
+        begin.wait()
+        decided.append(each.topic)
+        return object()
+
+    maker = TableMaker(lambda sources: groups.append(len(sources)), connect, lambda: None)
+    for n in range(3 * TOGETHER):
+        maker.make(source(n))
+    begin.set()
+    await_true(lambda: len(maker.decided) == 3 * TOGETHER)
+    maker.close()
+    assert decided == [f"/topic{n}" for n in range(3 * TOGETHER)]
+    assert len(groups) >= 3
+    assert max(groups) <= TOGETHER
+
+
+def test_a_table_that_the_next_recorder_makes_is_no_error(caplog):
+    """The messages are left in the spool when the connection is closed."""
+    begin = threading.Event()
+
+    def connect(each):
+        begin.wait()
+        raise StoreUnavailable("the connection is closed")
+
+    maker = TableMaker(lambda sources: None, connect, lambda: None)
+    waiting = source(0)
+    maker.make(waiting)
+    maker.close(wait=False)
+    begin.set()
+    await_true(lambda: waiting.error)
+    assert not caplog.records
