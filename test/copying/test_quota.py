@@ -8,8 +8,11 @@ import pytest
 from copying.test_replicator import SEC, T0, home, messages  # noqa: F401
 from std_msgs.msg import Int64
 
+from cassandra_ros.copying import quota
+from cassandra_ros.copying.copy_status import copy_status
 from cassandra_ros.copying.quota import keep_under
 from cassandra_ros.copying.replicator import Replicator
+from cassandra_ros.copying.rules import CopyRule, CopyRules
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
@@ -73,3 +76,90 @@ def test_a_bucket_that_was_added_to_since_is_not_deleted(rosCas, home):  # noqa:
     assert report.bytes == report.uncopied_bytes == 800
     assert rosCas.getTopic("/a").countTopicData() == 100
     assert {row.seq >> 32 for row in rosCas.getTopic("/a").rows()} == {2}
+
+
+def copy_nothing_more(store, home, **options):  # noqa: F811
+    """Look at the target as a replicator does that has no time to copy yet."""
+    replicator = Replicator(store, home, **options)
+    replicator.paused.set()
+    replicator.copy()
+
+
+def test_a_keyspace_that_was_made_again_confirms_nothing(rosCas, connect, new_keyspace, cql):
+    store(rosCas, "/a", 0)
+    with connect(keyspace=new_keyspace) as home:  # noqa: F811
+        Replicator(rosCas, home).copy()
+    cql.execute(f"DROP KEYSPACE {new_keyspace}")
+    with connect(keyspace=new_keyspace) as home:
+        copy_nothing_more(rosCas, home)
+        assert keep_under(rosCas.catalog, 0).uncopied_bytes == 800
+        (status,) = copy_status(rosCas.catalog)
+        assert (status.copied, status.waiting, status.refused) == (0, 100, "")
+        Replicator(rosCas, home).copy()
+        every = messages(home, "/a")
+        assert len(every) == 100
+        assert keep_under(rosCas.catalog, 0).bytes == 0
+        assert messages(home, "/a") == every
+
+
+def test_a_topic_that_was_removed_there_is_not_deleted_here(rosCas, home):  # noqa: F811
+    store(rosCas, "/a", 0)
+    Replicator(rosCas, home).copy()
+    home.removeTopic("/a")
+    copy_nothing_more(rosCas, home)
+    assert keep_under(rosCas.catalog, 0).uncopied_bytes == 800
+    assert rosCas.getTopic("/a").countTopicData() == 100
+
+
+def add(store, topic, second, counter, writer_id=1):
+    """Store one more message of a writer in a bucket."""
+    with store.messageWriter(writer_id=writer_id) as writer:
+        handle = writer.connect(api_connection(topic, definition_of(Int64), "/n"), bucket_ns=SEC)
+        writer.write(handle, T0 + second * SEC + 1, counter, serialize(Int64(counter)))
+
+
+@pytest.mark.parametrize("how", ["again", "late", "rule"])
+def test_what_was_deleted_here_stays_there_whatever_happens_to_the_bucket(
+    rosCas,
+    home,  # noqa: F811
+    how,
+):
+    store(rosCas, "/a", 0)
+    Replicator(rosCas, home).copy()
+    every = messages(home, "/a")
+    keep_under(rosCas.catalog, 400)
+    assert rosCas.getTopic("/a").countTopicData() == 50
+    if how == "again":
+        Replicator(rosCas, home).compare(repair=True)
+    elif how == "rule":
+        rules = CopyRules([CopyRule(run="none of them")])
+        Replicator(rosCas, home, rules=rules).copy()
+    add(rosCas, "/a", 2, 1000)
+    for _ in range(2):
+        assert Replicator(rosCas, home, with_deletions=True).copy().complete
+        assert len(messages(home, "/a")) == len(every) + 1
+
+
+def test_a_topic_that_is_removed_leaves_there_what_was_deleted_for_room(rosCas, home):  # noqa: F811
+    store(rosCas, "/a", 0)
+    Replicator(rosCas, home).copy()
+    keep_under(rosCas.catalog, 400)
+    rosCas.removeTopic("/a")
+    Replicator(rosCas, home, with_deletions=True).copy()
+    assert times(home, "/a") == [n // 10 for n in range(50)]
+
+
+def test_what_comes_while_room_is_made_stays(rosCas, home, monkeypatch):  # noqa: F811
+    """A bucket of which more was stored since it was listed is not deleted."""
+    store(rosCas, "/a", 0)
+    Replicator(rosCas, home).copy()
+    listed = quota._entries
+
+    def late(*args):
+        entries = listed(*args)
+        add(rosCas, "/a", 0, 1000)
+        return entries
+
+    monkeypatch.setattr(quota, "_entries", late)
+    keep_under(rosCas.catalog, 0)
+    assert times(rosCas, "/a") == [0] * 11

@@ -9,9 +9,10 @@ import threading
 
 import pytest
 from nav_msgs.msg import OccupancyGrid
-from sensor_msgs.msg import Image
+from nodes.children import await_true
+from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Int64, String
-from upkeep.test_convert import fill, seen
+from upkeep.test_convert import fill, joint_state, seen
 
 from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import InvalidOption, UnsupportedSchema
@@ -280,6 +281,31 @@ def test_a_topic_removed_there_is_copied_again(rosCas, home):
     home.truncateTopic("/t")
     assert Replicator(rosCas, home).copy().messages == 60
     assert messages(home) == messages(rosCas)
+
+
+def test_a_topic_of_two_formats_there_gets_its_messages_once(rosCas, home):
+    fill(rosCas, "ros", 30)
+    Replicator(rosCas, home, format="packed").copy()
+    with home.messageWriter(format="ros", writer_id=77) as writer:
+        connection = api_connection("/t", definition_of(JointState), "/n")
+        writer.write(writer.connect(connection), T0, 0, serialize(joint_state(0)))
+    fill(rosCas, "ros", 10, writers=((9, "r2"),))
+    assert Replicator(rosCas, home).copy().messages == 10
+    assert len(messages(home)) == len(messages(rosCas)) + 1
+
+
+def test_what_expires_here_stays_there(rosCas, home):
+    """Its end is no deletion to repeat."""
+    home.addTopic("/t", "ros", msg_type="std_msgs/Int64")
+    rosCas.addTopic("/t", "ros", msg_type="std_msgs/Int64", ttl=3)
+    rosCas.getTopic("/t").addData(Int64(1), key=T0)
+    rosCas.catalog.adder.close()
+    Replicator(rosCas, home).copy()
+    await_true(lambda: not list(rosCas.getTopic("/t").rows()), 60)
+    rosCas.getTopic("/t").addData(Int64(2), key=T0 + 1)
+    rosCas.catalog.adder.close()
+    Replicator(rosCas, home, with_deletions=True).copy()
+    assert len(messages(home)) == 2
 
 
 class TestRefusals:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Callable, Iterator, Mapping, NamedTuple, Sequence, Tuple
 from uuid import UUID
 
@@ -17,7 +18,7 @@ from cassandra_ros.errors import SchemaConflict
 from cassandra_ros.read import ALWAYS, EVERYBODY, TimeRange, Whose
 from cassandra_ros.store.verbatim import Part, VerbatimCopy, page_rows, row_keys
 from cassandra_ros.tables.copy_books import CopiedBucket, CopyBooks
-from cassandra_ros.tables.directory import STALE_SEC, BucketRow
+from cassandra_ros.tables.directory import STALE_SEC, BucketRow, slot_of
 from cassandra_ros.tables.row_table import MAX_SEQ, MIN_SEQ, Order
 
 SEEN_MARGIN_US = 3_000_000
@@ -129,7 +130,7 @@ class PieceCopy:
                 final = is_settled(row) and _is_same(row, after)
                 key = (row.bucket, row.writer)
                 numbers = taken.get(key, (0, 0)) if self._choose else (row.rows, row.bytes)
-                self._note(row, known.get(key), seen, final, numbers)
+                self._note(row, seen, final, numbers)
         return count
 
     def _present(self, piece: Piece) -> list[BucketRow]:
@@ -179,6 +180,9 @@ class PieceCopy:
             parts += self._parts(piece.node, mine, books)
         columns = None if self._choose is not None else pair.columns
         if columns is None or self._is_cut_otherwise(piece, rows, books):
+            # A block has messages that are later than its key.
+            end = (self._selection.time_range.high, MAX_SEQ)
+            parts = [part._replace(ends=(part.ends[0], end)) for part in parts]
             with ConvertedCopy(pair, piece.node, self._sent, self._choose) as converted:
                 for part in parts:
                     converted.copy(part)
@@ -217,7 +221,8 @@ class PieceCopy:
         twice.
         """
         source, target = self._pair.source, self._pair.target
-        if not source.packed or all((row.bucket, row.writer) in books for row in rows):
+        known = [books.get((row.bucket, row.writer)) for row in rows]
+        if not source.packed or all(book and book.there == target.name for book in known):
             return False
         writers = frozenset(row.writer for row in rows)
         buckets = sorted({row.bucket for row in rows})
@@ -262,8 +267,6 @@ class PieceCopy:
             keys = row_keys(source, node, bucket, writers, since_us)
         if keys:
             first, last = max(min(keys), ends[0]), min(max(keys), ends[1])
-            if self._pair.columns is None:
-                last = ends[1]  # a block has messages that are later than its key
             yield part._replace(ends=(first, last), keys=frozenset(keys))
 
     def _keys_there(self, node: str, bucket: int, writers: frozenset[int]) -> set[Order]:
@@ -281,17 +284,19 @@ class PieceCopy:
             book = books.get((row.bucket, row.writer))
             if book is not None and not book.released and self._is_covered(row):
                 if row.cut or is_settled(row):
-                    deleted += delete_missing(self._pair, node, row.bucket, row.writer)
+                    whole = Piece(node, [row])
+                    deleted += delete_missing(
+                        self._pair, node, row.bucket, row.writer, partial(self._is_released, whole)
+                    )
         return deleted
 
-    def _note(
-        self,
-        row: BucketRow,
-        book: CopiedBucket | None,
-        seen: int,
-        final: bool,
-        numbers: tuple[int, int],
-    ) -> None:
+    def _is_released(self, piece: Piece) -> bool:
+        """Return whether the books say now that rows are deleted here because they are there."""
+        slots = {(slot_of(row.bucket), piece.node) for row in piece.entries}
+        books = self._books.buckets(self._id, self._pair.source.name, slots)
+        return any(book.released for book in books if (book.bucket, book.writer) in piece.keys)
+
+    def _note(self, row: BucketRow, seen: int, final: bool, numbers: tuple[int, int]) -> None:
         entry = CopiedBucket(
             node=row.node,
             bucket=row.bucket,
@@ -301,7 +306,6 @@ class PieceCopy:
             seen=seen,
             final=final,
             rule=self._rule(row),
-            released=book is not None and book.released,
             rows=row.rows,
             n=numbers[0],
             bytes=numbers[1],

@@ -51,7 +51,7 @@ def copy_status(catalog: Catalog, topics: Iterable[str] | None = None) -> list[T
     """
     books = CopyBooks(catalog.keyspace.side_tables)
     entries: dict[UUID, dict[str, CopiedTable]] = {}
-    for entry in books.tables():
+    for entry in (each for each in books.tables() if not each.gone):
         entries.setdefault(entry.target, {})[entry.table] = entry
     tables = catalog.tables(topics)
     found: dict[tuple[str, str], TopicStatus] = {}

@@ -90,9 +90,7 @@ class NamedCopy:
         rows = named_rows(pair.source, self._selection)
         books = {} if again else self._known()
         if self._selection.deletions:
-            released = {writer for writer, book in books.items() if book.released}
-            gone = frozenset(books).difference(released)
-            count.deleted = delete_missing_names(pair, gone) if gone else 0
+            count.deleted = delete_missing_names(pair, frozenset(books)) if books else 0
         late = [row for row in rows if row.written_us > _since(books.get(row.writer))]
         if pair.columns is None:
             for node in sorted({row.node for row in late}):
@@ -104,7 +102,7 @@ class NamedCopy:
             self._copy_as_stored(late, count)
         everything = self._selection == Selection(deletions=self._selection.deletions)
         if everything and not count.damaged:
-            self._note(rows, books, seen)
+            self._note(rows, seen)
         return count
 
     def _known(self) -> dict[int, CopiedBucket]:
@@ -138,13 +136,12 @@ class NamedCopy:
         count.messages, count.bytes = copy.counts.messages, copy.counts.bytes
         count.damaged = copy.counts.damaged
 
-    def _note(self, rows: Iterable[NamedRow], books: dict[int, CopiedBucket], seen: int) -> None:
+    def _note(self, rows: Iterable[NamedRow], seen: int) -> None:
         table: TopicTable = self._pair.source
         mine: dict[tuple[str, int], list[NamedRow]] = {}
         for row in rows:
             mine.setdefault((row.node, row.writer), []).append(row)
         for (node, writer), group in mine.items():
-            book = books.get(writer)
             entry = CopiedBucket(
                 node=node,
                 bucket=0,
@@ -154,7 +151,6 @@ class NamedCopy:
                 seen=seen,
                 final=False,
                 rule="",
-                released=book is not None and book.released,
                 rows=len(group),
                 n=len(group),
                 bytes=sum(row.size for row in group),

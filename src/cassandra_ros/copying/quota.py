@@ -103,8 +103,8 @@ def keep_under(
             break
         if not is_settled(entry.row) or not (entry.books or uncopied):
             continue
-        if not dry_run:
-            _delete(catalog, books, entry)
+        if not (dry_run or _delete(catalog, books, entry)):
+            continue
         report.topics[entry.table.metadata.topic].dropped += entry.row.rows
         report.bytes -= entry.row.bytes
         if not entry.books:
@@ -114,7 +114,9 @@ def keep_under(
 
 def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
     directory = catalog.keyspace.directory
-    targets = sorted({entry.target for entry in books.tables()})
+    targets: dict[str, set[UUID]] = {}
+    for entry in (each for each in books.tables() if not each.gone):
+        targets.setdefault(entry.table, set()).add(entry.target)
     found = []
     for table in catalog.tables(None):
         if table.named:
@@ -125,7 +127,7 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
         rows = [row for row in settle(directory, table, there) if row.rows]
         slots = sorted({(slot_of(row.bucket), row.node) for row in rows})
         known: dict[tuple[str, int, int], list[tuple[UUID, CopiedBucket]]] = {}
-        for target in targets:
+        for target in targets.get(table.name, ()):
             for book in books.buckets(target, table.name, slots):
                 key = (book.node, book.bucket, book.writer)
                 known.setdefault(key, []).append((target, book))
@@ -136,11 +138,18 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
     return found
 
 
-def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> None:
+def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
+    """Delete the messages of an entry; return whether nobody has written there meanwhile."""
     table, row, confirming = entry
+    found = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
+    now = next((each for each in found if each.writer == row.writer), row)
+    if not is_settled(now) or now.rows > row.rows:
+        return False
+    if confirming and not any(book.confirms(now, [book.there]) for _, book in confirming):
+        return False
     for target, book in confirming:
         # Before the deletion, which must not be repeated there.
-        books.put_bucket(target, table.name, book._replace(released=True))
+        books.release(target, table.name, book)
     low = row.bucket * table.bucket_ns
     time_range = TimeRange(low, low + table.bucket_ns - 1)
     whose = Whose((row.node,), frozenset([row.writer]))
@@ -148,3 +157,4 @@ def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> None:
     if count and not confirming:
         place = (table.metadata.topic, row.node, row.writer, LossKind.NO_ROOM)
         catalog.keyspace.registry.put_loss(Loss(*place, row.t_min, row.t_max, count))
+    return True

@@ -184,7 +184,12 @@ class Replicator:
         self._books.make()
         self._target = _identity(self._there)
         tables = self._tables()
-        known = {entry.table: entry for entry in self._books.tables(self._id)}
+        known: dict[str, CopiedTable] = {}
+        for entry in self._books.tables():
+            if entry.target == self._id:
+                known[entry.table] = entry
+            elif entry.place == self.place and not entry.gone:
+                self._books.bury(entry)
         if self._selection.deletions and self._names is None:
             self._delete_removed(known, report)
         report.unused = self._rules.unused(sorted({table.metadata.topic for table in tables}))
@@ -277,6 +282,8 @@ class Replicator:
             self._refuse(table, there, result, str(exc))
             return None
         result.format = pair.target.metadata.format
+        if there and there not in pair.names:  # the table there was removed
+            self._books.doubt(self._id, table.name, pair.names)
         new = CopiedTable(self._id, table.name, self.place, topic, pair.target.name)
         if new != entry:
             self._books.put_table(new)
@@ -351,9 +358,10 @@ class Replicator:
             book = books.get((row.node, row.bucket, row.writer))
             if book is not None and book.heartbeat == row.heartbeat:
                 continue
-            beat, flags = row.heartbeat, (False, "run", False)
+            beat, final, rule = row.heartbeat, False, "run"
             place = (row.node, row.bucket, row.writer, there)
-            entry = CopiedBucket(*place, beat, 0, *flags, row.rows, 0, 0, max(0, row.t_max))
+            numbers = (row.rows, 0, 0, max(0, row.t_max))
+            entry = CopiedBucket(*place, beat, 0, final, rule, *numbers)
             self._books.put_bucket(self._id, source.name, entry)
 
     def _sent(self, rule: CopyRule) -> Callable[[int], None]:

@@ -96,6 +96,9 @@ def find_pair(
         raise _refusal(metadata, f"type {ours}", theirs)
     if format is not None and source.definition is None:
         format = FALLBACK_FORMAT
+    # There may be a table of another format there, too: what is in one must not go to the other.
+    took = there.schema.listing().heirs.get(known, known)
+    kinds = [table for table in kinds if table.name == took] or kinds
     name = _format_there(metadata, [table.metadata for table in kinds], format)
     _check_lifetime(metadata, name, alike=name == metadata.format and not thinned)
     target = next((table for table in kinds if table.metadata.format == name), None)

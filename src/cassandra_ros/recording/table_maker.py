@@ -39,7 +39,7 @@ MAX_CONFLICTS = 5
 The schema lock may be held by other clients for a while; a table of another kind stays a conflict.
 """
 TOGETHER = 32
-"""Maximum number of tables that are made under one lock: the messages of these topics go on then."""
+"""Maximum number of tables that are made under one lock: messages of these topics go on then."""
 LAST_TRIES_SEC = 20.0
 """How long tables are still attempted after the recording has ended, s."""
 

@@ -11,7 +11,7 @@ dropped and made again under the same name is another target, of which nothing i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Iterable, NamedTuple
 from uuid import UUID
@@ -22,11 +22,10 @@ from cassandra_ros.tables.side_tables import SideTables
 
 _TABLES, _BUCKETS = "cr_copy", "cr_copied"
 _KEY = ("target", "tbl", "node", "slot", "bucket", "writer")
-_VALUES = (
-    *("there", "heartbeat", "seen", "final", "rule", "released"),
-    *("rows", "n", "bytes", "t_max"),
-)
+_VALUES = ("there", "heartbeat", "seen", "final", "rule", "rows", "n", "bytes", "t_max")
+_READ = ", ".join(("node", "bucket", "writer", *_VALUES, "released"))
 _WHAT = "writing the books of copies"
+_GONE = "another keyspace was made in its place"
 
 
 @dataclass(frozen=True)
@@ -42,6 +41,11 @@ class CopiedTable:
     """Name of the table there that takes the rows; '' = there is none."""
     refused: str = ""
     """Why the topic was not copied the last time; '' = it was."""
+
+    @property
+    def gone(self) -> bool:
+        """Whether the target is not there any more: what it confirmed counts no longer."""
+        return self.refused == _GONE
 
 
 class CopiedBucket(NamedTuple):
@@ -60,8 +64,6 @@ class CopiedBucket(NamedTuple):
     """Whether no writer had the bucket open: if the heartbeat is still the same, all is there."""
     rule: str
     """What left out some of the messages; '' = all were copied."""
-    released: bool
-    """Whether the rows were deleted here because they are there: not a deletion to repeat there."""
     rows: int
     """Number of messages that the bucket had here at least when it was copied."""
     n: int
@@ -69,6 +71,9 @@ class CopiedBucket(NamedTuple):
     bytes: int
     t_max: int
     """Last key time of these messages, ns."""
+    released: bool = False
+    """Whether rows were deleted here because they are there: not a deletion to repeat there. Only
+    ``release`` writes it, and it stays."""
 
     def confirms(self, row: BucketRow, tables: Iterable[str], rule: str = "") -> bool:
         """Return whether one of tables has all rows of a bucket as the directory lists it now.
@@ -112,11 +117,18 @@ class CopyBooks:
         return [CopiedTable(*row[:2], *(text or "" for text in row[2:])) for row in rows]
 
     def put_bucket(self, target: UUID, table: str, entry: CopiedBucket) -> None:
-        """Write what is confirmed of the rows of a writer in a bucket."""
+        """Write what is confirmed of the rows of a writer in a bucket, but not ``released``."""
+        self._write(target, table, entry, {name: getattr(entry, name) for name in _VALUES})
+
+    def release(self, target: UUID, table: str, entry: CopiedBucket) -> None:
+        """Note that rows of a bucket are deleted here because they are there."""
+        self._write(target, table, entry, {"released": True})
+
+    def _write(
+        self, target: UUID, table: str, entry: CopiedBucket, values: dict[str, object]
+    ) -> None:
         key = (target, table, entry.node, slot_of(entry.bucket), entry.bucket, entry.writer)
-        columns = dict(zip(_KEY, key))
-        columns.update({name: getattr(entry, name) for name in _VALUES})
-        self._tables.insert(_BUCKETS, columns, _WHAT)
+        self._tables.insert(_BUCKETS, {**dict(zip(_KEY, key)), **values}, _WHAT)
 
     def buckets(
         self, target: UUID, table: str, slots: Iterable[tuple[int, str]]
@@ -124,8 +136,8 @@ class CopyBooks:
         """Return what is confirmed of a table, in some slots of its nodes."""
         params = [(target, table, node, slot) for slot, node in slots]
         where = "target = ? AND tbl = ? AND node = ? AND slot = ?"
-        names, what = ", ".join(("node", "bucket", "writer", *_VALUES)), "reading the books"
-        found = self._tables.select_many(_BUCKETS, names, where, params, what)
+        what = "reading the books of copies"
+        found = self._tables.select_many(_BUCKETS, _READ, where, params, what)
         return [_bucket(row) for rows in found for row in rows]
 
     def slots(self, target: UUID, table: str) -> list[tuple[int, str]]:
@@ -133,6 +145,16 @@ class CopyBooks:
         names, what = "DISTINCT target, tbl, node, slot", "listing the books of copies"
         rows = self._tables.select(_BUCKETS, names, what=what)
         return [(slot, node) for t, tbl, node, slot in rows if (t, tbl) == (target, table)]
+
+    def bury(self, entry: CopiedTable) -> None:
+        """Note that a target is gone: another keyspace was made in its place."""
+        self.put_table(replace(entry, there="", refused=_GONE))
+
+    def doubt(self, target: UUID, table: str, names: Iterable[str]) -> None:
+        """Confirm no rows of a table that the target took into other tables than these."""
+        for book in self.buckets(target, table, self.slots(target, table)):
+            if book.final and book.there not in names:
+                self.put_bucket(target, table, book._replace(final=False))
 
     def forget_table(self, target: UUID, table: str) -> None:
         """Delete the entries of a table that is no longer here."""
@@ -143,7 +165,8 @@ class CopyBooks:
 
 
 def _bucket(row: CqlRow) -> CopiedBucket:
-    node, bucket, writer, there, heartbeat, seen, final, rule, released, *numbers = row
-    flags = bool(final), rule or "", bool(released)
-    counts = tuple(number or 0 for number in numbers)
-    return CopiedBucket(node, bucket, writer, there or "", heartbeat, seen or 0, *flags, *counts)
+    node, bucket, writer, there, heartbeat, seen, final, rule, *numbers, released = row
+    rows, n, nbytes, t_max = (number or 0 for number in numbers)
+    place = (node, bucket, writer, there or "")
+    known = (heartbeat, seen or 0, bool(final), rule or "")
+    return CopiedBucket(*place, *known, rows, n, nbytes, t_max, bool(released))
