@@ -274,6 +274,84 @@ def test_a_full_disk_is_told_and_memory_is_used(
     assert rows_of(rosCas) == [text(n) for n in range(3000)]
 
 
+@pytest.mark.parametrize("fails", [True, False])
+def test_what_no_file_takes_at_the_end_is_lost_and_told(
+    proxy, store, rosCas, folder, monkeypatch, caplog, fails
+):
+    """The disk is full until the end, or again when the recording ends."""
+    append, full = SegmentWriter.append, True
+
+    def refuse(self, messages):
+        if full:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        append(self, messages)
+
+    monkeypatch.setattr(SegmentWriter, "append", refuse)
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder))
+    send(recorder, [0])
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(recorder, [1])
+    await_true(lambda: recorder.is_held_up)
+    send(recorder, range(2, 3000))
+    await_true(lambda: "cannot be written: No space left on device" in caplog.text, 30)
+    full = fails
+    (report,) = recorder.close()
+    assert report.stored + report.spooled + report.lost == 3000
+    assert (report.lost > 2000) == fails
+    proxy.mend()
+    for done in drain(rosCas, folder):
+        assert done.complete and not done.lost
+    (run,) = rosCas.runs()
+    assert (run.stored["/text"], run.lost.get("/text", 0)) == (3000 - report.lost, report.lost)
+    assert len(rows_of(rosCas)) == 3000 - report.lost
+
+
+def test_no_message_goes_to_a_file_after_the_last_file_was_read(store, rosCas, folder):
+    """The spool's thread had decided to write one just before."""
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder))
+    recorder._backlog._is_needed = lambda: True
+    for n in range(100):
+        send(recorder, [n])
+        time.sleep(0.01)
+    (report,) = recorder.close()
+    assert (report.stored, report.lost) == (100, 0)
+    assert rows_of(rosCas) == [text(n) for n in range(100)]
+
+
+def test_the_end_does_not_wait_for_a_silent_store_that_has_everything(
+    proxy, store, rosCas, folder, monkeypatch
+):
+    monkeypatch.setattr("cassandra_ros.recording.recording.SLOW_SEC", 2.0)
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder))
+    send(recorder, range(100))
+    await_true(lambda: recorder.reports()[0].stored == 100, 60)
+    proxy.cut()
+    (report,) = recorder.close()
+    assert (report.stored, report.lost, report.spooled) == (100, 0, 0)
+    assert rows_of(rosCas) == [text(n) for n in range(100)]
+    assert rosCas.getTopic("/text").countTopicData() == 100
+
+
+def test_a_spool_that_others_fill_leaves_the_memory(proxy, store, rosCas, tmp_path):
+    folder = SpoolFolder(tmp_path / "spool", 100_000)
+    (folder.path / "12345").mkdir(parents=True)
+    (folder.path / "12345" / "000001.mcap").write_bytes(bytes(200_000))
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder))
+    send(recorder, [0])
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(recorder, range(1, 100))
+    await_true(lambda: recorder.is_held_up)
+    send(recorder, range(100, 2000))
+    time.sleep(2.0)  # the spool's thread tries more than once
+    proxy.mend()
+    await_true(lambda: recorder.reports()[0].stored == 2000, 60)
+    (report,) = recorder.close()
+    assert (report.stored, report.lost) == (2000, 0)
+    assert rows_of(rosCas) == [text(n) for n in range(2000)]
+
+
 def test_a_store_that_comes_late(proxy, keyspace, rosCas, folder):
     """What came before it is on disk; tables and the run are made when it is there."""
     late: Future = Future()

@@ -15,7 +15,6 @@ from typing import NamedTuple
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from cassandra_ros.bag.bag_reader import check_header
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import (
@@ -67,7 +66,7 @@ def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connec
     """Return the connection of a ROS 1 channel.
 
     Raises:
-        BagError: The metadata fields HEADER or NUMBER are damaged.
+        BagError: The metadata fields HEADER or NUMBER are damaged. The header is not checked.
     """
     place = f"{where}: channel {channel.id} (topic {channel.topic})"
     text = ChannelText("", b"", channel.metadata)
@@ -82,7 +81,6 @@ def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connec
             raise ValueError(f"{number} is out of range")
     except ValueError as exc:
         raise BagError(f"{place} is damaged: its metadata {HEADER} or {NUMBER}: {exc}") from exc
-    check_header(header, place)
     return Connection(channel.topic, header, number)
 
 

@@ -25,7 +25,7 @@ from collections import Counter, deque
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Callable, Iterator, NamedTuple, Sequence
+from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import COUNTER_BITS
@@ -329,6 +329,8 @@ class Backlog:
         if not self._is_needed():
             return False
         with self._changed:
+            if not (self._journal or self._parking):
+                return False  # the writing thread has read all files meanwhile
             items = self._buffer.take(CHUNK_MESSAGES, CHUNK_BYTES, 0.0)
             # Of one generation of the counter: a file names one writer.
             high = items[0].counter >> COUNTER_BITS if items else 0
@@ -401,17 +403,22 @@ class Backlog:
             self._hand_over(items)
         elif self._retry_at > time.monotonic():  # the disk fails: memory is what is left
             self._buffer.put_back(items)
+        elif not (self._plan.drops_newest or self._journal or self._buffer.is_half_full):
+            # Other runs fill the spool, and there is no older message of this one to drop.
+            self._buffer.put_back(items)
+            self._retry_at = time.monotonic() + SYNC_SEC
         else:
-            totals: dict[str, TopicTotal] = {}
-            for item in items:
-                totals.setdefault(item.source.topic, TopicTotal()).add(1, item.t, item.t)
-            self._lose_totals(totals)
+            self._lose_totals(_totals_of((item.source.topic, item.t) for item in items))
             self._buffer.release_all(items)
 
-    def _lose_totals(self, totals: dict[str, TopicTotal]) -> None:
+    def _lose_totals(
+        self,
+        totals: Mapping[str, TopicTotal],
+        kind: LossKind = LossKind.SPOOL_FULL,
+        why: str = "option --spool-size",
+    ) -> None:
         for topic, total in totals.items():
-            times = total.first_ns, total.last_ns
-            self._lose(topic, total.count, LossKind.SPOOL_FULL, *times, "option --spool-size")
+            self._lose(topic, total.count, kind, total.first_ns, total.last_ns, why)
 
     def _make_room(self, nbytes: int) -> bool:
         """Delete the oldest files if the spool is full; return whether so many bytes fit."""
@@ -545,21 +552,37 @@ class Backlog:
             with self._changed:
                 self._back += map(_spooled, items)
 
+    def keep_rest(self) -> None:
+        """Write what was given back, and what ``leave`` had no time for; what cannot be is lost."""
+        self._done.set()
+        self._thread.join()
+        with self._changed:
+            while items := self._buffer.take(CHUNK_MESSAGES, CHUNK_BYTES, 0.0):
+                self._back += map(_spooled, items)
+                self._buffer.release_all(items)
+            for generation in sorted({generation for generation, _ in self._back}):
+                rows = [row for each, row in self._back if each == generation]
+                for first in range(0, len(rows), CHUNK_MESSAGES):
+                    self._keep_rows(generation, rows[first : first + CHUNK_MESSAGES])
+            self._back.clear()
+
+    def _keep_rows(self, generation: int, rows: Sequence[SpooledMessage]) -> None:
+        totals = _totals_of((connection.topic, t) for connection, t, _, _ in rows)
+        if not self._make_room(sum(len(row[3]) + MESSAGE_BYTES for row in rows)):
+            self._lose_totals(totals)
+            return
+        try:
+            self._segment(generation, False).writer.append(rows)
+        except (OSError, CassandraRosError) as exc:
+            self._lose_totals(totals, LossKind.AT_END, str(exc))
+
     def finish(self, end: RunEnd) -> None:
-        """Write what was given back and the end of the run; the files stay.
+        """Write the end of the run, after ``keep_rest``; the files stay.
 
         Raises:
             OSError, SpoolError: The disk is full, or fails.
         """
-        self._done.set()
-        self._thread.join()
         with self._changed:
-            for generation in sorted({generation for generation, _ in self._back}):
-                rows = [row for each, row in self._back if each == generation]
-                writer, _ = self._segment(generation, False)
-                for first in range(0, len(rows), CHUNK_MESSAGES):
-                    writer.append(rows[first : first + CHUNK_MESSAGES])
-            self._back.clear()
             writer, _ = self._segment(0, False)
             writer.finish(end)
             self._close_open()
@@ -576,6 +599,14 @@ class Backlog:
         self._sync()
         if self._folder is not None:
             self._folder.remove()
+
+
+def _totals_of(messages: Iterable[tuple[str, int]]) -> dict[str, TopicTotal]:
+    """Return the totals by topic of messages of which topic and time (ns) are given."""
+    totals: dict[str, TopicTotal] = {}
+    for topic, t in messages:
+        totals.setdefault(topic, TopicTotal()).add(1, t, t)
+    return totals
 
 
 def _spooled(item: BufferedMessage) -> tuple[int, SpooledMessage]:

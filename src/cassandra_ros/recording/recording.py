@@ -674,6 +674,9 @@ class Recording:
                 break  # what is pending is given back when the writers are closed
         if not self._left and (self.problem or not self.opened):
             self._leave()
+        if not (self._left or self._thread.is_alive() or self._has_pending()):
+            for writer in list(self._writers):  # all is stored: only buckets are to be closed
+                writer.hurry(SLOW_SEC)
 
     def _leave(self) -> None:
         """Let what is not stored stay in the spool, with what the store gives back."""
@@ -717,6 +720,8 @@ class Recording:
             _try_to(writer.close)
         self._ended.set()
         self._places.close(wait=False)
+        if self._backlog is not None:
+            self._backlog.keep_rest()
         reports = self.reports()
         end = RunEnd(
             time.time_ns(),

@@ -216,7 +216,7 @@ class RunSeries:
         self, topic: str, header: Mapping[str, str], wire: bytes, *, paused: bool = False
     ) -> None:
         """Record a message that was just received; with ``paused`` only count it."""
-        if self._options.repeat_latched and header.get("latching") == "1":
+        if self._options.repeat_latched and not paused and header.get("latching") == "1":
             self._keep_latched(topic, header, wire)
         recording = self.current
         while recording is not None and not recording.received(topic, header, wire, paused=paused):

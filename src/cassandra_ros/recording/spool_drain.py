@@ -19,16 +19,24 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Callable, Mapping
 
-from cassandra_ros.errors import CassandraRosError, SpoolError, StoreUnavailable
+from cassandra_ros.errors import (
+    AccessDenied,
+    CassandraRosError,
+    SchemaConflict,
+    SpoolError,
+    StoreUnavailable,
+    WriteFailed,
+)
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.recording.message_buffer import lengths_for
-from cassandra_ros.recording.table_maker import connect
+from cassandra_ros.recording.table_maker import MAX_CONFLICTS, PAUSE_SEC, connect
 from cassandra_ros.recording.topic_settings import Settings, settings_from_json
 from cassandra_ros.spool.segment_reader import SegmentReader, TopicTotal
 from cassandra_ros.spool.spool_folder import RunFolder
 from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
+from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.tables.registry import Loss, LossKind, Run
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.keyspace import Keyspace
@@ -222,8 +230,9 @@ class Drain:
         return writer
 
     def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
-        cause = error.__cause__
-        if self._stopped.is_set() or isinstance(cause, StoreUnavailable):
+        if self._stopped.is_set() or any(
+            isinstance(exc, StoreUnavailable) for exc in (error, error.__cause__)
+        ):
             self._silent = True
             return
         first = getattr(error, "first_ns", 0) or self._label.begun_ns
@@ -245,13 +254,23 @@ class Drain:
             seconds = (total.last_ns - total.first_ns) / SECOND_NS
             lengths = lengths_for(total.count, total.count * len(wire), seconds)
             try:
-                self._handles[key] = connect(writer, connection, lengths, self._settings)
-            except StoreUnavailable:
-                raise
+                self._handles[key] = self._connect(writer, connection, lengths)
+            except (StoreUnavailable, AccessDenied):
+                raise  # it may be stored later
             except CassandraRosError as exc:
                 _log.error("topic %s cannot be stored: %s", connection.topic, exc)
                 return None
         return self._handles[key]
+
+    def _connect(self, writer: MessageWriter, connection: Connection, lengths: Lengths) -> Handle:
+        """Return a handle; try again while other clients change the table or hold the lock."""
+        for left in reversed(range(MAX_CONFLICTS)):
+            try:
+                return connect(writer, connection, lengths, self._settings)
+            except (SchemaConflict, WriteFailed):
+                if not left or self._stopped.wait(PAUSE_SEC):
+                    raise
+        raise AssertionError("the loop above returns or raises")
 
     def _miss(
         self,

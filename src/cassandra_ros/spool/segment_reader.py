@@ -20,7 +20,7 @@ from cassandra_ros.bag.mcap_format import MAGIC, RECORD, find_messages
 from cassandra_ros.errors import BagError, SpoolError
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.spool.segment_writer import SpooledMessage
-from cassandra_ros.spool.spool_label import END, LABEL, RunEnd, SpoolLabel, from_metadata
+from cassandra_ros.spool.spool_label import END, LABEL, RunEnd, SpoolLabel, from_metadata, is_whole
 from cassandra_ros.tables.checksum import crc32
 
 _LOOK_BYTES = 64
@@ -111,7 +111,7 @@ class SegmentReader:
         for record in self._records():
             if record.kind == mcap_records.METADATA_KIND:
                 name, values = self._metadata(record)
-                if name == LABEL and values:
+                if name == LABEL and is_whole(values):
                     return from_metadata(SpoolLabel, values, str(self.path))
             elif record.kind == mcap_records.CHUNK_KIND:
                 break
@@ -122,7 +122,7 @@ class SegmentReader:
         for record in self._records():
             if record.kind == mcap_records.METADATA_KIND:
                 name, values = self._metadata(record)
-                if name == END and values:
+                if name == END and is_whole(values):
                     return from_metadata(RunEnd, values, str(self.path))
         return None
 

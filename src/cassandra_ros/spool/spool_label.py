@@ -64,16 +64,18 @@ def as_metadata(record: SpoolLabel | RunEnd) -> Mapping[str, str]:
     return {"text": text, "crc": f"{zlib.crc32(text.encode()):08x}"}
 
 
+def is_whole(metadata: Mapping[str, str]) -> bool:
+    """Return whether the checksum of a label or an end is right."""
+    return metadata.get("crc") == f"{zlib.crc32(metadata.get('text', '').encode()):08x}"
+
+
 def from_metadata(kind: type[_T], metadata: Mapping[str, str], where: str) -> _T:
-    """Return the label or the end in a metadata record.
+    """Return the label or the end in a metadata record that is whole.
 
     Raises:
-        SpoolError: It is damaged, or of a newer release.
+        SpoolError: It is of a newer release.
     """
-    text = metadata.get("text", "")
-    if metadata.get("crc") != f"{zlib.crc32(text.encode()):08x}":
-        raise SpoolError(f"{where} is damaged: the checksum of its label is wrong")
-    values = json.loads(text)
+    values = json.loads(metadata["text"])
     if values.get("version", 0) > VERSION:
         raise SpoolError(
             f"{where} has version {values['version']}; this release of cassandra_ros reads "
