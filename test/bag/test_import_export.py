@@ -427,6 +427,18 @@ def test_a_second_format_of_the_same_bag_is_refused(rosCas, bags):
     assert verify_bag(rosCas, bags / "primitive_arrays.bag").equal
 
 
+def test_a_second_format_is_refused_wherever_the_messages_lie(rosCas, tmp_path):
+    """The keys are names, so no bucket of the time of the bag lists them."""
+    path = long_bag(tmp_path / "a.bag", count=20)
+    for topic in ("/a", "/b"):
+        rosCas.addTopic(topic, "ros", msg_type="std_msgs/String", key_format="hash")
+    import_bag(rosCas, path, format="ros")
+    with pytest.raises(TopicExists, match="in format ros.*twice"):
+        import_bag(rosCas, path, format="json")
+    import_bag(rosCas, path)
+    assert len(list(rosCas.getTopic("/a").rows())) == 10
+
+
 def test_two_nodes_keep_two_copies(rosCas, bags, tmp_path):
     path = bags / "primitive_arrays.bag"
     first, second = (import_bag(rosCas, path, nodeID=node) for node in ("r1", "r2"))

@@ -206,6 +206,18 @@ def test_time_goes_back_before_what_is_latched_comes_again(rosCas):
     assert told[:2] == [back, "/map"]
 
 
+def test_a_seek_between_two_windows_goes_on_with_the_next_one(playing, store):
+    store.addTopic("/far").addData(String("a"), key=T0)
+    store.getTopic("/far").addData(String("b"), key=T0 + 10_000 * SEC)
+    around = PlaySelection(topics=["/far"], around=("/far", "data != ''"), before=1.0, after=1.0)
+    run = playing(around, paused=True, keep_alive=True)
+    run.playback.step(1)
+    assert run.playback.seek(T0 + 5000 * SEC) == T0 + 5000 * SEC
+    run.playback.resume()
+    run.into.await_count(2)
+    assert [p.t for p in run.into.got] == [T0, T0 + 10_000 * SEC]
+
+
 def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
     store.addTopic("/gap").addData(String("a"), key=T0)
     store.getTopic("/gap").addData(String("b"), key=T0 + 1000 * SEC)

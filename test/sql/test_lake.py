@@ -15,6 +15,7 @@ from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header, String
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.cli import cassandra_bag
 from cassandra_ros.errors import InvalidOption, TopicNotFound
 from cassandra_ros.keys import SECOND_NS
@@ -22,6 +23,7 @@ from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.sql.lake import Lake
+from cassandra_ros.tables.registry import Run
 
 duckdb = pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
@@ -58,7 +60,7 @@ def test_there_is_a_file_for_each_topic_day_and_robot(lake):
     days = ("day=2020-08-25", "day=2020-08-26")
     robots = ("robot=-", "robot=r1")
     wanted = [f"imu%2Fdata/{d}/{r}/messages.parquet" for d in days for r in robots]
-    assert files(lake) == sorted(["imu%2Fdata/_lake.json", *wanted])
+    assert files(lake) == sorted(["_lake.lock", "imu%2Fdata/_lake.json", *wanted])
 
 
 def test_a_file_says_what_it_is(lake):
@@ -69,6 +71,32 @@ def test_a_file_says_what_it_is(lake):
     assert kind["type"] == "sensor_msgs/Imu" and "linear_acceleration" in kind["definition"]
     units = json.loads(metadata["cassandra_ros.units"])
     assert units["linear_acceleration.x"] == "m/s²" and units["header.stamp"] == "ns"
+
+
+def test_two_programs_do_not_write_at_once(lake, rosCas):
+    fill(rosCas, 3, first=20)
+    refused = []
+
+    def write_too(path, count):
+        with pytest.raises(InvalidOption, match="written by another program") as error:
+            Lake(rosCas.catalog, lake).write()
+        refused.append(error.value)
+
+    assert Lake(rosCas.catalog, lake).write(write_too).files == len(refused) == 1
+    assert not Lake(rosCas.catalog, lake).verify().differences
+
+
+def test_the_name_of_a_run_that_comes_later_is_written(lake, rosCas):
+    rosCas.catalog.keyspace.registry.put_run(Run("r1", 1, "recording", name="patrol"))
+    again = RosCassandra(*place_of(rosCas), keyspace=rosCas.keyspace)
+    with again:
+        report = Lake(again.catalog, lake).write()
+        assert (report.files, report.unchanged) == (2, 2)
+        assert not Lake(again.catalog, lake).verify().differences
+
+
+def place_of(rosCas):
+    return rosCas.cassandra.hosts, rosCas.cassandra.port
 
 
 def test_other_programs_read_it(lake):

@@ -323,6 +323,8 @@ REFUSED = {
     "SELECT * FROM glob('/*')": "does not read a topic",
     "SELECT * FROM query('SELECT 1')": "does not read a topic",
     "SELECT * FROM duckdb_settings()": "does not read a topic",
+    "SELECT * FROM battery, LATERAL duckdb_settings()": "does not read a topic",
+    "SELECT * FROM battery b, LATERAL query_table('battery') c": "does not read a topic",
     "SELECT * FROM '/etc/passwd'": "not stored",
     "SELECT * FROM information_schema.tables": "no schema",
     "SELECT * FROM /imu/data": "quote the name",

@@ -8,6 +8,7 @@ import math
 import random
 import re
 import struct
+from functools import partial
 
 import numpy as np
 import pyarrow
@@ -88,6 +89,10 @@ EVENTS = [
 
 def moment_of(n):
     return None if n is None else Stamp.from_ns(T0 + n * SECOND_NS // 20)
+
+
+def sql_rows(store, asked, pushdown):
+    return SqlResult(store.catalog, asked, pushdown=pushdown).fetchall()
 
 
 def event_names(table):
@@ -312,6 +317,14 @@ UNUSUAL = [
     "SELECT * FROM (UNPIVOT a ON i, w)",
     "SELECT i FROM a POSITIONAL JOIN (SELECT 1 AS one) WHERE i > 20",
     "SELECT x.i FROM a x POSITIONAL JOIN b y WHERE x.i > 5 AND y.i > 7",
+    "SELECT x.KEY, y.i FROM (a x ASOF JOIN b y ON x.KEY >= y.KEY) WHERE y.i > 7",
+    "SELECT x.KEY, y.i FROM c z JOIN (a x ASOF JOIN b y ON x.KEY >= y.KEY) ON z.KEY = y.KEY"
+    " WHERE y.i > 7",
+    "SELECT x.i, y.i FROM (a x POSITIONAL JOIN b y) WHERE y.i > 7",
+    "SELECT x.KEY FROM (a x JOIN b y ON x.i = y.i) WHERE y.i > 7",
+    "SELECT k FROM a AS t(k, d) WHERE d = 'r2'",
+    "SELECT k FROM a AS t(k, n2, r2)",
+    "SELECT count(*) FROM a, LATERAL unnest([1, 2]) u(n) WHERE a.i > 30",
     "SELECT count(*) FROM a WHERE d > 20 USING SAMPLE 100%",
     "SELECT x.i FROM a x, LATERAL (SELECT x.d + 1 AS v) WHERE v > 12.9 AND x.i > 5",
     "SELECT NODE FROM a WHERE i > 30 UNION BY NAME SELECT NODE, i FROM b WHERE i < 2",
@@ -391,6 +404,34 @@ def test_parameters_bound_what_is_read(stored, text, params):
     store, _ = stored
     (report,) = store.sql(f'SELECT count(*) FROM "/a" WHERE {text}', params).explain().topics
     assert report.messages < 400 / 2
+
+
+@pytest.mark.parametrize(
+    ("older", "value", "asked"),
+    [
+        ("int32", struct.pack("<i", 5), "5"),
+        ("bool", b"\1", "true"),
+        ("int32[]", struct.pack("<Ii", 1, 5), "[5]"),
+        ("uint64", struct.pack("<Q", 5), "5"),
+    ],
+)
+@pytest.mark.parametrize("newer", ["string", "int64"])
+def test_a_field_that_changed_its_type_is_found(fresh, older, value, asked, newer):
+    """Types with nothing in common are shown as text, which no message of one of them holds."""
+    values = {older: value, newer: text("5") if newer == "string" else struct.pack("<q", 5)}
+    with fresh() as store:
+        for writer_id, (kind, wire) in enumerate(values.items(), 1):
+            definition = parse_definition("t/Changed", f"{kind} x\n", None)
+            with store.messageWriter(writer_id=writer_id, format="packed") as writer:
+                handle = writer.connect(api_connection("/x", definition, "/x"))
+                for n in range(5):
+                    writer.write(handle, T0 + n, n, wire)
+        for shown in {asked, "5"}:
+            both = [
+                answer(partial(sql_rows, store, f"SELECT KEY FROM x WHERE x = '{shown}'", pushdown))
+                for pushdown in (True, False)
+            ]
+            assert both[0] == both[1]
 
 
 def test_nan_is_found_in_messages_of_rare_sizes(stored):

@@ -381,7 +381,7 @@ def _formats(
     formats: dict[int, str] = {}
     for number in sorted(numbers):
         connection = reader.connections[number]
-        stored = _stored_formats(keyspace, reader, connection, run) if is_repeated else set()
+        stored = _stored_formats(keyspace, connection, run) if is_repeated else set()
         new = run.format or keyspace.new_tables.format_for(connection.topic, connection.md5sum)
         usable, _ = usable_definition(connection, new)
         if run.format and stored - {new if usable is not None else FALLBACK_FORMAT}:
@@ -396,18 +396,16 @@ def _formats(
     return formats
 
 
-def _stored_formats(
-    keyspace: Keyspace, reader: MessageFile, connection: Connection, run: Run
-) -> set[str]:
+def _stored_formats(keyspace: Keyspace, connection: Connection, run: Run) -> set[str]:
     """Return the formats of the tables that hold rows of a run from a connection."""
-    found: set[str] = set()
-    for table in keyspace.tables.of_topic(connection.topic):
-        first, last = table.bucket_of(reader.start_ns), table.bucket_of(reader.end_ns)
-        if table.metadata.md5sum == connection.md5sum:
-            rows = keyspace.directory.buckets_by_robot(table.name, first, last, (run.node,))
-            if any(row.writer == run.writer for row in rows):
-                found.add(table.metadata.format)
-    return found
+    whose = Whose((run.node,), frozenset((run.writer,)))
+    tables = keyspace.tables.of_topic(connection.topic)
+    return {
+        table.metadata.format
+        for table in tables
+        if table.metadata.md5sum == connection.md5sum
+        and holds_any(keyspace.directory, [table], whose)
+    }
 
 
 def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run: Run) -> None:

@@ -394,7 +394,7 @@ class Playback:
         if self._options.immediate:
             self._jump(t)
             return True
-        gap = self._window is not None and self._window.low != window.low
+        gap = self._window is None or self._window.low != window.low  # None: after a seek, too
         if gap and now < window.low:
             self._jump(window.low)
         elif self._skip_ns is not None and t - now > self._skip_ns:

@@ -10,11 +10,12 @@ because of its name. Files of messages that the store does not have any more are
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import logging
 import os
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -44,6 +45,7 @@ _log = logging.getLogger(__name__)
 
 FILE = "messages.parquet"
 LISTING = "_lake.json"
+LOCK = "_lake.lock"
 NO_ROBOT = "-"
 """Name of the robot in the folder of messages without a nodeID: pandas reads no missing one."""
 GROUP_ROWS = 100_000
@@ -121,11 +123,30 @@ class Lake:
             raise InvalidOption(f"{folder} cannot be made: {exc.strerror}") from exc
 
     def write(self, progress: Progress = lambda path, count: None) -> LakeReport:
-        """Write what is new or has changed."""
+        """Write what is new or has changed.
+
+        Raises:
+            InvalidOption: A file cannot be written, or another program writes the lake.
+        """
         report = LakeReport()
-        for topic in self._timed():
-            self._write_topic(topic, report, progress)
+        with self._alone():
+            for topic in self._timed():
+                self._write_topic(topic, report, progress)
         return report
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        """Keep other programs from writing: two would write into one file."""
+        path = self._folder / LOCK
+        try:
+            with path.open("w") as lock:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                yield
+        except BlockingIOError as exc:
+            reason = "is being written by another program: try again when it has ended"
+            raise InvalidOption(f"{self._folder} {reason}") from exc
+        except PermissionError as exc:
+            raise InvalidOption(f"{path} cannot be written: {exc.strerror}") from exc
 
     def _timed(self) -> Iterator[CassandraTopic]:
         """Yield the topics whose messages have times."""
@@ -172,7 +193,8 @@ class Lake:
                 high = low + table.metadata.bucket_ns - 1
                 for day in range(low // _DAY_NS, high // _DAY_NS + 1):
                     part = Part(day, row.node)
-                    counts = (row.rows, row.bytes, row.t_min, row.t_max, row.odd)
+                    run = self._catalog.keyspace.runs.text(row.writer)  # column RUN
+                    counts = (row.rows, row.bytes, row.t_min, row.t_max, row.odd, run)
                     states.setdefault(part, []).append((table.name, row.bucket, row.writer, counts))
                     if not row.closed:
                         unfinished.add(part)
@@ -193,6 +215,7 @@ class Lake:
                     writer.write_table(table.sort_by("KEY"), row_group_size=GROUP_ROWS)
                     count += table.num_rows
             if count:
+                _sync(active)
                 os.replace(active, path)
         except OSError as exc:
             raise InvalidOption(f"{path} cannot be written: {exc.strerror or exc}") from exc
@@ -299,9 +322,16 @@ def _read_listing(folder: Path) -> dict[str, Any]:
     return found if valid else {"files": {}}
 
 
+def _sync(path: Path) -> None:
+    """Have a file on the disk before it gets its name: a power cut could leave it empty."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
 def _write_listing(folder: Path, listing: Mapping[str, Any]) -> None:
     active = folder / f"{LISTING}.active"
     active.write_text(json.dumps(listing, indent=1), encoding="utf-8")
+    _sync(active)
     os.replace(active, folder / LISTING)
 
 

@@ -40,6 +40,8 @@ def names_column(tree: Any, name: str) -> bool:
 def _reads_all(exp: Any, tree: Any) -> bool:
     if tree.find(exp.Columns, exp.Pivot, exp.PositionalColumn) is not None:
         return True
+    if any(a.columns and isinstance(a.parent, exp.Table) for a in tree.find_all(exp.TableAlias)):
+        return True  # names for the columns in their order
     if any(join.method == "NATURAL" for join in tree.find_all(exp.Join)):
         return True
     return any(not isinstance(star.parent, exp.Count) for star in tree.find_all(exp.Star))

@@ -19,7 +19,7 @@ import math
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import reduce
-from typing import AbstractSet, Any, Callable, Iterator, Mapping, Sequence
+from typing import AbstractSet, Any, Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -177,7 +177,7 @@ class _ConditionFinder:
             if isinstance(source, exp.Table)
         }
         where = select.args.get("where") if isinstance(select, exp.Select) else None
-        if where is None or select.find(exp.TableSample) is not None:
+        if where is None or self._is_beyond(select, sources.values()):
             yield from ((s.name, EVERYTHING) for s in sources.values() if s.name in self._columns)
             return
         names = {alias: _Names(self, alias, sources, scope, select) for alias in sources}
@@ -194,6 +194,18 @@ class _ConditionFinder:
         for alias, source in sources.items():
             if source.name in self._columns:
                 yield source.name, reads[alias]
+
+    def _is_beyond(self, select: Any, tables: Iterable[Any]) -> bool:
+        """Return whether nothing is said of the rows that a SELECT needs."""
+        exp, own = self.exp, set(map(id, select.args.get("joins") or ()))
+        if select.find(exp.TableSample) is not None:
+            return True
+        if any(table.args.get("alias") and table.args["alias"].columns for table in tables):
+            return True  # the columns have other names
+        # In parentheses: of these joins WHERE does not tell what may be left out.
+        inner = (join for join in select.find_all(exp.Join) if id(join) not in own)
+        methods = {(j.method or "").upper() for j in inner if j.parent_select is select}
+        return not methods <= {"", "NATURAL"}
 
     def _bound(self, condition: Any, names: _Names) -> PushedRead:
         parts = (self._read_of(part, names) for part in self._conjuncts(condition))

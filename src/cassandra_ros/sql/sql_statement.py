@@ -109,9 +109,11 @@ class SqlStatement:
             raise InvalidQuery(self.text, 0, _READ_ONLY)
         if self.tree.find(exp.DML, exp.DDL, exp.Command, exp.Into) not in (None, self.tree):
             raise InvalidQuery(self.text, 0, _READ_ONLY)
-        for table in self.tree.find_all(exp.Table):
+        for table in self.tree.find_all(exp.Table, exp.Lateral):
             if isinstance(table.this, exp.Func):
                 self._check_function(table.this)
+            elif isinstance(table, exp.Lateral):
+                continue
             elif table.db or table.catalog:
                 spot = _start(table.parts[0])
                 reason = "tables have no schema; a topic is named whole, in quotes if needed"

@@ -43,6 +43,8 @@ class TableColumns:
         kind = self._kind(names)
         if kind is None or len(paths) != 1:
             return None
+        if kind == "text" and not all(_is_text(fields, names) for fields in self._fields):
+            return None  # the text of what is no text in some definition
         return FieldColumn(kind, paths.pop() or "")
 
     def _kind(self, names: Sequence[str]) -> str | None:
@@ -67,6 +69,18 @@ class TableColumns:
             "float64": types.is_float64,
         }
         return next((name for name, test in tests.items() if test(kind)), None)
+
+
+def _is_text(fields: Sequence[ArrowField], names: Sequence[str]) -> bool:
+    """Return whether a field is a string in a definition, or is not in it."""
+    for number, name in enumerate(names, 1):
+        found = next((field for field in fields if field.name.lower() == name.lower()), None)
+        if found is None:
+            return True
+        if found.field.is_array or number == len(names):
+            return found.field.base == "string" and not found.field.is_array
+        fields = found.children
+    return True
 
 
 def _path(fields: Sequence[ArrowField], names: Sequence[str]) -> str | None:
