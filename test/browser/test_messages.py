@@ -112,3 +112,5 @@ def test_claims_of_a_length_are_not_believed(read):
     assert read(empties, [most]) == ["RangeError"]
     assert read(numbers, [most]) == ["RangeError"]
     assert read(empties, [struct.pack("<I", 2)]) == [["#2"]]
+    three = parse_definition("p/A", "p/E[3] all\n" + "=" * 80 + "\nMSG: p/E\n")
+    assert read(three, [b""]) == [["#3"]]

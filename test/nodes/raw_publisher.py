@@ -101,8 +101,9 @@ class RawPublisher:
         for sock in list(self._sockets):
             try:
                 sock.sendall(data)
-            except (BrokenPipeError, ConnectionResetError):
-                self._sockets.remove(sock)  # a subscriber that was killed
+            except OSError:  # a subscriber that was killed, or another thread has hung up
+                with contextlib.suppress(ValueError):
+                    self._sockets.remove(sock)
 
     @contextlib.contextmanager
     def only_last(self):

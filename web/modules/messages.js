@@ -22,6 +22,8 @@
 /** @typedef {(cursor: Cursor) => any} Read */
 
 const TEXT = new TextDecoder();
+/** Number of messages without fields that an array may have. */
+const MOST_EMPTY = 100_000;
 
 /** A reading position in the bytes of a message. */
 class Cursor {
@@ -145,7 +147,7 @@ function readField(field, schema, made) {
       const before = cursor.at;
       found.push(one(cursor));
       // An empty message takes no bytes, so the size of the message does not limit their number.
-      if (cursor.at === before && index > cursor.bytes.length) {
+      if (cursor.at === before && index >= MOST_EMPTY) {
         throw new RangeError(`an array claims ${count} empty messages`);
       }
     }
