@@ -36,7 +36,7 @@ from cassandra.cluster import EXEC_PROFILE_DEFAULT, Cluster, ExecutionProfile
 from cassandra.policies import RoundRobinPolicy, WhiteListRoundRobinPolicy
 from cassandra.query import SimpleStatement, tuple_factory
 
-from faults.numbered import Published, read_log, text_of
+from faults.numbered import Published, read_log, text_of, topic_of
 
 IN_FLIGHT_SEC = 2.0
 """Maximum age of a message that is lost when its recorder is killed, s. It waits in a batch or a
@@ -211,18 +211,22 @@ class Contents(NamedTuple):
     copies: Mapping[int, int]
     """Number of copies by message number."""
     changed: int
-    """Number of messages with another text than was published."""
+    """Number of messages with another text than was published, or of another topic."""
 
 
-def read_contents(store: Store, topic: str) -> dict[str, Contents]:
-    """Read all messages of the topics with a prefix; return them by robot."""
+def read_contents(store: Store, case: dict[str, Any]) -> dict[str, Contents]:
+    """Read all messages of the topics of a case; return them by robot."""
+    topic, topics, step = case["topic"], case["topics"], case["step"]
+    own = {topic_of(topic, number, topics) for number in range(topics)} if topics > 1 else set()
     copies: dict[str, Counter] = {}
     changed: Counter = Counter()
     for name, metadata in store.tables().items():
-        if metadata["topic"].startswith(topic):
+        name_now = metadata["topic"]
+        if name_now.startswith(topic):
             for robot, text in store.texts(name, metadata):
                 number = int(text[:10]) if text[:10].isdigit() else -1
-                if text == text_of(number):
+                elsewhere = name_now in own and name_now != topic_of(topic, number, topics, step)
+                if text == text_of(number) and not elsewhere:
                     copies.setdefault(robot, Counter())[number] += 1
                 else:
                     changed[robot] += 1
@@ -234,16 +238,17 @@ def account(case: dict[str, Any]) -> dict[str, Any]:
     """Return the account of a case.
 
     Args:
-        case: Its keys are hosts, port, keyspace; topic (prefix of the topics' names); logs (of the
-            publishers); robots (each has recorded everything); kills (times at which recorders were
-            killed, ns); removed (time ranges whose messages were deleted, ns, ends included);
+        case: Its keys are hosts, port, keyspace; topic (prefix of the topics' names); topics, step
+            (see topic_of); logs (of the publishers); robots (each has recorded everything); kills
+            (times at which recorders were killed, ns); removed (time ranges whose messages were
+            deleted, ns, ends included);
             removed_count (number of messages that verbs told to have deleted, whichever those are);
             gone_before_ns (time at which the keyspace was dropped, ns); told (number of messages
             that a recorder told as lost where the store could not keep it).
     """
     published = sorted(line for path in case["logs"] for line in read_log(path))
     with Store(case["hosts"], case["port"], case["keyspace"]) as store:
-        contents = read_contents(store, case["topic"])
+        contents = read_contents(store, case)
         losses = store.losses(case["topic"])
         open_runs = store.open_runs()
     sums: Counter = Counter()

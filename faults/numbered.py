@@ -34,6 +34,20 @@ def text_of(number: int) -> str:
     return f"{number:010d} {pattern[: number % SIZES]}"
 
 
+def topic_of(topic: str, number: int, topics: int, step: int = 0) -> str:
+    """Return the topic on which a number is published.
+
+    Args:
+        topic: The topic, or the prefix of several.
+        topics: Number of topics, which get the numbers in turn.
+        step: A further topic begins after so many numbers; 0 = all begin at once.
+    """
+    if topics == 1:
+        return topic
+    begun = min(topics, 1 + number // step) if step else topics
+    return f"{topic}_{number % begun}"
+
+
 def read_log(path: str | Path) -> Iterator[Published]:
     """Yield the messages that a publisher has published."""
     with open(path, encoding="ascii") as file:

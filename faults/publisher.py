@@ -17,7 +17,7 @@ import rospy
 from diagnostic_msgs.msg import KeyValue
 from std_msgs.msg import String
 
-from faults.numbered import LOG_LINE, text_of
+from faults.numbered import LOG_LINE, text_of, topic_of
 
 TICK_SEC = 0.005
 KINDS = {"String": String, "KeyValue": lambda text: KeyValue("", text)}
@@ -30,6 +30,7 @@ def main() -> None:
     parser.add_argument("--log", required=True)
     parser.add_argument("--topic", default="/numbered")
     parser.add_argument("--topics", type=int, default=1, help="publish on so many, in turn")
+    parser.add_argument("--step", type=int, default=0, help="begin a topic after so many messages")
     parser.add_argument("--kind", choices=sorted(KINDS), default="String")
     parser.add_argument("--first", type=int, default=0, help="the first number")
     parser.add_argument("--count", type=int, required=True)
@@ -38,13 +39,13 @@ def main() -> None:
     parser.add_argument("--until", type=Path, help="go on until this file exists")
     options = parser.parse_args()
     rospy.init_node("numbered", anonymous=True, disable_rostime=True)
-    names = [options.topic]
-    if options.topics > 1:
-        names = [f"{options.topic}_{number}" for number in range(options.topics)]
+    names = [topic_of(options.topic, number, options.topics) for number in range(options.topics)]
     # Without a queue publish returns when the bytes are with the kernel: nothing is dropped here.
     cls = CLASSES[options.kind]
-    outlets = [rospy.Publisher(name, cls, queue_size=None, tcp_nodelay=True) for name in names]
-    while any(outlet.get_num_connections() < options.subscribers for outlet in outlets):
+    outlets = {
+        name: rospy.Publisher(name, cls, queue_size=None, tcp_nodelay=True) for name in names
+    }
+    while any(each.get_num_connections() < options.subscribers for each in outlets.values()):
         time.sleep(0.01)
     with open(options.log, "w", encoding="ascii") as log:
         publish_all(outlets, options, log)
@@ -64,7 +65,7 @@ def publish_all(outlets, options, log) -> None:
                 break
         for position in range(done, due):
             number = options.first + position
-            outlet = outlets[number % len(outlets)]
+            outlet = outlets[topic_of(options.topic, number, options.topics, options.step)]
             connections, now = outlet.get_num_connections(), time.time_ns()
             outlet.publish(make(text_of(number)))
             line = LOG_LINE.format(number=number, time_ns=now, connections=connections)

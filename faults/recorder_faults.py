@@ -103,10 +103,10 @@ def type_changes(trial: Trial) -> None:
 
 def many_topics(trial: Trial) -> None:
     """200 topics begin at the same moment (short form: 50)."""
-    topics = 50 if trial.short else 200
+    trial.topics = 50 if trial.short else 200
     recorder = trial.start_recorder("-e", f"{TOPIC}_.*")
     recorder.await_text("services under")
-    trial.publisher(topics=topics).await_share(1.0)
+    trial.publisher().await_share(1.0)
 
 
 def roscore_killed(trial: Trial) -> None:

@@ -46,8 +46,17 @@ def store_away_longer_than_the_buffer(trial: Trial) -> None:
 
 
 def store_away_with_a_spool(trial: Trial) -> None:
-    """Cassandra cannot be reached for the same time, and the recorder has its spool."""
-    _away(trial, "--buffsize", "1")
+    """Cassandra cannot be reached, 20 topics begin meanwhile, and the recorder has its spool."""
+    proxy, place = _proxied(trial)
+    trial.topics, trial.step = 20, trial.messages // 25
+    recorder = trial.start_recorder("-e", f"{TOPIC}_.*", "--buffsize", "1", place=place)
+    recorder.await_text("services under")
+    publisher = trial.publisher()
+    publisher.await_share(0.2)
+    proxy.cut()
+    publisher.await_share(1.5)
+    proxy.mend()
+    trial.await_normal()
 
 
 def store_away_longer_than_the_spool(trial: Trial) -> None:

@@ -89,6 +89,8 @@ class Trial:
         self._server: Server | None = None
         self.master = world.master
         self.robots = [""]
+        self.topics, self.step = 1, 0
+        """Number of topics, and of messages after which a further one begins, see topic_of."""
         self.kills: list[int] = []
         self.removed: list[tuple[int, int]] = []
         self.removed_count = 0
@@ -155,6 +157,7 @@ class Trial:
         if not ends:
             messages, options = self.messages, {"until": self._enough, **options}
         given = {"log": log, "first": first, "count": messages, "rate": self.rate, **options}
+        given |= {"topics": self.topics, "step": self.step}
         words = [word for name, value in given.items() for word in (f"--{name}", value)]
         program = self.run(sys.executable, "-m", "faults.publisher", *words)
         return Publisher(program, log, messages, ends)
@@ -205,6 +208,7 @@ class Trial:
         """Write a bag of all messages, and its log."""
         path, log = self.folder / "numbered.bag", self.folder / "bag.log"
         self._logs.append(log)
+        self.topics = topics
         words = [path, log, self.messages, topics, START_NS, BAG_HZ]
         writing = self.run(sys.executable, "-m", "faults.bag", *words)
         if writing.process.wait(VERB_SEC):
@@ -283,6 +287,8 @@ class Trial:
             "port": self.server.port,
             "keyspace": self.keyspace,
             "topic": TOPIC,
+            "topics": self.topics,
+            "step": self.step,
             "logs": [str(path) for path in self._logs],
             "robots": self.robots,
             "kills": self.kills,

@@ -12,7 +12,7 @@ from conftest import ROOT
 from cassandra_ros.blocks.codec import pack_block
 from faults import page
 from faults.account import Contents, account_of, gone_with_keyspace, text_of_wire, wires_of_block
-from faults.numbered import LOG_LINE, Published, count_published, read_log, text_of
+from faults.numbered import LOG_LINE, Published, count_published, read_log, text_of, topic_of
 from faults.results import RESULTS, Results
 from faults.table import FAULTS, SHORT, try_fault
 from faults.world import World
@@ -40,6 +40,13 @@ def try_short(world, name):
 @pytest.mark.parametrize("name", [name for name in FAULTS if name not in SLOW])
 def test_every_message_is_accounted_for(world, name):
     try_short(world, name)
+
+
+def test_a_further_topic_begins_after_each_step():
+    assert {topic_of("/n", number, 1, 5) for number in range(100)} == {"/n"}
+    begun = [{topic_of("/n", number, 3, 10) for number in range(end)} for end in (10, 20, 30, 90)]
+    assert [len(names) for names in begun] == [1, 2, 3, 3]
+    assert [topic_of("/n", number, 3) for number in (0, 4, 8)] == ["/n_0", "/n_1", "/n_2"]
 
 
 def test_the_page_shows_the_last_run():
