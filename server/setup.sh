@@ -118,11 +118,15 @@ has_java_and_maven() {
 }
 
 # Java without a display, and Maven for the jars, where the distribution has this Java: its updates
-# come with the others of the system. Else requirements-java.txt has both.
+# come with the others of the system. Else requirements-java.txt has both, but that Java cannot run
+# nodetool, which a Java of any version can.
 java_package_list() {
-  if ! has_java_and_maven &&
-    apt-cache policy openjdk-17-jre-headless | grep 'Candidate: [0-9]' >/dev/null; then
+  if has_java_and_maven; then
+    return
+  elif apt-cache policy openjdk-17-jre-headless | grep 'Candidate: [0-9]' >/dev/null; then
     print_missing openjdk-17-jre-headless maven
+  else
+    print_missing default-jre-headless
   fi
 }
 

