@@ -405,6 +405,33 @@ def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, conne
     assert topic.getData(T0 + 5).header.seq == 99
 
 
+def test_what_comes_late_into_a_bucket_that_stayed_open_is_taken_along(
+    rosCas, connect, monkeypatch
+):
+    """A client was away, and its requests reach the old table when the new one is complete."""
+    monkeypatch.setattr(convert, "QUIET_SEC", 0.1)
+    fill(rosCas, "ros", 20)
+    topic, finish = rosCas.getTopic("/t"), replacement.finish
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        handle = writer.connect(next(topic.rows()).connection)
+        writer.write(handle, T0 + 5, 1, serialize(joint_state(98)))
+        writer.flush()
+        space = other.catalog.keyspace
+        monkeypatch.setattr(space.schema, "takes_rows", lambda table: True)
+        monkeypatch.setattr(space.directory, "mark", lambda *args, **more: None)
+
+        def finish_then(*arguments):
+            finish(*arguments)
+            writer.write(handle, T0 + 6, 2, serialize(joint_state(99)))
+            writer.flush()
+
+        monkeypatch.setattr(replacement, "finish", finish_then)
+        rosCas.convertTopic("/t", "json")
+    assert formats(rosCas) == ["json"]
+    assert topic.getData(T0 + 6).header.seq == 99
+    assert len(list(topic.rows())) == 42
+
+
 @pytest.mark.parametrize("between", ["convert", "rename", "delete", "index"])
 def test_equal_stamps_of_a_client_keep_their_order(rosCas, between):
     topic = rosCas.addTopic("/t", "ros", msg_type="std_msgs/String")

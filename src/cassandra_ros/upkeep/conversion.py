@@ -15,7 +15,7 @@ import logging
 import time
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Dict, Sequence, Tuple
+from typing import Dict, Iterator, Sequence, Tuple
 
 from cassandra_ros.errors import (
     AccessDenied,
@@ -27,7 +27,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.metadata import TopicMetadata
-from cassandra_ros.read import EVERYBODY
+from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.tables import replacement
 from cassandra_ros.tables.directory import STALE_SEC, span_for
@@ -280,6 +280,9 @@ class Conversion:
         self._settle()
         if _state(self._space, self._olds) != before:
             copy.add_late()
+        else:
+            for read in self._open_buckets():
+                copy.add_late(read)
         try:
             replacement.drop(self._space.schema, self._names)
         except AccessDenied as exc:
@@ -289,6 +292,20 @@ class Conversion:
                 right=exc.right,
             ) from exc
         return count
+
+    def _open_buckets(self) -> Iterator[Read]:
+        """Yield reads of the old buckets that stayed open.
+
+        What a client wrote there when it reached the store again may have changed nothing in the
+        directory.
+        """
+        for table in self._olds:
+            length = table.bucket_ns
+            for row in () if table.named else buckets_of(self._space.directory, table, EVERYBODY):
+                if not row.closed:
+                    low = row.bucket * length
+                    whose = Whose((row.node,), frozenset([row.writer]))
+                    yield Read(TimeRange(low, low + length - 1), whose)
 
     def _settle(self) -> None:
         """Wait until every client has read the changed comments.

@@ -213,11 +213,19 @@ class TableCopy:
             "conversion: nothing was converted, and nothing is lost; convert it again"
         )
 
-    def add_late(self) -> int:
-        """Copy the rows that came into the old tables after the copy; return their number."""
+    def add_late(self, read: Read | None = None) -> int:
+        """Copy the rows that came into the old tables after the copy; return their number.
+
+        Args:
+            read: Where they are looked for, a bucket; None = everywhere, which takes long.
+        """
         count = 0
-        rows = self._rows(self._olds)
-        late = (row for row in rows if fetch_row(self._new, row.position) is None)
+        if read is None:
+            rows = self._rows(self._olds)
+            late = (row for row in rows if fetch_row(self._new, row.position) is None)
+        else:
+            known = {row.place for row in self._rows([self._new], read)}
+            late = (row for row in self._rows(self._olds, read) if row.place not in known)
         while some := list(islice(late, TOLD)):
             count += len(some)
             self._write(iter(some))
