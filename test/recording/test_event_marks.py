@@ -54,6 +54,20 @@ def test_an_event_lasts_while_the_condition_holds(true, hold):
     assert {(event.name, event.node, event.writer) for event in put} <= {("e", "husky", 7)}
 
 
+@pytest.mark.parametrize("holds", [True, False])
+def test_an_event_ends_when_the_clock_is_set_back(holds):
+    """As when a simulation begins anew."""
+    put = []
+    rule = WatchedEvent("e", "/n", "", SEC)
+    watch = EventWatch(rule, lambda header, t, wire: wire == b"1", "", put.append, lambda: 7)
+    watch.see({}, 100 * SEC, b"1")
+    watch.see({}, 5 * SEC, b"1" if holds else b"0")
+    watch.see({}, 9 * SEC, b"1")
+    watch.see({}, 10 * SEC, b"0")
+    begun = 5 if holds else 9
+    assert states(put) == [(begun * SEC, 9 * SEC), (100 * SEC, 100 * SEC)]
+
+
 def test_the_settings_name_events_that_see_each_message_before_its_filter():
     options = RecorderOptions(config=read_settings(TEXT), events=read_events(TEXT), node_id="h")
     put = []

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Callable, Mapping
 
 from cassandra_ros.arguments import check_event_name, check_event_values, check_labels
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.tables.event_table import Event
 
 Put = Callable[[Event], object]
@@ -113,6 +114,8 @@ class EventWatch:
 
     def see(self, header: Mapping[str, str], t: int, wire: bytes) -> None:
         """Take a message that was received at a time, ns."""
+        if t < self._last - max(self._rule.hold_ns, SECOND_NS):
+            self.end()  # the clock was set back
         if self._holds(header, t, wire):
             if self._event is None:
                 rule = self._rule

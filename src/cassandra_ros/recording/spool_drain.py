@@ -155,7 +155,6 @@ class Drain:
                 self._store(path, progress)
                 if self._silent or self._stopped.is_set():
                     return self._done
-                self._remember()
             self._end()
         finally:
             for writer in self._writers.values():
@@ -212,6 +211,7 @@ class Drain:
         writer.flush()
         if not self._silent:
             self._done.messages += number
+            self._remember()
             with suppress(OSError):
                 path.unlink()
 
