@@ -10,7 +10,7 @@ import genpy
 import rosbag
 from std_msgs.msg import String
 
-from faults.numbered import LOG_LINE, text_of, topic_of
+from faults.numbered import LOG_LINE, text_of
 
 
 def main() -> None:
@@ -21,7 +21,7 @@ def main() -> None:
         for number in range(messages):
             time_ns = start_ns + number * 10**9 // hz
             stamp = genpy.Time(*divmod(time_ns, 10**9))
-            bag.write(topic_of("/numbered", number, topics), String(text_of(number)), stamp)
+            bag.write(f"/numbered_{number % topics}", String(text_of(number)), stamp)
             log.write(LOG_LINE.format(number=number, time_ns=time_ns, connections=1))
 
 

@@ -46,9 +46,9 @@ def store_away_longer_than_the_buffer(trial: Trial) -> None:
 
 
 def store_away_with_a_spool(trial: Trial) -> None:
-    """Cassandra cannot be reached, 20 topics begin meanwhile, and the recorder has its spool."""
+    """Cassandra cannot be reached, 5 topics begin meanwhile, and the recorder has its spool."""
     proxy, place = _proxied(trial)
-    trial.topics, trial.step = 20, trial.messages // 25
+    trial.topics, trial.step = 5, trial.messages // 10
     recorder = trial.start_recorder("-e", f"{TOPIC}_.*", "--buffsize", "1", place=place)
     recorder.await_text("services under")
     publisher = trial.publisher()
