@@ -15,6 +15,7 @@ from typing import NamedTuple
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
+from cassandra_ros.bag.bag_reader import check_header
 from cassandra_ros.errors import BagError, CassandraRosError
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import (
@@ -66,9 +67,20 @@ def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connec
     """Return the connection of a ROS 1 channel.
 
     Raises:
-        BagError: The metadata fields HEADER or NUMBER are damaged. The header is not checked.
+        BagError: The metadata fields HEADER or NUMBER are damaged, or the header.
     """
-    place = f"{where}: channel {channel.id} (topic {channel.topic})"
+    connection = unchecked_connection(channel, schema, where)
+    check_header(connection.header, _place(channel, where))
+    return connection
+
+
+def unchecked_connection(channel: Channel, schema: Schema | None, where: str) -> Connection:
+    """Return the connection of a ROS 1 channel, also of a publisher with an odd header.
+
+    Raises:
+        BagError: The metadata fields HEADER or NUMBER are damaged.
+    """
+    place = _place(channel, where)
     text = ChannelText("", b"", channel.metadata)
     if schema is not None:
         text = ChannelText(schema.name, schema.data, channel.metadata)
@@ -82,6 +94,10 @@ def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connec
     except ValueError as exc:
         raise BagError(f"{place} is damaged: its metadata {HEADER} or {NUMBER}: {exc}") from exc
     return Connection(channel.topic, header, number)
+
+
+def _place(channel: Channel, where: str) -> str:
+    return f"{where}: channel {channel.id} (topic {channel.topic})"
 
 
 def why_foreign(channel: Channel, schema: Schema | None) -> str:

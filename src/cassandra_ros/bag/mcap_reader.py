@@ -17,7 +17,6 @@ from mcap.well_known import MessageEncoding, Profile
 
 from cassandra_ros.bag import mcap_events
 from cassandra_ros.bag import mcap_format as mcapformat
-from cassandra_ros.bag.bag_reader import check_header
 from cassandra_ros.bag.format import ChunkMessages
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
@@ -386,9 +385,7 @@ class McapReader(MessageFile):
                 earlier = self.left_out.get(channel.topic, (0, why))
                 self.left_out[channel.topic] = (earlier[0] + count, why)
             else:
-                connection = to_connection(channel, schema, self.path)
-                check_header(connection.header, f"{self.path}: topic {channel.topic}")
-                kept.append((connection, number))
+                kept.append((to_connection(channel, schema, self.path), number))
         if self.left_out and not kept:
             self._refuse(totals)
         self._number_kept(kept, totals)

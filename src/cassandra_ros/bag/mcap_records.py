@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, Footer, Header, McapRecord, Metadata, Schema
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 
-from cassandra_ros.bag.mcap_channel import to_channel, to_connection
+from cassandra_ros.bag.mcap_channel import to_channel, unchecked_connection
 from cassandra_ros.bag.mcap_format import (
     CHUNK,
     ENTRY_BYTES,
@@ -129,7 +129,7 @@ def read_channels(content: bytes, where: str) -> dict[int, Connection]:
             schemas[schema.id] = schema
         elif record.kind == Opcode.CHANNEL:
             described = parse(Channel, raw, where)
-            connection = to_connection(described, schemas.get(described.schema_id), where)
+            connection = unchecked_connection(described, schemas.get(described.schema_id), where)
             found[described.id] = Connection(connection.topic, connection.header)
         else:
             break
