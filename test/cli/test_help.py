@@ -50,8 +50,7 @@ def test_every_option_states_its_default(program):
     silent = []
     for parser in parsers(program):
         for action in valued(parser):
-            # From Python 3.12 on argparse says that arguments of any number are not required.
-            optional = action.option_strings or action.nargs == "?"
+            optional = action.option_strings or action.nargs in ("?", "*")
             told = "default" in action.help or "may be repeated" in action.help
             if optional and not action.required and not told:
                 silent.append((parser.prog, action.dest, action.help))

@@ -22,7 +22,7 @@
 /** @typedef {(cursor: Cursor) => any} Read */
 
 const TEXT = new TextDecoder();
-/** Number of messages without fields that an array may have. */
+/** Maximum number of empty elements in a message, in addition to the number of its bytes. */
 const MOST_EMPTY = 100_000;
 
 /** A reading position in the bytes of a message. */
@@ -32,6 +32,8 @@ class Cursor {
     this.bytes = bytes;
     this.view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
     this.at = 0;
+    /** Number of array elements so far that took no bytes. */
+    this.empty = 0;
   }
 
   /**
@@ -146,8 +148,11 @@ function readField(field, schema, made) {
     for (let index = 0; index < count; index++) {
       const before = cursor.at;
       found.push(one(cursor));
+      if (cursor.at !== before) continue;
       // An empty message takes no bytes, so the size of the message does not limit their number.
-      if (cursor.at === before && index >= MOST_EMPTY) {
+      const size = cursor.bytes.length;
+      cursor.empty++;
+      if (cursor.empty > size + MOST_EMPTY || (fixed === undefined && index > size)) {
         throw new RangeError(`an array claims ${count} empty messages`);
       }
     }

@@ -74,7 +74,7 @@ Add = Callable[..., object]
 
 
 def _add_choice(add: Add) -> None:
-    add("topics", metavar="TOPIC", nargs="*", help="record these topics")
+    add("topics", metavar="TOPIC", nargs="*", help="record these topics (default: none)")
     text = "record all topics, except the recorder's own messages on /rosout and /diagnostics"
     add("-a", "--all", action="store_true", help=text)
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")

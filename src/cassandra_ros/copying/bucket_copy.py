@@ -284,17 +284,16 @@ class PieceCopy:
             book = books.get((row.bucket, row.writer))
             if book is not None and not book.released and self._is_covered(row):
                 if row.cut or is_settled(row):
-                    whole = Piece(node, [row])
-                    deleted += delete_missing(
-                        self._pair, node, row.bucket, row.writer, partial(self._is_released, whole)
-                    )
+                    released = partial(self._is_released, row)
+                    deleted += delete_missing(self._pair, node, row.bucket, row.writer, released)
         return deleted
 
-    def _is_released(self, piece: Piece) -> bool:
+    def _is_released(self, row: BucketRow) -> bool:
         """Return whether the books say now that rows are deleted here because they are there."""
-        slots = {(slot_of(row.bucket), piece.node) for row in piece.entries}
+        slots = [(slot_of(row.bucket), row.node)]
         books = self._books.buckets(self._id, self._pair.source.name, slots)
-        return any(book.released for book in books if (book.bucket, book.writer) in piece.keys)
+        place = (row.bucket, row.writer)
+        return any(book.released for book in books if (book.bucket, book.writer) == place)
 
     def _note(self, row: BucketRow, seen: int, final: bool, numbers: tuple[int, int]) -> None:
         entry = CopiedBucket(

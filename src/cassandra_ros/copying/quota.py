@@ -139,7 +139,11 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
 
 
 def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
-    """Delete the messages of an entry; return whether nobody has written there meanwhile."""
+    """Delete the messages of an entry.
+
+    Returns:
+        False: Messages were added since the entry was listed, and nothing was deleted.
+    """
     table, row, confirming = entry
     found = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
     now = next((each for each in found if each.writer == row.writer), row)

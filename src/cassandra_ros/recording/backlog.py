@@ -553,7 +553,10 @@ class Backlog:
                 self._back += map(_spooled, items)
 
     def keep_rest(self) -> None:
-        """Write what was given back, and what ``leave`` had no time for; what cannot be is lost."""
+        """Write the messages that were given back, and those that are left in the buffer.
+
+        Messages that cannot be written are counted as lost.
+        """
         self._done.set()
         self._thread.join()
         with self._changed:

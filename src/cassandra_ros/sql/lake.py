@@ -139,14 +139,16 @@ class Lake:
         """Keep other programs from writing: two would write into one file."""
         path = self._folder / LOCK
         try:
-            with path.open("w") as lock:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                yield
-        except BlockingIOError as exc:
-            reason = "is being written by another program: try again when it has ended"
-            raise InvalidOption(f"{self._folder} {reason}") from exc
-        except PermissionError as exc:
+            lock = path.open("w")  # noqa: SIM115 - closed below
+        except OSError as exc:
             raise InvalidOption(f"{path} cannot be written: {exc.strerror}") from exc
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as exc:
+                reason = "is being written by another program: try again when it has ended"
+                raise InvalidOption(f"{self._folder} {reason}") from exc
+            yield
 
     def _timed(self) -> Iterator[CassandraTopic]:
         """Yield the topics whose messages have times."""

@@ -177,7 +177,7 @@ class _ConditionFinder:
             if isinstance(source, exp.Table)
         }
         where = select.args.get("where") if isinstance(select, exp.Select) else None
-        if where is None or self._is_beyond(select, sources.values()):
+        if where is None or self._pushes_nothing(select, sources.values()):
             yield from ((s.name, EVERYTHING) for s in sources.values() if s.name in self._columns)
             return
         names = {alias: _Names(self, alias, sources, scope, select) for alias in sources}
@@ -195,8 +195,8 @@ class _ConditionFinder:
             if source.name in self._columns:
                 yield source.name, reads[alias]
 
-    def _is_beyond(self, select: Any, tables: Iterable[Any]) -> bool:
-        """Return whether nothing is said of the rows that a SELECT needs."""
+    def _pushes_nothing(self, select: Any, tables: Iterable[Any]) -> bool:
+        """Return whether each row of the tables of a SELECT may be needed, whatever WHERE says."""
         exp, own = self.exp, set(map(id, select.args.get("joins") or ()))
         if select.find(exp.TableSample) is not None:
             return True

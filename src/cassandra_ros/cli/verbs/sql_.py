@@ -36,7 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the statement, its values, the form of the output and the store."""
     add = parser.add_argument
     add("statement", metavar="STATEMENT", help="the statement, in quotes")
-    add("params", metavar="VALUE", nargs="*", help="a value for each ? of the statement")
+    add(
+        "params",
+        metavar="VALUE",
+        nargs="*",
+        help="a value for each ? of the statement (default: none)",
+    )
     add_output_options(parser)
     add_origin_options(parser)
     add(
