@@ -115,5 +115,5 @@ def test_claims_of_a_length_are_not_believed(read):
     three = parse_definition("p/A", "p/E[3] all\n" + "=" * 80 + "\nMSG: p/E\n")
     assert read(three, [b""]) == [["#3"]]
     line = "=" * 80 + "\n"
-    nested = f"p/B[10000] all\n{line}MSG: p/B\np/E[5000] all\n{line}MSG: p/E\n"
+    nested = f"p/B[400] all\n{line}MSG: p/B\np/E[400] all\n{line}MSG: p/E\n"
     assert read(parse_definition("p/A", nested), [b""]) == ["RangeError"]
