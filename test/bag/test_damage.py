@@ -237,3 +237,18 @@ def test_what_contradicts_itself_is_refused(tmp_path):
         make_bag(path, header, data, **more)
         with pytest.raises(BagError, match=text):
             read_all(path)
+
+
+def test_a_header_that_counts_too_few_chunks_is_damage(whole, tmp_path):
+    path = tmp_path / "a.bag"
+    path.write_bytes(whole)
+    with BagReader(path) as reader:
+        count = reader.chunk_count
+    true, less = (b"chunk_count=" + bagformat.U32.pack(n) for n in (count, count - 1))
+    assert whole.count(true) == 1
+    path.write_bytes(whole.replace(true, less))
+    with pytest.raises(BagError, match=f"its header counts {count - 1} chunks, and its index"):
+        BagReader(path)
+    with BagReader(path, salvage=True) as reader:
+        assert reader.message_count == 100
+        assert reader.salvaged.lost_bytes == 0

@@ -21,7 +21,7 @@ from mcap_ros1.decoder import DecoderFactory
 
 from cassandra_ros.bag.file_formats import make_file, open_file
 from cassandra_ros.bag.identity import read_content
-from cassandra_ros.bag.mcap_channel import HEADER, to_channel, to_connection
+from cassandra_ros.bag.mcap_channel import HEADER, NUMBER, to_channel, to_connection
 from cassandra_ros.bag.mcap_format import RECORD, find_messages, walk
 from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.errors import BagError, BagUnindexed
@@ -215,6 +215,38 @@ def test_a_chunk_that_is_passed_over_is_missed(tmp_path):
     (tmp_path / "a.mcap").write_bytes(whole)
     with pytest.raises(BagError, match=r"of the 40 messages that it should hold \d+ are found"):
         open_file(tmp_path / "a.mcap")
+    with open_file(tmp_path / "a.mcap", salvage=True) as reader:
+        assert 0 < reader.message_count < 40
+        assert reader.salvaged.lost_bytes == first.stop - first.start
+        assert "of the 40 messages that it should hold" in reader.salvaged.told("a")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_salvage_of_a_sound_file_changes_nothing(tmp_path, layout):
+    path = foreign(tmp_path / "a.mcap", **LAYOUTS[layout])
+    with open_file(path) as whole, open_file(path, salvage=True) as salvaged:
+        assert salvaged.salvaged.why == ""
+        assert (salvaged.start_ns, salvaged.end_ns) == (whole.start_ns, whole.end_ns)
+        assert read_content(salvaged).digest == read_content(whole).digest
+        assert list(salvaged.messages()) == list(whole.messages())
+
+
+def test_channels_of_merged_files_may_state_the_same_number(tmp_path):
+    path = tmp_path / "merged.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1")
+        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        for name in ("/a", "/b"):  # each was the first connection of an export
+            channel = writer.register_channel(name, "ros1", schema, {NUMBER: "0"})
+            writer.add_message(channel, 10, string_wire(name), 10)
+        writer.finish()
+    with open_file(path) as reader:
+        topics = {n: connection.topic for n, connection in reader.connections.items()}
+        assert topics == {1: "/a", 2: "/b"}
+        assert [(topics[m.number], m.data) for m in reader.messages()] == [
+            (name, string_wire(name)) for name in ("/a", "/b")
+        ]
 
 
 @pytest.mark.parametrize("place", [1, 2**40, 2**63, 2**64 - 1])

@@ -9,6 +9,7 @@ import pytest
 from bag.truth import string_connection, string_wire
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.writer import Writer
 from std_msgs.msg import Header
 
 from cassandra_ros.bag.bag_reader import BagReader
@@ -251,3 +252,23 @@ def test_an_index_that_denies_the_times_is_an_error(tmp_path):
         assert len(list(reader.messages())) == 1
         with pytest.raises(BagError, match="outside the times that the index states"):
             list(read_in_order(reader, lambda message: b""))
+
+
+def test_what_an_import_leaves_out_is_missing(rosCas, tmp_path):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros1")
+        schema = writer.register_schema("std_msgs/String", "ros1msg", b"string data\n")
+        for name, encoding in (("/a", "ros1"), ("/b", "json")):
+            channel = writer.register_channel(name, encoding, schema)
+            for n in range(3):
+                writer.add_message(channel, START + n, string_wire(name), START + n)
+        writer.add_attachment(START, START, "notes.txt", "text/plain", b"read me")
+        writer.finish()
+    import_bag(rosCas, path)
+    report = verify_bag(rosCas, path)
+    assert (report.equal, report.differences, report.missing) == (False, 3, 3)
+    assert "/b is not stored: its messages are encoded as 'json'" in report.first[0]
+    assert report.extras == {"attachments": 1}
+    assert verify_bag(rosCas, path, topics=["/a"]).equal

@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import os
+import resource
 import subprocess
 
 import pytest
@@ -142,14 +144,37 @@ def test_what_cannot_be_written_is_said(tmp_path):
             writer.connection(Connection("/b", b"", 0), 0)
 
 
-def test_a_full_disk_is_said_and_nothing_stays(tmp_path):
+@pytest.fixture
+def little_room():
+    """No file of this process may become larger than 64 bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (64, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_disk_without_room_is_said_and_nothing_stays(tmp_path, little_room):
     for size in (10, 2_000_000):
-        # Only a link to it: at the end the writer renames what it wrote to.
-        (tmp_path / "a.bag.active").symlink_to("/dev/full")
         writer = BagWriter(tmp_path / "a.bag")
         number = writer.connection(string_connection())
-        with pytest.raises(BagError, match="cannot be written: No space left"):
+        with pytest.raises(BagError, match="cannot be written: File too large"):
             writer.write(number, 1, bytes(size))
             writer.close()
         writer.discard()
         assert not list(tmp_path.iterdir())
+
+
+def test_no_file_of_others_is_written(tmp_path):
+    left = tmp_path / "a.bag.active"
+    left.write_bytes(b"of a recorder")
+    with pytest.raises(BagError, match=r"a\.bag\.active exists: it is being written, or was left"):
+        BagWriter(tmp_path / "a.bag")
+    assert left.read_bytes() == b"of a recorder"
+    with BagWriter(tmp_path / "b.bag"):
+        with pytest.raises(BagError, match="exists: it is being written"):
+            BagWriter(tmp_path / "b.bag")
+    assert (tmp_path / "b.bag").exists()
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("pipe", "."):
+        with pytest.raises(BagError, match="is not a file that can be replaced"):
+            BagWriter(tmp_path / name)

@@ -81,6 +81,16 @@ def test_export_and_drop(leave, spool, tmp_path):
     with McapReader(target) as reader:
         assert [each.data for each in reader.messages()] == [text(n) for n in range(10)]
     assert spool("export", "7")[0] == 2
+    written = target.read_bytes()
+    status, _, err = spool("export", "7", target)
+    assert status == 1
+    assert f"{target} exists; choose another name" in err
+    assert target.read_bytes() == written
+    leave(8)
+    status, _, err = spool("export", "7", "8")
+    assert status == 2
+    assert "FILE is missing: 8 is a run" in err
+    assert spool("drop", "8", "--yes")[0] == 0
     status, _, err = spool("drop", "7")  # not confirmed
     assert status == 1
     assert "--yes" in err

@@ -15,7 +15,7 @@ import os
 import tempfile
 from array import array
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from typing import BinaryIO, Mapping, NamedTuple
 
@@ -127,6 +127,18 @@ class BagIndex:
             before = sum(info.counts.values())
             self._chunks.extend((info.position, info.start_ns, info.end_ns, info_pos, before))
         self.connections = {n: c for n, c in self.connections.items() if n in self.counts}
+        if self._has_chunk_info():
+            raise BagError(
+                f"{self.path} is damaged: its header counts {self.chunk_count} chunks, and its "
+                "index lists more; import --salvage stores what the bag holds"
+            )
+
+    def _has_chunk_info(self) -> bool:
+        """Return whether a chunk info record is at the current file position."""
+        with suppress(BagError):
+            bagformat.read_record(self._index, bagformat.OP_CHUNK_INFO, self.path)
+            return True
+        return False
 
     def _read_chunk_info(self, where: str) -> ChunkInfo:
         """Read the chunk info record at the current file position; its ``first`` is 0."""

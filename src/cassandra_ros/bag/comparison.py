@@ -64,6 +64,8 @@ class VerifyReport:
     left_out: int = 0
     """Number of messages of the bag that were not compared, because an export added them as latched
     before its time range, see export_bag."""
+    extras: dict[str, int] = field(default_factory=dict)
+    """Kind of records that are never stored → their number in the file, see MessageFile."""
     first: list[str] = field(default_factory=list)
     """The first differences, one line each; at most SHOWN."""
 
@@ -128,7 +130,10 @@ def verify_bag(
             scope = "the import of this bag" + (
                 f" for node {own_import.node}" if own_import.node else ""
             )
-        report = VerifyReport(reader.path, scope)
+        report = VerifyReport(reader.path, scope, extras=dict(reader.extras))
+        for topic, (count, why) in sorted(reader.left_out.items() if topics is None else ()):
+            report.add(f"{topic} is not stored: {why}; its {count} messages are missing", count)
+            report.missing += count
         if own_import is None:
             numbers -= _leave_out(reader, numbers, report)
             chosen = {n: chosen[n] for n in numbers}
@@ -136,6 +141,7 @@ def verify_bag(
             gone = {n for n in chosen if chosen[n] == topic}
             count = sum(reader.counts[n] for n in gone)
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
+            report.missing += count
             numbers -= gone
         comparison = _by_place(catalog, reader, stored, own_import, nodeID, report, writers)
         _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)

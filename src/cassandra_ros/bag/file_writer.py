@@ -30,7 +30,7 @@ class FileWriter(ABC):
         path: The file to write; close() replaces an existing file.
 
     Raises:
-        BagError: The file cannot be made.
+        BagError: The file cannot be made, OUT.active exists, or OUT is a folder or a device.
     """
 
     keeps_publish_times = False
@@ -47,8 +47,15 @@ class FileWriter(ABC):
         self._resources = ExitStack()
         """Further files that are closed together with this one."""
         self._closed = False
+        if os.path.exists(self.path) and not os.path.isfile(self.path):
+            raise BagError(f"{self.path} is not a file that can be replaced; give another name")
         try:
-            self._file: IO[bytes] = open(self._active, "wb", _BUFFER_BYTES)
+            self._file: IO[bytes] = open(self._active, "xb", _BUFFER_BYTES)
+        except FileExistsError as exc:
+            raise BagError(
+                f"{self._active} exists: it is being written, or was left by a recorder or an "
+                "export that was killed; move it, or give another name"
+            ) from exc
         except OSError as exc:
             raise self._failure(exc) from exc
 

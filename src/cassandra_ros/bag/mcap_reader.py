@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
@@ -33,6 +33,7 @@ from cassandra_ros.messages.connection_header import Connection
 
 _LOOSE_BYTES = 1 << 20
 """Maximum size of consecutive messages outside of chunks that are read at once, bytes."""
+_KINDS = frozenset(map(int, Opcode))
 _EXTRAS = {int(Opcode.ATTACHMENT): "attachments", int(Opcode.METADATA): "records of metadata"}
 """Kinds of records that cannot be stored -> their name in warnings."""
 
@@ -96,8 +97,11 @@ class McapReader(MessageFile):
     ) -> None:
         self.path, self.salvaged = os.fspath(path), SalvageReport()
         self._profile = ""
+        self._salvages = salvage
         self._stated: int | None = None
         """Number of messages that the file states at its end; None = it states no number."""
+        self._unknown_bytes = 0
+        """Size of the records of kinds that the format does not have, bytes."""
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: list[_Chunk] = []
@@ -242,7 +246,8 @@ class McapReader(MessageFile):
                 self._stated = None
                 del self._chunks[place:]
                 return
-            chunk.counts = Counter(found.channels.tolist())
+            if chunk.counts:  # without an index they are counted with their times later
+                chunk.counts = Counter(found.channels.tolist())
 
     def _note(self, record: Record) -> None:
         """Take a record outside of chunks into the index."""
@@ -278,6 +283,8 @@ class McapReader(MessageFile):
             pass
         elif kind in _EXTRAS:
             self.extras[_EXTRAS[kind]] = self.extras.get(_EXTRAS[kind], 0) + 1
+        elif kind not in _KINDS:
+            self._unknown_bytes += record.stop - record.start
 
     def _note_event(self, record: Record) -> bool:
         """Take a record of metadata if it is an event; return whether it is."""
@@ -372,10 +379,13 @@ class McapReader(MessageFile):
         for chunk in self._chunks:
             totals.update(chunk.counts)
         if self._stated not in (None, sum(totals.values())):
-            raise BagError(
-                f"{self.path} is damaged: of the {self._stated} messages that it should hold "
+            why = (
+                f"is damaged: of the {self._stated} messages that it should hold "
                 f"{sum(totals.values())} are found"
             )
+            if not self._salvages:
+                raise BagError(f"{self.path} {why}")
+            self.salvaged.end(why, self._unknown_bytes)
         kept: list[tuple[Connection, int]] = []
         for number, count in sorted(totals.items()):
             channel = self._channels[number]
@@ -393,7 +403,8 @@ class McapReader(MessageFile):
     def _number_kept(self, kept: list[tuple[Connection, int]], totals: Counter[int]) -> None:
         """Set the attributes of MessageFile from pairs of (connection, channel id)."""
         if len({connection.number for connection, _ in kept}) < len(kept):
-            raise BagError(f"{self.path} is damaged: two of its connections have the same number")
+            # Each of several exports that were merged has its own numbers; channel ids are unique.
+            kept = [(replace(connection, number=number), number) for connection, number in kept]
         kept.sort(key=lambda each: each[0].number)
         self._numbers = {channel_id: connection.number for connection, channel_id in kept}
         self.connections = {connection.number: connection for connection, _ in kept}

@@ -10,6 +10,7 @@ from typing import Iterator
 import numpy as np
 
 from cassandra_ros.bag.message_file import MessageFile
+from cassandra_ros.errors import BagError
 from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import split_seq
 from cassandra_ros.tables.registry import Run
@@ -81,7 +82,10 @@ def _stripes(reader: MessageFile) -> Iterator[tuple[int, SendTimes]]:
         return
     number, stripe = 0, _nothing()
     for chunk in range(reader.chunk_count):
-        times = reader.chunk_publish_times(chunk)
+        try:
+            times = reader.chunk_publish_times(chunk)
+        except BagError:
+            break  # the import of the messages tells it when it reaches this chunk
         if times is None:
             continue
         taken = 0

@@ -17,6 +17,7 @@ spool.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Iterator, NamedTuple, Sequence
@@ -31,7 +32,7 @@ from cassandra_ros.cli.terminal_text import (
     format_table,
     format_time,
 )
-from cassandra_ros.errors import SpoolError
+from cassandra_ros.errors import BagError, SpoolError
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -207,7 +208,11 @@ def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
     if len(options.runs) < 2:
         options.parser.error("export needs RUN and FILE: spool export 1398090783 rest.mcap")
     *ids, target = options.runs
-    made = BagWriter(target) if target.endswith(".bag") else McapWriter(target)
+    if target in {path.name for path in folder.runs()}:
+        options.parser.error(f"FILE is missing: {target} is a run; spool export RUN rest.mcap")
+    if os.path.exists(target):
+        raise BagError(f"{target} exists; choose another name")
+    made = BagWriter(target) if target.lower().endswith(".bag") else McapWriter(target)
     messages, damaged = 0, []
     with made as writer:
         numbers: dict[Connection, int] = {}

@@ -183,6 +183,8 @@ def _print_left_out(report: VerifyReport) -> None:
     if report.left_out:
         what = f"{counted(report.left_out, 'message')} that the export took from before its window"
         print(f"not compared: {what}, as latched")
+    for kind, count in report.extras.items():
+        print(f"not stored: {kind} of the file, {count}; the store holds messages only")
 
 
 def _print_differences(report: VerifyReport) -> None:
