@@ -18,8 +18,9 @@ from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.mcap_events import NAME, event_of, fields_of
 from cassandra_ros.cli import cassandra_bag
-from cassandra_ros.errors import BagError
+from cassandra_ros.errors import BagError, StoreUnavailable
 from cassandra_ros.tables.event_table import Event
+from cassandra_ros.topics.event_finder import Events
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -137,6 +138,20 @@ def test_damaged_events_are_told_and_the_rest_is_stored(rosCas, tmp_path):
     for fields in bad:
         with pytest.raises(BagError):
             event_of(fields, "x")
+
+
+def test_a_store_that_goes_away_at_the_end_is_no_damaged_event(rosCas, tmp_path, monkeypatch):
+    write(tmp_path / "a.mcap", [fields_of(Event("good", T0, T0 + 1))])
+
+    def put(self, event):
+        raise StoreUnavailable("the store does not answer")
+
+    with monkeypatch.context() as away:
+        away.setattr(Events, "put", put)
+        with pytest.raises(StoreUnavailable):
+            import_bag(rosCas, tmp_path / "a.mcap")
+    assert import_bag(rosCas, tmp_path / "a.mcap").events == 1
+    assert [event.name for event in rosCas.events()] == ["good"]
 
 
 def test_the_verbs_tell_their_number(store, cassandra, capsys, tmp_path):

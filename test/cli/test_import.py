@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 from random import Random
 
@@ -17,6 +19,12 @@ from cassandra_ros.bag import message_file
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.errors import BagError, BagUnindexed
+from cassandra_ros.local_server import disk
+from cassandra_ros.local_server.cluster_settings import (
+    change_settings,
+    new_settings,
+    save_settings,
+)
 
 
 def make_bag(path, topics=("/a", "/b"), count=10, compression="none"):
@@ -261,3 +269,55 @@ def test_a_keyspace_of_another_program_is_told(call, cassandra, tmp_path):
             assert "another program" not in call("list", "nothing", keyspace=name)[1]
         finally:
             cas.execute(f"DROP KEYSPACE {name}", what="dropping a keyspace")
+
+
+def test_what_cannot_be_listed_does_not_stop_the_others(call, tmp_path, monkeypatch):
+    good, empty, shut = (tmp_path / name for name in ("good", "empty", "good/shut"))
+    for folder in (good, empty, shut):
+        folder.mkdir()
+    make_bag(good / "a.bag")
+    scandir = os.scandir
+
+    def refusing(path):
+        if os.fspath(path) == str(shut):
+            raise PermissionError(errno.EACCES, "Permission denied", str(shut))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refusing)
+    status, out, err = call("import", empty, good, "--recursive")
+    assert status == 1
+    assert f"folder {empty} holds no bag or MCAP file" in err
+    assert f"folder {shut} cannot be read: Permission denied" in err
+    table = [line.split() for line in out.splitlines()[-3:]]
+    assert table == [
+        [str(empty), "-", "-", "failed"],
+        [str(shut), "-", "-", "failed"],
+        [str(good / "a.bag"), "10", "0", "stored"],
+    ]
+
+
+def test_an_import_of_a_part_keeps_the_counts_of_the_rest(call, rosCas, tmp_path):
+    path = make_bag(tmp_path / "x.bag", ("/a", "/b", "/x\0y"), count=30)
+    assert call("import", path)[0] == 1  # a topic whose name cannot be stored
+    (whole,) = rosCas.runs()
+    assert (whole.stored, whole.lost) == ({"/a": 10, "/b": 10}, {"/x\0y": 10})
+    assert call("import", path, "--topics", "/a")[0] == 0
+    (again,) = rosCas.runs()
+    assert (again.stored, again.lost) == (whole.stored, whole.lost)
+
+
+def test_a_keyspace_is_made_when_all_nodes_of_a_local_cluster_answer(
+    call, cassandra, tmp_path, monkeypatch
+):
+    """Else it would keep one copy of each message for ever."""
+    monkeypatch.setenv("CASSANDRA_ROS_DIR", str(tmp_path / "server"))
+    (tmp_path / "server").mkdir()
+    monkeypatch.setattr(disk, "find_server", lambda config: os.getpid())
+    three = change_settings(new_settings(), nodes=3, host=cassandra.host, port=cassandra.port)
+    save_settings(tmp_path / "server", three)
+    make_bag(tmp_path / "a.bag")
+    name = new_name()
+    status, _, err = call("import", tmp_path / "a.bag", keyspace=name)
+    assert status == 1
+    assert f"of the 3 nodes of the local Cassandra 1 can be seen, so keyspace {name}, whi" in err
+    assert call("import", tmp_path / "a.bag")[0] == 0  # in a keyspace that exists

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 import os
+from typing import Callable
 
 from cassandra_ros.bag import mcap_format
 from cassandra_ros.bag.bag_reader import BagReader
@@ -22,28 +23,40 @@ _ENDINGS = (".bag", MCAP_ENDING)
 _UNFINISHED = ".active"
 
 
-def files_of(path: str, recursive: bool = False, unfinished: bool = False) -> list[str]:
+def files_of(
+    path: str,
+    recursive: bool = False,
+    unfinished: bool = False,
+    unreadable: Callable[[OSError], None] | None = None,
+) -> list[str]:
     """Return the bags and MCAP files of a folder, sorted. For any other path, return the path.
 
     Args:
         recursive: Also list the files of subfolders; links to folders are not followed.
         unfinished: Also list files named *.active, which a recorder has not closed.
+        unreadable: Called for each folder that cannot be listed; None = BagError.
 
     Raises:
-        BagError: The folder holds no bag or MCAP file.
+        BagError: The folder holds no bag or MCAP file, or a folder cannot be listed.
     """
     if not os.path.isdir(path) or os.path.exists(os.path.join(path, METADATA)):
         return [path]
     endings = tuple(
         ending + more for ending in _ENDINGS for more in ("", _UNFINISHED)[: 1 + unfinished]
     )
+    problems: list[OSError] = []
+    folders = os.walk(path, onerror=problems.append)
     files = [
         os.path.join(folder, name)
-        for folder, _, names in itertools.islice(os.walk(path), None if recursive else 1)
+        for folder, _, names in itertools.islice(folders, None if recursive else 1)
         for name in names
         if name.lower().endswith(endings)
     ]
-    if not files:
+    for exc in problems:
+        if unreadable is None:
+            raise BagError(f"folder {exc.filename} cannot be read: {exc.strerror}") from exc
+        unreadable(exc)
+    if not (files or problems):
         hint = "" if recursive else "; --recursive looks into its subfolders"
         raise BagError(f"folder {path} holds no bag or MCAP file ({', '.join(endings)}){hint}")
     return sorted(files)

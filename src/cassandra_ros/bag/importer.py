@@ -29,9 +29,10 @@ from cassandra_ros.blocks.block_builder import limits_for
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
     BagError,
-    CassandraRosError,
     EventNotFound,
+    InvalidKey,
     InvalidName,
+    InvalidOption,
     TopicExists,
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -223,12 +224,15 @@ def import_bag(
         # The limits of blocks depend neither on the current time nor on the imported topics.
         limits = limits_for(len(reader.connections))
         lengths = table_lengths(reader, content.sizes)
-        writer_id, is_repeated = _writer_id(keyspace, nodeID, content)
+        writer_id, earlier = _writer_id(keyspace, nodeID, content)
+        is_repeated = earlier is not None
         report = ImportReport(reader.path, writer_id, nodeID, salvaged=reader.salvaged)
         _tell_damage(report)
         numbers = _refuse_names(reader, numbers, report)
         _tell_left_out(reader, topics, report)
         run = _run(reader, nodeID, writer_id, format, content)
+        if earlier is not None:
+            run = replace(run, stored=earlier.stored, lost=earlier.lost)
         formats = _formats(keyspace, reader, numbers, run, is_repeated)
         node = check_new_node(nodeID)
         wanted = {
@@ -253,7 +257,9 @@ def import_bag(
             if is_repeated:
                 _remove_other_blocks(keyspace, handles, run)
             _write_messages(ahead, writer, handles, report, progress)
-            writer.close(lost=report.lost)
+            chosen = {reader.connections[n].topic for n in connections_of_topics(reader, topics)}
+            others = {topic: n for topic, n in run.lost.items() if topic not in chosen}
+            writer.close(lost={**others, **report.lost})
         _store_events(keyspace.events, reader, run, report)
     return report
 
@@ -266,7 +272,7 @@ def _store_events(events: Events, reader: MessageFile, run: Run, report: ImportR
             if not _is_stored(events, event):
                 events.put(event)
             report.events += 1
-        except CassandraRosError as exc:
+        except (BagError, InvalidKey, InvalidName, InvalidOption) as exc:
             report.warnings.append(f"an event is not stored: {exc}")
             _log.warning("%s", report.warnings[-1])
 
@@ -347,8 +353,8 @@ def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: Im
         _log.warning("%s", report.warnings[-1])
 
 
-def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int, bool]:
-    """Return the writer id of this bag's import, and whether it was imported before.
+def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int, Run | None]:
+    """Return the writer id of this bag's import, and the run of an earlier import of this bag.
 
     A run is noted before its first row is written, and forgotten after its last row was deleted:
     the rows of a bag that was not imported before need not be looked for.
@@ -356,11 +362,11 @@ def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int,
     runs = {run.writer: run for run in keyspace.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)
     if known is not None:
-        return known.writer, True
+        return known.writer, known
     writer_id = content.writer_id(node)
     while writer_id in runs:  # 31 bits may agree with those of another bag by chance
         writer_id = writer_id % MAX_WRITER + 1
-    return writer_id, False
+    return writer_id, None
 
 
 def _formats(

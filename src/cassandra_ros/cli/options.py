@@ -173,9 +173,13 @@ def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
     Args:
         make: The keyspace may be missing; the first write creates it.
     """
+    from cassandra_ros.local_server.disk import local_nodes
+
     ros_cas = _connect(options)
     # Find the directories now: those of a server that has ended cannot be found.
-    ros_cas.cassandra.outage.tell_reason(partial(_trouble, _local_directories(options)))
+    directories = _local_directories(options)
+    ros_cas.cassandra.outage.tell_reason(partial(_trouble, directories))
+    ros_cas.cassandra.expect_nodes(max(map(local_nodes, directories), default=0))
     hurry_on_interrupt(ros_cas.cassandra.outage)
     if not make:
         try:

@@ -162,6 +162,7 @@ class Cassandra:
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
         self._closed = False
+        self._expected_nodes = 0
         self._keyspaces: set[str] = set()
         self._connecting_until = 0.0
         places = [(host, self.port) for host in self.hosts]
@@ -485,6 +486,15 @@ class Cassandra:
         if failures:
             raise failures[0]
 
+    def await_same_schema(self, what: str) -> None:
+        """Wait until all nodes have the same schema, however many there are.
+
+        Raises:
+            StoreUnavailable: They do not agree within SAME_SCHEMA_SEC.
+        """
+        if self.live_nodes() > 1:
+            self._agree(what)
+
     def _agree(self, what: str) -> None:
         """Wait until all nodes have the same schema; raises StoreUnavailable after a limit.
 
@@ -561,6 +571,23 @@ class Cassandra:
     def live_nodes(self) -> int:
         """Return the number of nodes in the local data centre that the driver knows."""
         return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
+
+    def expect_nodes(self, count: int) -> None:
+        """Make no keyspace before the driver knows this number of nodes; see require_nodes."""
+        self._expected_nodes = count
+
+    def require_nodes(self, keyspace: str) -> None:
+        """Raise StoreUnavailable if a keyspace that is made now would keep too few copies.
+
+        A cluster that is just being started has one node at first.
+        """
+        there = self.live_nodes()
+        if there < self._expected_nodes:
+            raise StoreUnavailable(
+                f"of the {self._expected_nodes} nodes of the local Cassandra {there} can be seen, "
+                f"so keyspace {keyspace}, which is missing, would keep too few copies of its "
+                "messages: wait for the others, or start them"
+            )
 
     def local_datacenter(self) -> str:
         """Return the name of the data centre of the node that we are connected to."""

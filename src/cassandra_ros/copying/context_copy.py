@@ -88,8 +88,8 @@ def copy_runs(
         run = replace(run, stored=stored)
         other = known.get((run.writer, run.node))
         if other != run:
-            there.registry.put_run(run)
             _copy_rows(here, there, _SENT, _SENT_COLUMNS, run)
+            there.registry.put_run(run)  # last: of a run that is there the send times are there
             count += 1
         if other != run or run.ended is None:
             _copy_rows(here, there, _CONTEXT, _CONTEXT_COLUMNS, run)

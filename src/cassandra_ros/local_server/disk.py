@@ -43,6 +43,14 @@ def local_directory(host: str, port: int) -> Path | None:
     return next((found for found in _running() if _is_at(found, address, port)), None)
 
 
+def local_nodes(directory: Path) -> int:
+    """Return the number of nodes of the local Cassandra of a directory; 0 = none of them runs."""
+    settings = _settings(directory)
+    numbers = range(1, settings.nodes + 1) if settings is not None else ()
+    nodes = [Node(n, directory / f"node{n}", settings) for n in numbers if settings is not None]
+    return len(nodes) if any(find_server(node.config) for node in nodes) else 0
+
+
 def disk_trouble(directory: Path) -> str:
     """Return why the local Cassandra of a directory may refuse writes; '' = no known reason."""
     full = full_disk(directory)

@@ -380,6 +380,7 @@ class SideTables:
         if rows:
             _warn_of_factor(self.keyspace, rows[0][0], wanted)
         else:
+            self._cassandra.require_nodes(self.keyspace)
             datacenter = quote_text(self._cassandra.local_datacenter())
             if wanted > 1:
                 _log.warning(

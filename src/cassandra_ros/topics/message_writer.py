@@ -541,9 +541,11 @@ class MessageWriter:
         self._rows.close()
         if self._run is not None and self._take_back is None:
             stats = self.stats()
-            stored = {topic: part.stored for topic, part in stats.items()}
+            # What an earlier import of the same file has stored of other topics is still there.
+            stored = {**self._run.stored, **{t: part.stored for t, part in stats.items()}}
             if lost is None:
                 lost = {topic: part.lost for topic, part in stats.items() if part.lost}
+                lost = {**self._run.lost, **lost}
             run = replace(self._run, stored=stored, lost=lost)
             self._keyspace.registry.put_run(run, ended=True)
 

@@ -134,13 +134,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Import the bags one after the other; print the state of each at the end."""
-    from cassandra_ros.bag.file_formats import files_of
-
-    outcomes = [
-        _Outcome(path)
-        for given in options.bags
-        for path in files_of(given, options.recursive, options.salvage)
-    ]
+    outcomes = [outcome for given in options.bags for outcome in _outcomes(given, options)]
+    if all(outcome.state == "failed" for outcome in outcomes):
+        _print_outcomes(outcomes, options)
+        return 1
     with open_store(options, make=True) as ros_cas:
         foreign = foreign_keyspace(ros_cas)
         if foreign:
@@ -148,7 +145,8 @@ def run(options: argparse.Namespace) -> int:
             print(error_line("cassandra_bag", hint), file=sys.stderr)
         try:
             for outcome in outcomes:
-                _try(ros_cas, outcome, options)
+                if outcome.state != "failed":
+                    _try(ros_cas, outcome, options)
         except (KeyboardInterrupt, SystemExit):
             hint = "interrupted; the same command again completes the import"
             print(error_line("cassandra_bag", hint), file=sys.stderr)
@@ -156,6 +154,28 @@ def run(options: argparse.Namespace) -> int:
         finally:
             _print_outcomes(outcomes, options)
     return 0 if all(outcome.state in _WHOLE for outcome in outcomes) else 1
+
+
+def _outcomes(given: str, options: argparse.Namespace) -> list[_Outcome]:
+    """Return the files of a FILE, or of a folder; print and note what cannot be read."""
+    from cassandra_ros.bag.file_formats import files_of
+
+    outcomes: list[_Outcome] = []
+
+    def fail(path: str, why: str) -> None:
+        outcomes.append(_Outcome(path))
+        outcomes[-1].fail(why)
+        print(error_line("cassandra_bag", why), file=sys.stderr)
+
+    def unreadable(exc: OSError) -> None:
+        fail(exc.filename, f"folder {exc.filename} cannot be read: {exc.strerror}")
+
+    try:
+        files = files_of(given, options.recursive, options.salvage, unreadable)
+    except BagError as exc:
+        fail(given, str(exc))
+        return outcomes
+    return outcomes + [_Outcome(path) for path in files]
 
 
 def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) -> None:
