@@ -138,7 +138,7 @@ def test_an_end_before_the_store_answers(roscore, proxy, keyspace, one):
 
 def test_a_store_that_does_not_come(roscore, proxy, keyspace):
     proxy.cut()
-    with start_recorder(roscore, proxy, keyspace, "/nothing", "--wait", "1") as child:
+    with start_recorder(roscore, proxy, keyspace, "/nothing", "--wait", "8") as child:
         assert child.wait() == 1
-    assert "waiting up to 1 s for the store" in child.output
+    assert "waiting up to 8 s for the store" in child.output
     assert "recorder: no Cassandra answers at" in child.output

@@ -7,6 +7,7 @@ from __future__ import annotations
 import signal
 import struct
 import subprocess
+import sys
 import time
 import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
@@ -469,3 +470,38 @@ def test_scripts_are_thin():
         assert len(script.read_text().splitlines()) < 10
         assert not script.stat().st_mode & 0o111
     assert live_connection("/x", {}).header == b""
+
+
+def test_a_connection_that_breaks_is_made_again(recorder, roscore, rosCas):
+    """A network that was away: the publisher goes on, and the master has nothing to tell."""
+    with RawPublisher(roscore.uri, "/a", header_of(String)) as publisher, RawPublisher(
+        roscore.uri, "/a", header_of(String, "/other"), "/other"
+    ) as other:
+        child = recorder("/a")
+        publisher.await_subscribers().publish(*(message(String(str(n))) for n in range(5)))
+        other.await_subscribers()
+        await_true(lambda: len(rosCas.getAllTopics()) == 1 and rosCas.getTopic("/a").last())
+        publisher.hang_up()
+        publisher.await_subscribers().publish(*(message(String(str(n))) for n in range(5, 9)))
+        child.await_line("a connection of /a was broken, while its publisher went on")
+        assert child.end() == 1, child.output
+    assert "publishers of /a were not heard" in child.lines[-1]
+    assert [m.data for _, m in rosCas.getTopic("/a").items()] == [str(n) for n in range(9)]
+    (loss,) = rosCas.losses()
+    assert (loss.topic, loss.kind, loss.count) == ("/a", LossKind.UNHEARD, 0)
+
+
+def test_who_unsubscribes_hears_no_more_though_another_listens(roscore):
+    """Of two subscribers of a process the first one leaves."""
+    script = Path(__file__).with_name("two_subscribers.py")
+    with RawPublisher(roscore.uri, "/a", header_of(String)) as publisher, Child(
+        [sys.executable, script], roscore.env
+    ) as child:
+        child.await_line("both listen")
+        publisher.await_subscribers().publish(message(String("1")))
+        child.await_line("one left")
+        publisher.publish(message(String("2")))
+        child.await_line("other: 2")
+        assert child.end() == 0, child.output
+    heard = sorted(line for line in child.lines if line.startswith(("ours:", "other:")))
+    assert heard == ["other: 1", "other: 2", "ours: 1"]

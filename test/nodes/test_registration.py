@@ -142,7 +142,7 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
     assert sorted(row.wire for row in rosCas.getTopic("/a").rows()) == [
         text(n) for n in (1, 2, 3, 4)
     ]
-    assert "new publishers of /a were not heard" in child.lines[-1]
+    assert "publishers of /a were not heard" in child.lines[-1]
     assert child.output.count("the ROS master does not answer") == 1
     assert child.output.count("the ROS master does not know this node any more") == 1
     (loss,) = rosCas.catalog.keyspace.registry.losses()

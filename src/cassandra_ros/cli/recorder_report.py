@@ -82,8 +82,8 @@ def failures(reports: Sequence[TopicReport]) -> list[str]:
     for report in reports:
         if report.unheard_sec:
             reasons.append(
-                f"for {report.unheard_sec:.0f} s new publishers of {shown(report.topic)} were not "
-                "heard, for the ROS master was started anew"
+                f"for {report.unheard_sec:.0f} s publishers of {shown(report.topic)} were not "
+                "heard, because the ROS master was started anew or a connection was broken"
             )
         if not report.published:
             reasons.append(f"no message came on {shown(report.topic)}: it had no publisher")

@@ -21,6 +21,7 @@ from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.copying.quota import Quota
 from cassandra_ros.errors import CassandraRosError, ClockNotSet, InvalidName, InvalidOption
+from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.nodes.registration import Registration
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS, now_ns
 from cassandra_ros.nodes.run_context import keep_context
@@ -103,7 +104,7 @@ class Recorder:
             if bound is None
             else Snapshots(bound, options.buffsize, now_ns, series.filters, series.single)
         )
-        self._subscriptions = Subscriptions(self._received, options.tcpnodelay)
+        self._subscriptions = Subscriptions(self._received, options.tcpnodelay, self._broken)
         self._registration = Registration(self._unheard)
         self._own = _OwnMessages(rospy.get_name()) if options.discovers else None
         self._left: set[str] = set()
@@ -446,6 +447,13 @@ class Recorder:
         current = self._series.current
         if current is not None:
             current.unheard(topic, first_ns, last_ns)
+
+    def _broken(self, topic: str, seconds: float) -> None:
+        """Note a time up to now in which a publisher was not heard."""
+        current = self._series.current
+        if current is not None and topic in self._subscriptions.topics:
+            last = current.now()
+            current.unheard(topic, max(0, last - int(seconds * SECOND_NS)), last)
 
     def _begun(self, recording: Recording) -> None:
         """Announce a run that has started, and store its context."""

@@ -12,6 +12,8 @@
 * A publisher that is restarted with the same URI while its old connection is still being read is
   taken for connected and never heard again. Here a connection whose other end is closed does not
   count, and the publisher is tried again when the old connection ends.
+* A connection that breaks while its publisher goes on, as by a network that was away, is never
+  made again. Here the publisher is asked again, and the gap is noted.
 * rosgraph refuses a connection header that is not UTF-8 (a degree sign in an old .msg file), and
   its publisher is never heard. Here the bytes are kept as surrogates.
 
@@ -23,11 +25,13 @@ from __future__ import annotations
 
 import fcntl
 import io
+import logging
 import select
 import socket
 import struct
 import termios
 import threading
+import time
 from typing import Callable, Mapping
 from weakref import WeakKeyDictionary
 
@@ -40,6 +44,8 @@ from rospy.topics import _SubscriberImpl
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import Connection
+
+_log = logging.getLogger(__name__)
 
 BUFF_SIZE = 16 * 1024 * 1024
 """Maximum number of bytes read at once. With the 64 KiB of rospy large messages are delayed."""
@@ -57,14 +63,27 @@ _length = struct.Struct("<I").unpack_from
 _received: WeakKeyDictionary[socket.socket, int] = WeakKeyDictionary()
 """Number of bytes received after the header by socket; -1 while the header is being read."""
 
+RECONNECT_SEC = 1.0
+"""Time after which a publisher is asked again whose connection has ended, s."""
+TOLD_SEC = 2.0
+"""Time before the end of a connection in which the master may have named its publisher because
+another process publishes there now, s."""
+_POLL_SEC = 0.05
+
+OnGap = Callable[[str, float], None]
+"""Function called with a topic and the time, s, up to now in which a publisher was not heard,
+although it went on, because its connection was broken."""
 Callback = Callable[[str, Mapping[str, str], bytes], None]
 """Function called with topic, connection header and serialised message."""
 
 
-def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rospy.Subscriber:
+def subscribe(
+    topic: str, callback: Callback, tcp_nodelay: bool = False, on_gap: OnGap | None = None
+) -> rospy.Subscriber:
     """Subscribe to a topic of any type, by its resolved name.
 
-    The callback is called on the threads of the publishers' connections.
+    The callback is called on the threads of the publishers' connections. ``on_gap`` is called on
+    another thread, also after the subscriber has left if others of this process stay.
     """
     # From now on rospy reads with the functions below, in this whole process.
     tcpros_base.read_ros_handshake_header = read_header
@@ -77,10 +96,17 @@ def subscribe(topic: str, callback: Callback, tcp_nodelay: bool = False) -> rosp
 
     manager = get_topic_manager()
     with manager.lock:
-        if manager.get_subscriber_impl(topic) is None:
-            manager._add(_Subscription(topic, take, tcp_nodelay), manager.subs, Registration.SUB)
-            return rospy.Subscriber(topic, rospy.AnyMsg)
-    return rospy.Subscriber(topic, rospy.AnyMsg, take)
+        impl = manager.get_subscriber_impl(topic)
+        if impl is None:
+            impl = _Subscription(topic, take, tcp_nodelay)
+            manager._add(impl, manager.subs, Registration.SUB)
+            subscriber = rospy.Subscriber(topic, rospy.AnyMsg)
+            subscriber.callback = take  # so that ``unregister`` removes it
+        else:
+            subscriber = rospy.Subscriber(topic, rospy.AnyMsg, take)
+    if on_gap is not None and isinstance(impl, _Subscription):
+        impl.on_gaps.append(on_gap)
+    return subscriber
 
 
 def is_drained(subscriber: rospy.Subscriber) -> bool:
@@ -112,7 +138,9 @@ class _Subscription(_SubscriberImpl):
         self.set_buff_size(BUFF_SIZE)
         self.set_tcp_nodelay(tcp_nodelay)
         self._connecting: dict[str, threading.Thread] = {}
-        self._asked_again: set[str] = set()
+        self._named: dict[str, float] = {}
+        """When the master last named a connected publisher, monotonic clock, s, by its URI."""
+        self.on_gaps: list[OnGap] = []
         self.heard = False
         """Whether a publisher was ever connected."""
         self.add_callback(take, None)
@@ -124,7 +152,7 @@ class _Subscription(_SubscriberImpl):
             with self.c_lock:
                 connections = [c for c in self.connections if c.endpoint_id == endpoint_id]
                 if any(not c.done and not _has_hung_up(c) for c in connections):
-                    self._asked_again.add(endpoint_id)
+                    self._named[endpoint_id] = time.monotonic()
                     return True
                 other = self._connecting.get(endpoint_id)
                 if other is None or other is me or not other.is_alive():
@@ -138,6 +166,8 @@ class _Subscription(_SubscriberImpl):
         with self.c_lock:
             for old in self.connections:
                 if old.endpoint_id == c.endpoint_id:
+                    if not old.done and not _has_hung_up(old):
+                        return False  # two threads have asked the publisher
                     old.endpoint_id += _CLOSING
             self.heard = True
             return bool(super().add_connection(c))
@@ -147,20 +177,63 @@ class _Subscription(_SubscriberImpl):
         super().remove_connection(c)
         with self.c_lock:
             again = c.endpoint_id.replace(_CLOSING, "")
-            if again not in self._asked_again or self.closed or rospy.is_shutdown():
+            told = self._named.pop(again, -TOLD_SEC) > time.monotonic() - TOLD_SEC
+            if not (told or _is_greeted(c)) or self.closed or rospy.is_shutdown():
                 return
-            self._asked_again.discard(again)
+        heard = getattr(c, "heard", time.monotonic())
+        threading.Thread(
+            target=self._reconnect, args=(again, None if told else heard), daemon=True
+        ).start()
+
+    def _reconnect(self, uri: str, heard: float | None) -> None:
+        """Connect to a publisher again; one that has ended or left the topic refuses.
+
+        Args:
+            heard: When it was last heard, monotonic clock, s; None = the master has named it since:
+                it is another process, of which nothing was missed.
+        """
+        if heard is not None:
+            time.sleep(RECONNECT_SEC)  # a publisher that closes at once is not asked all the time
         for listener in list(get_registration_listeners().listeners):
-            # A publisher that has ended or left the topic refuses.
             connect = getattr(listener, "_connect_topic_thread", None)
-            if connect is not None:
-                threading.Thread(target=connect, args=(self.name, again), daemon=True).start()
+            if connect is not None and not (self.closed or rospy.is_shutdown()):
+                if self._connections_to(uri):
+                    heard = None  # the master has named it meanwhile
+                connect(self.name, uri)
+        if heard is not None and self._await_greeting(uri):
+            lasted = time.monotonic() - heard
+            for on_gap in list(self.on_gaps):
+                on_gap(self.name, lasted)
+            _log.warning(
+                "a connection of %s was broken, while its publisher went on: what it sent in the "
+                "last %.1f s may be lost",
+                self.name,
+                lasted,
+            )
+
+    def _connections_to(self, uri: str) -> list[Transport]:
+        return [c for c in list(self.connections or ()) if c.endpoint_id == uri and not c.done]
+
+    def _await_greeting(self, uri: str) -> bool:
+        """Wait until a publisher has sent its header; return False if it does not."""
+        while not (self.closed or rospy.is_shutdown()):
+            connections = self._connections_to(uri)
+            if not connections or any(map(_is_greeted, connections)):
+                return bool(connections)
+            time.sleep(_POLL_SEC)
+        return False
 
     def receive_callback(self, msgs: list[rospy.AnyMsg], connection: Transport) -> None:
         """Hand on messages and count the bytes of the connection that were handled."""
         super().receive_callback(msgs, connection)
+        connection.heard = time.monotonic()
         nbytes = sum(len(msg._buff) + 4 for msg in msgs)
         connection.handled = getattr(connection, "handled", 0) + nbytes
+
+
+def _is_greeted(connection: Transport) -> bool:
+    """Return whether the publisher has sent its header, and no refusal."""
+    return bool(connection.header) and "error" not in connection.header
 
 
 def _has_hung_up(connection: Transport) -> bool:

@@ -15,6 +15,7 @@ import rospy
 from cassandra_ros.nodes.ros_node import MASTER_ERRORS
 from cassandra_ros.nodes.subscription import (
     Callback,
+    OnGap,
     connected_uris,
     is_drained,
     subscribe,
@@ -32,10 +33,13 @@ MAX_DRAIN_SEC = 60.0
 
 
 class Subscriptions:
-    """The subscriptions to topics of any type, all with one callback. Thread-safe."""
+    """The subscriptions to topics of any type, all with the same callbacks. Thread-safe."""
 
-    def __init__(self, callback: Callback, tcp_nodelay: bool = False) -> None:
+    def __init__(
+        self, callback: Callback, tcp_nodelay: bool = False, on_gap: OnGap | None = None
+    ) -> None:
         self._callback = callback
+        self._on_gap = on_gap
         self._nodelay = tcp_nodelay
         self._subscribers: dict[str, rospy.Subscriber] = {}
         self._mutex = threading.Lock()
@@ -50,7 +54,9 @@ class Subscriptions:
         """Subscribe to a topic, by its resolved name."""
         with self._mutex:
             if topic not in self._subscribers:
-                self._subscribers[topic] = subscribe(topic, self._callback, self._nodelay)
+                self._subscribers[topic] = subscribe(
+                    topic, self._callback, self._nodelay, self._on_gap
+                )
 
     def remove(self, topics: Iterable[str]) -> None:
         """Unsubscribe from topics: their callback is not called any more."""

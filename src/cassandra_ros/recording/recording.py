@@ -346,7 +346,7 @@ class Recording:
                 self._lose(item.source.topic, LossKind.BUFFER_FULL, "option -b", item.t)
 
     def unheard(self, topic: str, first_ns: int, last_ns: int) -> None:
-        """Record a loss: messages of new publishers of a topic may have been missed.
+        """Record a loss: messages of publishers of a topic may have been missed.
 
         Args:
             first_ns, last_ns: Time range in which they may have been sent, ns, both included.

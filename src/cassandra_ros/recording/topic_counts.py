@@ -54,7 +54,8 @@ class TopicReport:
     """Serialised bytes received."""
     rate_hz: float
     unheard_sec: float = 0.0
-    """Time in which messages of new publishers were missed because the master was restarted, s."""
+    """Time in which messages were missed because the master was restarted, or a connection was
+    broken, s."""
     published: bool = True
     """Whether a message was received or a publisher was connected at some time."""
     left_out: int = 0
