@@ -116,7 +116,8 @@ def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):
     options = ("-i", "--queue", "2", "--wait-for-subscribers")
     with start_node(roscore, "player", *where, *options) as child:
         with RawSubscriber(roscore.uri, "/big") as heard:
-            found = []
+            found = [heard.read()[-1]]
+            child.await_line("a subscriber of topic /big has read nothing for 2 s")
             for wire in iter(heard.read, None):
                 found.append(wire[-1])
                 time.sleep(0.03)

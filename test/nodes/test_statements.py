@@ -359,3 +359,6 @@ def test_sql_is_answered_within_its_bounds(read, write, client):
     pairs = "range(1000000) a, range(1000000) b WHERE a.range % 7 = b.range % 5"
     answer = ask(f"SELECT count(*) FROM {pairs}", timeout=0.5)
     assert not answer["success"] and "stopped after 0.5 s" in answer["message"]
+    for wrong in (-5.0, float("nan")):
+        answer = ask("SELECT 1", timeout=wrong)
+        assert not answer["success"] and "timeout=" in answer["message"]

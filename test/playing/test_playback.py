@@ -21,12 +21,15 @@ from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.playback import Playback
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.read_ahead import ReadAhead
+from cassandra_ros.topics.stored_row import StoredRow
 
 SEC = 10**9
 T0 = 1_405_015_391 * SEC
 STEP = SEC // 20
 COUNT = 40
 BOTH = PlaySelection(topics=["/n", "/s"])
+EACH_ALONE = PlaySelection(["/n", "/s"], around=("/n", "data >= 0"), before=0, after=0)
+"""Each message is in a window of its own."""
 
 
 @pytest.fixture(scope="module")
@@ -237,6 +240,47 @@ def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
     assert run.into.clocks == [T0, T0 + 1000 * SEC]
 
 
+def test_a_step_ends_the_wait_for_what_controls(playing):
+    behind = threading.Event()
+    run = playing(lags=lambda t: t > T0 and not behind.is_set(), rate=1000.0)
+    deadline = threading.Event()
+    while run.playback.state != "delayed":
+        assert not deadline.wait(0.01)
+    run.playback.pause()
+    run.playback.step(1)
+    behind.set()
+    run.playback.resume()
+    run.thread.join(60)
+    assert run.into.numbers == list(range(COUNT))
+
+
+def test_what_is_not_done_in_time_is_told(playing, monkeypatch):
+    monkeypatch.setattr(playback_module, "COMMAND_SEC", 0.05)
+    monkeypatch.setattr(playback_module, "RETRY_SEC", 0.01)
+    answers, real = threading.Event(), Stream.messages
+
+    def messages(self, t):
+        answers.wait(60)
+        return real(self, t)
+
+    def latched(self, t):
+        if not answers.is_set():
+            raise StoreUnavailable("away")
+        return []
+
+    monkeypatch.setattr(Stream, "messages", messages)
+    run = playing(paused=True, keep_alive=True)
+    with pytest.raises(InvalidOption, match="0 of 3 messages were published: no more within"):
+        run.playback.step(3)
+    monkeypatch.setattr(Stream, "latched", latched)
+    with pytest.raises(InvalidOption, match="the replay is not there after"):
+        run.playback.seek(T0 + 30 * STEP)
+    answers.set()
+    monkeypatch.setattr(playback_module, "COMMAND_SEC", 60.0)
+    run.playback.step(1)
+    assert run.into.numbers == [30]
+
+
 def test_time_jumps_before_the_first_message_of_a_window(playing):
     around = PlaySelection(["/n"], around=("/n", ("data IN (?, ?)", [0, 30])), before=0, after=0)
     run = playing(around)
@@ -265,10 +309,11 @@ def test_nothing_to_play_says_why(playing, store):
         nothing.run()
 
 
-def test_a_store_that_is_away_for_a_while(store, monkeypatch):
+@pytest.mark.parametrize("selection", [BOTH, EACH_ALONE])
+def test_a_store_that_is_away_for_a_while(store, monkeypatch, selection):
     """Reading goes on after the last message, also between messages of equal times."""
     monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.01)
-    stream = Stream(PlayedKeyspace(store.catalog), BOTH)
+    stream = Stream(PlayedKeyspace(store.catalog), selection)
     every = list(stream.messages(T0))
     changed, failures = threading.Condition(), iter(range(1, 6))
 
@@ -292,6 +337,33 @@ def test_a_store_that_is_away_for_a_while(store, monkeypatch):
                 break
             got.append(played)
     assert [p.row.key for p in got] == [p.row.key for p in every]
+
+
+def test_what_was_read_needs_no_store_when_it_is_due(store, monkeypatch):
+    monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.01)
+    real, asked, failures = StoredRow.connection.fget, [], iter(range(3))
+
+    def connection(self):
+        asked.append(self.key)
+        if next(failures, None) is not None:
+            raise StoreUnavailable("away")
+        return real(self)
+
+    monkeypatch.setattr(StoredRow, "connection", property(connection))
+    stream = Stream(PlayedKeyspace(store.catalog), BOTH)
+    changed = threading.Condition()
+    reader = ReadAhead(stream.messages, T0, 1 << 20, changed, lambda played, exc: None)
+    got = []
+    with changed:
+        while True:
+            while not reader.await_next(60):
+                pass
+            played = reader.take()
+            if played is None:
+                break
+            assert played.row.key in asked
+            got.append(played.t)
+    assert len(got) == COUNT + 1 and got == sorted(got)
 
 
 def test_what_is_latched_may_be_away_or_gone(rosCas, monkeypatch):

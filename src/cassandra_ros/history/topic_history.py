@@ -146,7 +146,9 @@ class History:
                     iso_time(self._newest),
                     exc,
                 )
-                self._queue.join(self._queue.epoch)
+                while not (self._queue.join(self._queue.epoch) or self._queue.closed):
+                    pass  # messages were dropped between the two
+                self._count_missing("the store does not answer")
         self.live = True
         self._seen.clear()
         while not self._queue.closed:
@@ -447,6 +449,16 @@ class History:
 
     def _account(self) -> None:
         """Log which messages are missing and where a gap may be."""
+        self._count_missing("no recorder stored them")
+        if self._newest and not self._doubtful:
+            self._warn_of_gap("no recorder is recording it")
+        elif self._newest and self._unseen:
+            names = ", ".join(who.callerid or "a publisher" for who in self._unseen)
+            self._warn_of_gap(f"no messages of {names} are seen to be recorded")
+        elif self._newest and not (self._found or self._written):
+            self._warn_of_gap("no recorder is seen to record it now")
+
+    def _count_missing(self, reason: str) -> None:
         missing = {
             who: dropped.number - self._counted.get(who, 0)
             for who, dropped in self._queue.dropped.items()
@@ -456,18 +468,12 @@ class History:
                 self.lost += count
                 _log.error(
                     "%d messages of %s are lost: they came from %s on while stored messages were "
-                    "read, the buffer had no room for them, and no recorder stored them",
+                    "read, the buffer had no room for them, and %s",
                     count,
                     who.callerid or "a publisher",
                     iso_time(self._queue.dropped[who].first.t),
+                    reason,
                 )
-        if self._newest and not self._doubtful:
-            self._warn_of_gap("no recorder is recording it")
-        elif self._newest and self._unseen:
-            names = ", ".join(who.callerid or "a publisher" for who in self._unseen)
-            self._warn_of_gap(f"no messages of {names} are seen to be recorded")
-        elif self._newest and not (self._found or self._written):
-            self._warn_of_gap("no recorder is seen to record it now")
 
     def _warn_of_gap(self, reason: str) -> None:
         _log.warning(

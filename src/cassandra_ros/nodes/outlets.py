@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import struct
 import threading
 import time
@@ -25,7 +26,9 @@ _log = logging.getLogger(__name__)
 CLOCK = "/clock"
 """Topic of the time of the replay."""
 STALLED_SEC = 2.0
-"""Time without progress after which a subscriber is not waited for any more, s."""
+"""Time without progress after which it is told that a subscriber is waited for, s."""
+LAST_SEC = 10.0
+"""Time without progress after which a subscriber gets no rest of its queue at the end, s."""
 
 _stamp = struct.Struct("<II").pack
 
@@ -127,8 +130,15 @@ class Outlets:
             self._left_out[played.topic] += 1
             return
         publication.publish_wire(row.wire, source)
-        if self._waits:
-            publication.await_room(self._stopping.is_set, STALLED_SEC)
+        if self._waits and not publication.await_room(self._stopping.is_set, STALLED_SEC):
+            self._say(
+                (played.topic, "waits"),
+                "a subscriber of topic %s has read nothing for %.0f s: the replay waits for it, so "
+                "that nothing is dropped",
+                publication.topic,
+                STALLED_SEC,
+            )
+            publication.await_room(self._stopping.is_set, math.inf)
 
     def _way(
         self, played: PlayedMessage, key: Hashable
@@ -212,7 +222,7 @@ class Outlets:
             stop: Returns whether to stop waiting for subscribers.
         """
         for publication in self._distinct():
-            publication.drain(stop, STALLED_SEC)
+            publication.drain(stop, LAST_SEC)
         self._stopping.set()
         self._closed.set()
         clock = [] if self._clock is None else [self._clock]

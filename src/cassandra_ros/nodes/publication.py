@@ -282,14 +282,15 @@ class Publication(_PublisherImpl):
         """Number of messages that slow subscribers missed, summed over all of them."""
         return self._missed + sum(int(link.missed) for link in list(self.connections))
 
-    def await_room(self, stop: Callable[[], bool], stalled_sec: float) -> None:
-        """Wait until no subscriber's queue is full.
+    def await_room(self, stop: Callable[[], bool], stalled_sec: float) -> bool:
+        """Wait until no subscriber's queue is full; return whether that is so, or ``stop``.
 
         Args:
             stop: Returns whether to stop waiting.
             stalled_sec: Time without progress after which a subscriber is not waited for, s.
         """
         self._await(lambda link: link.is_full, stop, stalled_sec)
+        return stop() or not any(link.is_full for link in list(self.connections))
 
     def drain(self, stop: Callable[[], bool], stalled_sec: float) -> None:
         """Wait until all queued messages are sent; arguments as for ``await_room``."""
@@ -347,8 +348,9 @@ class SharedPublication:
         """Number of connected subscribers."""
         return int(self._impl.get_num_connections())
 
-    def await_room(self, stop: Callable[[], bool], stalled_sec: float) -> None:
-        """Do nothing: rospy does not show the queues of its subscribers."""
+    def await_room(self, stop: Callable[[], bool], stalled_sec: float) -> bool:
+        """Return True: rospy does not show the queues of its subscribers."""
+        return True
 
     def drain(self, stop: Callable[[], bool], stalled_sec: float) -> None:
         """Do nothing: rospy does not show the queues of its subscribers."""

@@ -14,7 +14,7 @@ from typing import Callable, Iterator, Mapping, Sequence, TypeVar
 
 import rospy
 
-from cassandra_ros.arguments import check_new_node
+from cassandra_ros.arguments import check_new_node, check_seconds
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import (
     AnswerTooLarge,
@@ -307,7 +307,7 @@ class Services:
         """Answer Sql."""
         params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
         node, run = request.node_id or None, request.run or None
-        watch = _deadline(request.timeout or SQL_SEC)
+        watch = _deadline(check_seconds("timeout", request.timeout) or SQL_SEC)
         result = self.ros_cas.sql(request.statement, params, nodeID=node, run=run, watch=watch)
         limit = request.limit or DEFAULT_LIMIT
         response = SqlResponse(success=True, columns=[clean(c) for c in result.columns])

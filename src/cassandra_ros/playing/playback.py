@@ -20,7 +20,7 @@ from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.playing.pace import Pace
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_stream import PlayedMessage
-from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, OnSkip, ReadAhead
+from cassandra_ros.playing.read_ahead import GIVE_UP_SEC, RETRY_SEC, OnSkip, ReadAhead, keep_row
 from cassandra_ros.read import TimeRange
 
 _log = logging.getLogger(__name__)
@@ -163,10 +163,10 @@ class Playback:
             self._changed.notify_all()
             self._changed.wait_for(self._has_stepped, COMMAND_SEC)
             left, self._steps = self._steps, 0
+            ended = self._finished or self._at_end
         if left:
-            raise InvalidOption(
-                f"{count - left} of {count} messages were published: then the replay ended"
-            )
+            why = "then the replay ended" if ended else f"no more within {COMMAND_SEC:g} s"
+            raise InvalidOption(f"{count - left} of {count} messages were published: {why}")
 
     def seek(self, t: int) -> int:
         """Go on at the time ``t``, ns; return it, moved to the start or end if it lies outside."""
@@ -177,6 +177,14 @@ class Playback:
             self._goto, self._steps = t, 0
             self._changed.notify_all()
             self._changed.wait_for(lambda: self._goto != t or self._finished, COMMAND_SEC)
+            waits, ended = self._goto == t, self._finished
+        if waits:
+            raise InvalidOption(
+                "the replay has ended before it could go there"
+                if ended
+                else f"the replay is not there after {COMMAND_SEC:g} s; it goes there when the "
+                "store, or what it waits for, answers"
+            )
         return t
 
     def stop(self) -> None:
@@ -286,7 +294,7 @@ class Playback:
 
     def _is_readable(self, played: PlayedMessage) -> bool:
         try:
-            played.row.keep_wire()
+            keep_row(played.row)
         except (CorruptMessage, MessageNotFound) as exc:
             self._skipped(played, exc)
             return False
@@ -372,6 +380,7 @@ class Playback:
                 if self.pace.holds(PAUSED):
                     if self._steps:
                         self._jump(played.t)
+                        self.pace.release(DELAYED)
                         return True
                     self._changed.wait(WAKE_SEC)
                 elif not due:

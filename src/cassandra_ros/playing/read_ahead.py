@@ -8,6 +8,7 @@ import logging
 import threading
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Callable, Iterator
 
 from cassandra_ros.errors import (
@@ -18,6 +19,7 @@ from cassandra_ros.errors import (
     StoreUnavailable,
 )
 from cassandra_ros.playing.play_stream import PlayedMessage
+from cassandra_ros.playing.played_store import PlayedRow
 
 _log = logging.getLogger(__name__)
 
@@ -42,6 +44,22 @@ OpenStream = Callable[[int], Iterator[PlayedMessage]]
 """Function that yields the messages from a time on, ns."""
 OnSkip = Callable[[PlayedMessage, CassandraRosError], None]
 """Function that is called with a message that cannot be read, and the error."""
+
+
+def keep_row(row: PlayedRow) -> int:
+    """Read what is needed to publish a message, so that it needs no store when it is due.
+
+    Returns:
+        The size of the serialised message, bytes.
+
+    Raises:
+        CorruptMessage, MessageNotFound: It cannot be read.
+        StoreUnavailable, ConnectionFailed: The store does not answer.
+    """
+    size = len(row.keep_wire())
+    with suppress(CorruptMessage):  # without its header it is published, but not latched
+        _ = row.connection
+    return size
 
 
 class ReadAhead:
@@ -132,9 +150,10 @@ class ReadAhead:
     def _read(self, t: int) -> None:
         """Read to the end; after an outage of the store go on after the last message."""
         ends = 0.0  # when the retries end, monotonic clock, s
-        # Positions of the read messages that would come again from t on. Times would not do:
-        # messages latched in a gap have the time at which the next window begins.
-        same: set[tuple[int, str, int, str]] = set()
+        # Time by position of the read messages that would come again from t on. Times would not
+        # do: messages latched in a gap have the time at which the next window begins.
+        same: dict[tuple[int, str, int, str], int] = {}
+        before: PlayedMessage | None = None
         while not self._closed.is_set():
             rows = self._begin(t)
             try:
@@ -144,11 +163,16 @@ class ReadAhead:
                     if not self._put(played):
                         return
                     # Messages latched in a gap come only when reading begins before their window.
-                    if t < played.t and played.t != played.window.low:
-                        same.clear()
-                        t = played.t
-                    same.add(played.row.arrival)
-                    ends = 0.0
+                    since = t
+                    if played.t != played.window.low:
+                        since = played.t
+                    elif before is not None and before.window.low != played.window.low:
+                        since = before.t
+                    if t < since:
+                        t = since
+                        same = {row: at for row, at in same.items() if at >= t}
+                    same[played.row.arrival] = played.t
+                    before, ends = played, 0.0
                 return
             except (StoreUnavailable, ConnectionFailed) as exc:
                 now = time.monotonic()
@@ -166,7 +190,7 @@ class ReadAhead:
         """Append a message and wait while the budget is used up; return False after close()."""
         try:
             # Decoded here instead of when it is due; columns may take several times the memory.
-            size = len(played.row.keep_wire()) + ITEM_BYTES
+            size = keep_row(played.row) + ITEM_BYTES
         except (CorruptMessage, MessageNotFound) as exc:
             self._skipped(played, exc)
             return not self._closed.is_set()
