@@ -11,6 +11,7 @@ import pytest
 from campaign import campaign
 from compiled import compiled
 from conftest import ROOT
+from geometry_msgs.msg import PoseStamped
 from hypothesis import given
 from hypothesis import strategies as st
 from transforms.test_transforms import SEC, T0, Whole, numbers, transform
@@ -195,6 +196,34 @@ def test_a_topic_tells_poses(store):
     away = ahead.at(keys).poses.moved - found.moved
     assert np.allclose(np.linalg.norm(away, axis=1), 0.5)
     assert np.allclose(np.arctan2(away[:, 1], away[:, 0]), found.yaw)
+
+
+def test_poses_in_another_frame_are_left_out(fresh):
+    with fresh() as made:
+        topic = made.addTopic("/robot_pose", msg_type="geometry_msgs/PoseStamped")
+        for n, frame in enumerate(["odom", "/odom", "map", "odom", ""]):
+            pose = PoseStamped()
+            pose.header.frame_id, pose.pose.orientation.w = frame, 1.0
+            pose.pose.position.x = float(n)
+            topic.addData(pose, key=T0 + n * SEC // 10)
+        poses = poses_of_topic(made.getTopic, "/robot_pose")
+        assert poses.frame == "odom"
+        (track,) = poses.tracks(0, 2 * T0)
+        assert track.poses.x.tolist() == [0.0, 1.0, 3.0, 4.0]
+
+
+def test_samples_that_came_later_are_read_when_the_held_ones_are_forgotten(fresh):
+    with fresh() as made:
+        topic = made.addTopic("/robot_pose", msg_type="geometry_msgs/PoseStamped")
+        upright = PoseStamped()
+        upright.pose.orientation.w = 1.0
+        topic.addData(upright, key=T0)
+        poses = poses_of_topic(made.getTopic, "/robot_pose")
+        assert sum(len(track.times) for track in poses.tracks(T0, T0 + SEC)) == 1
+        topic.addData(upright, key=T0 + 1)
+        assert sum(len(track.times) for track in poses.tracks(T0, T0 + SEC)) == 1
+        poses.forget()
+        assert sum(len(track.times) for track in poses.tracks(T0, T0 + SEC)) == 2
 
 
 def test_a_turtle_tells_its_pose_in_the_plane(store):

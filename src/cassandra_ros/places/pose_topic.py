@@ -98,8 +98,9 @@ class PoseTopic:
         self._fields = list(pose_fields(told[0].definition))
         names = {ref.name for ref in all_fields(told[0].definition)} if told[0].definition else ()
         self._stamped = _STAMP in names
+        self._framed = _FRAME in names
         if frame is None:
-            frame = self._first_frame() if _FRAME in names else ""
+            frame = self._first_frame() if self._framed else ""
         self.frame = frame
         """Frame of the poses, without a slash in front; '' if the type has no frame."""
 
@@ -112,11 +113,18 @@ class PoseTopic:
         return str(next(iter(found[_FRAME]), None) or "").lstrip("/")
 
     def read(self, low: int, high: int) -> Samples:
-        """Return the poses with a row key in [low, high], ns."""
+        """Return the poses with a row key in [low, high], ns; none of them in another frame."""
         if low > high:
             return Samples.none()
-        fields = ["KEY", *([_STAMP] if self._stamped else []), *self._fields]
+        framed = self._framed and self.frame != ""
+        head = [_STAMP] * self._stamped + [_FRAME] * framed
+        fields = ["KEY", *head, *self._fields]
         arrays = arrays_between(self._topic, fields, low, high, self._node, self._writers)
+        if framed:
+            texts = (str(each or "").lstrip("/") for each in arrays[_FRAME])
+            ours = np.fromiter((text in (self.frame, "") for text in texts), bool)
+            if not ours.all():
+                arrays = {name: values[ours] for name, values in arrays.items()}
         keys = arrays["KEY"]
         stamps = filled(arrays[_STAMP], 0) if self._stamped else keys
         columns = [filled(arrays[name], np.nan).astype(np.float64) for name in self._fields]

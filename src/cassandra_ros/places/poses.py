@@ -171,6 +171,10 @@ class Poses:
             yield order[start:end]
             start = end
 
+    def forget(self) -> None:
+        """Read all samples anew, because there may be later ones."""
+        self._held = (0, -1, Samples.none())
+
     def _samples(self, low: int, high: int) -> Samples:
         """Return the samples of a range of row keys; those that are held are not read again."""
         low, high = max(0, low), min(high, MAX_NS)

@@ -90,7 +90,7 @@ class Robot:
         writers = self.writers if writers is None else writers
         if self.name:
             return FrameChain(TfRecording(self.find, self.node, writers), self.name, self.frame)
-        return PoseTopic(self.find, self.topic.name, self.node, writers)
+        return PoseTopic(self.find, self.topic.name, self.node, writers, frame=self.frame)
 
     def poses(self, writers: Writers = None) -> Poses:
         """Return the poses of some runs; None = the runs of ``self.writers``."""

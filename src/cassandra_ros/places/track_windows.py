@@ -86,6 +86,9 @@ class Windows:
         if path is not None and path[0] > time.monotonic():
             self._kept.move_to_end(number)
             return path[1]
+        if path is not None:  # poses may have come since it was read
+            for poses in self._poses.values():
+                poses.forget()
         window = self._read(number)
         until = math.inf if window.complete else time.monotonic() + FRESH_SEC
         self._kept[number] = (until, window)
