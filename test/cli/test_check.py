@@ -129,6 +129,19 @@ def test_check(store, call, cql, connect):
     cql.execute(f"ALTER TABLE {tables['/n'].qualified} WITH comment = '{comment}'")
     assert ("definition", "/n", False) in damages(call, "/n")
     assert {("definition", "/n", False), ("message", "/p", False)} <= damages(call)
+    # Nor is what it needs deleted if its comment is not even readable.
+    before = space.getTopic("/p").tables[0]
+    worse = before.metadata.to_comment().replace('"bucket_ns": ', '"bucket_ns": -')
+    cql.execute(f"ALTER TABLE {before.qualified} WITH comment = '{worse}'")
+    status, out, _ = call("check", "--repair")
+    assert status == 1
+    assert f"the comment of table {before.name} was changed by hand" in out
+    cql.execute(f"ALTER TABLE {before.qualified} WITH comment = '{before.metadata.to_comment()}'")
+    headers = cql.execute(
+        f"SELECT count(*) FROM {store.keyspace}.cr_connection WHERE tbl = %s ALLOW FILTERING",
+        (before.name,),
+    )
+    assert headers.one()[0] == 1
     space.close()
 
 

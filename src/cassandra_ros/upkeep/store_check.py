@@ -485,13 +485,24 @@ class _Check:
                 self._note_unread(DamageKind.DEFINITION, ", ".join(sorted(topics)), "", text)
 
     def leftovers(self) -> None:
-        """Report entries of tables that do not exist."""
+        """Report entries of tables that do not exist, and tables whose comment is not readable."""
         space = self._space
         names = space.directory.tables() | space.registry.tables()
+        # A node that has just started may not have heard of a new table yet.
+        space.cassandra.await_same_schema("checking the list of tables")
         listing = space.schema.listing(fresh=True)
+        rows = space.cassandra.system_schema("tables", "table_name", space.name)
+        existing = {name for (name,) in rows}
         # Entries of tables that a conversion has replaced stay until the next conversion.
         replaced = {old for metadata in listing.every.values() for old in metadata.replaces}
         for table in sorted(names.difference(listing.every, replaced)):
+            if table in existing:
+                text = (
+                    f"the comment of table {table} was changed by hand or by another program: put "
+                    "it right to read its messages again"
+                )
+                self._note_unread(DamageKind.DEFINITION, "", table, text)
+                continue
             if self._repair:
                 space.forget_table(table)
             text = (
