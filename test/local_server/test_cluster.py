@@ -32,7 +32,7 @@ from topics.by_index import await_built
 from cassandra_ros import RosCassandra
 from cassandra_ros.cli import cassandra_bag, local_cassandra
 from cassandra_ros.errors import ServerError, StoreUnavailable
-from cassandra_ros.local_server import LocalCluster, free_port, preflight, processes
+from cassandra_ros.local_server import LocalCluster, free_port, node_tool, preflight, processes
 from cassandra_ros.local_server import cluster as cluster_module
 from cassandra_ros.local_server.commit_log import cut_torn_end
 from cassandra_ros.local_server.cql import answers_cql
@@ -497,6 +497,11 @@ def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch, capsys):
         await_nodes(cluster, [1, 3])
         with pytest.raises(ServerError, match="node 1 runs"):
             cluster.replace(1)
+        # A replacement that was interrupted has left a part of the data.
+        (tmp_path / "node2" / "data" / "robot").mkdir(parents=True)
+        (tmp_path / "node2" / "replacing").touch()
+        with pytest.raises(ServerError, match="only a part of its data.* replace 2"):
+            cluster.start(die_with_us=True)
         cluster.replace(2, die_with_us=True)
         await_answers(cluster)
         assert [count_on(cluster, number, table) for number in (1, 2, 3)] == [20, 20, 20]
@@ -515,7 +520,12 @@ def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch, capsys):
         assert cluster.start(die_with_us=True)
         await_answers(cluster)
         assert count_on(cluster, 2, table) == 0
+        # A repair that was killed has left its door open, and the password of it.
+        left = tmp_path / "node2" / "jmx_left"
+        left.mkdir()
+        node_tool._jmx_port(cluster.nodes[1], cluster.status()[1].pid, left).__enter__()
         cluster.repair()
+        assert not list(tmp_path.glob("node2/jmx_*"))
         assert count_on(cluster, 2, table) == 20
         assert local_cassandra.main(["status", "--dir", str(tmp_path)]) == 0
         out = capsys.readouterr().out

@@ -187,3 +187,13 @@ def test_no_space(maven, monkeypatch):
 def test_the_version_is_new_enough():
     version = tuple(int(n) for n in re.findall(r"\d+", jars.cassandra_version()))
     assert version >= (5, 0, 8)
+
+
+def test_jars_in_a_folder_of_another_user_need_no_lock(maven, monkeypatch):
+    assert jars.install_jars(lambda text: None) is True
+
+    def refused(path):
+        raise PermissionError(path)
+
+    monkeypatch.setattr(jars, "locked", refused)
+    assert jars.install_jars(lambda text: None) is False

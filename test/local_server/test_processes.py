@@ -9,6 +9,9 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
+from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import processes
 
 _SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
@@ -83,3 +86,16 @@ def test_a_child_can_be_ended_where_signals_are_ignored(tmp_path):
             signal.signal(number, handler)
     processes.terminate(child.pid)
     assert child.wait(180) == -signal.SIGTERM
+
+
+def test_what_belongs_to_another_user_is_told(tmp_path, monkeypatch):
+    with pytest.raises(ServerError, match="cannot be opened: Is a directory"):
+        with processes.locked(tmp_path):
+            pass
+
+    def kill(pid, number):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "kill", kill)
+    with pytest.raises(ServerError, match="process 7 belongs to another user"):
+        processes.terminate(7)

@@ -32,7 +32,7 @@ from cassandra_ros.errors import (
     ServerError,
     TlsMismatch,
 )
-from cassandra_ros.local_server import LocalCluster, free_port
+from cassandra_ros.local_server import LocalCluster, free_port, server_security
 from cassandra_ros.local_server.cql import CqlRefused, CqlSession
 from cassandra_ros.local_server.server_security import Security, write_private
 from cassandra_ros.messages.connection_header import api_connection
@@ -134,6 +134,33 @@ def test_it_answers_when_its_user_is_made(cluster, monkeypatch, capsys):
     monkeypatch.setattr(Security, "ensure_users", lambda self: made.append(self))
     assert not cluster.start()  # one that was cut short may have left it without
     assert len(made) == 1
+
+
+def test_a_password_that_was_changed_is_not_set_back(cluster, monkeypatch):
+    security, place = cluster.security, (cluster.settings.host, cluster.settings.port)
+    monkeypatch.setattr(server_security, "_ROLES_SEC", 0.5)
+    user, ours = security.login()
+
+    def change(password):
+        def changed():
+            try:
+                session.run(f"ALTER ROLE {user} WITH PASSWORD = '{password}'")
+            except CqlRefused as exc:  # Cassandra allows it once in 5 s
+                assert "can only be changed every" in str(exc)
+                return False
+            return True
+
+        with CqlSession(*place, security.context(), security.root_login()) as session:
+            await_true(changed)
+
+    change("another")
+    try:
+        with pytest.raises(ServerError, match="were its passwords changed"):
+            security.ensure_users()
+        assert lets_in(cluster, user, "another")
+    finally:
+        change(ours)
+    security.ensure_users()
 
 
 def test_a_refused_login_gives_the_reason(

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import LocalCluster
+from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.cluster_settings import (
     change_settings,
     load_settings,
@@ -20,6 +20,7 @@ from cassandra_ros.local_server.cluster_settings import (
     parse_heap,
     save_settings,
 )
+from cassandra_ros.local_server.server_security import Security
 
 
 @pytest.mark.parametrize(
@@ -129,6 +130,7 @@ def test_a_new_directory_has_no_settings(tmp_path):
     assert load_settings(tmp_path / "new") is None
     (tmp_path / "jars").mkdir()
     (tmp_path / "studio").mkdir()  # the viewer's, of the same home
+    (tmp_path / "spool").mkdir()  # a recorder's
     assert load_settings(tmp_path) is None
 
 
@@ -188,3 +190,15 @@ def test_stop_and_clear_know_what_was_started_meanwhile(tmp_path):
     save_settings(tmp_path / "other", new_settings())
     assert early.clear() is True
     assert not early.exists
+
+
+def test_a_cluster_that_cannot_be_made_secure_stays_as_it_was(tmp_path, monkeypatch):
+    save_settings(tmp_path, change_settings(new_settings(), port=free_port()))
+
+    def make_files(self, java):
+        raise ServerError("keytool did not end")
+
+    monkeypatch.setattr(Security, "make_files", make_files)
+    with pytest.raises(ServerError, match="keytool did not end"):
+        LocalCluster(tmp_path, secure=True).start()
+    assert not load_settings(tmp_path).secure

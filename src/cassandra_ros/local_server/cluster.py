@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
+import struct
 import subprocess
 import time
 from dataclasses import replace
@@ -17,6 +19,7 @@ from cassandra_ros.local_server import preflight, processes
 from cassandra_ros.local_server.cluster_settings import (
     MIN_HEAP_MB,
     SETTINGS_FILE,
+    Settings,
     change_settings,
     free_memory_mb,
     load_settings,
@@ -143,18 +146,27 @@ class LocalCluster:
             self._load()  # another process may just have made the cluster
             offsets = {node.number: log_size(node) for node in self.nodes}
             asleep = [node for node in self.nodes if not self._pid(node)]
+            half = [node for node in self.nodes if node.is_being_replaced]
+            asleep = [node for node in asleep if node not in half]
             if self._stored is not None:
-                running = len(asleep) < self.settings.nodes
+                running = any(map(self._pid, self.nodes))
                 preflight.check_change(self.directory, self._stored, self.settings, running)
             killed = [node for node in asleep if node.pid_file.exists()]
             if asleep:
                 self._tell_memory(len(asleep))
                 self._start_nodes(asleep, die_with_us)
             for node in self.nodes:
-                self._await_answer(node, offsets[node.number])
+                if node not in half:
+                    self._await_answer(node, offsets[node.number])
             self._await_neighbours([node.number for node in asleep], offsets)
             for node in killed:
                 self._restart_half_made(node, die_with_us)
+            for node in half:
+                raise ServerError(
+                    f"Cassandra node {node.number} has only a part of its data, because its "
+                    "replacement was interrupted: start the others, and go on by local_cassandra "
+                    f"replace {node.number}"
+                )
             if self.settings.secure:  # an earlier start may have been interrupted before this
                 self.security.ensure_users()
         return bool(asleep)
@@ -198,14 +210,28 @@ class LocalCluster:
         node = replace(self.nodes[number - 1], replaced=True)
         with locked(self.directory / "lock"):
             self._check_replaceable(node)
-            for name in ("data", "commitlog", "hints", "saved_caches"):
-                shutil.rmtree(node.directory / name, ignore_errors=True)
-            offset, java = log_size(node), self._check([node])
+            offset = log_size(node)
+            if self._pid(node):  # an earlier call did not wait for the end
+                java = find_java()
+            else:
+                java = self._check([node])
+                self._empty(node)
+                self._start_node(node, java, die_with_us)
             self._say(f"node {number} at {node.address} gets its data from the others")
-            self._start_node(node, java, die_with_us)
-            self._await_answer(node, offset)
+            self._await_answer(node, offset, math.inf)
+            node.replacing_file.unlink(missing_ok=True)  # it answers when it has all data
             self._await_neighbours([number], {n.number: 0 for n in self.nodes})
             self._repair(node, java)
+
+    def _empty(self, node: Node) -> None:
+        """Delete what is left of a node's data, and note that it has not all of them."""
+        try:
+            node.directory.mkdir(parents=True, exist_ok=True)
+            node.replacing_file.touch()
+        except OSError as exc:
+            raise ServerError(f"{node.directory} cannot be written: {exc}") from exc
+        for name in ("data", "commitlog", "hints", "saved_caches"):
+            shutil.rmtree(node.directory / name, ignore_errors=True)
 
     def repair(self) -> None:
         """Compare the copies of all data of all nodes, and send each node what it lacks.
@@ -238,11 +264,14 @@ class LocalCluster:
         run_node_tool(node, self._pid(node), java, jars_directory(), words)
 
     def _check_replaceable(self, node: Node) -> None:
-        if pid := self._pid(node):
+        pid = self._pid(node)
+        if pid and not node.is_being_replaced:
             raise ServerError(f"Cassandra node {node.number} runs (pid {pid}): it needs no other")
         # A start without data has created some system keyspaces; those do not count.
         data = node.directory / "data"
-        if any(not each.name.startswith("system") for each in data.glob("*/")):
+        if not node.is_being_replaced and any(
+            not each.name.startswith("system") for each in data.glob("*/")
+        ):
             raise ServerError(
                 f"Cassandra node {node.number} has data in {node.directory}: start it; where they "
                 "cannot be used move that folder away first"
@@ -338,24 +367,34 @@ class LocalCluster:
     def _start_nodes(self, asleep: list[Node], die_with_us: bool) -> None:
         """Make all checks, choose the storage port, save the settings, and start the nodes."""
         for node in asleep:
-            if note := preflight.remove_stale_pid_file(node):
+            if note := preflight.note_stale_pid_file(node):
                 self._say(note)
                 self._cut_torn_end(node)
         java = self._check(asleep)
         storage_port = preflight.choose_storage_port(self.settings, [n.address for n in asleep])
+        before = self._stored
         self.settings = self._stored = replace(self.settings, storage_port=storage_port)
         try:
             save_settings(self.directory, self.settings)
+            if self.settings.secure:
+                self._secure(asleep, java, before)
         except OSError as exc:
             raise ServerError(f"{self.directory} cannot be written: {exc}") from exc
-        if self.settings.secure:
-            self.security.make_files(java)
-            directories = [node.directory for node in asleep]
-            self.security.set_superuser(directories, java, jars_directory())
         for node in asleep:
             if node != asleep[0]:
                 time.sleep(_STAGGER_SEC)
             self._start_node(replace(node, settings=self.settings), java, die_with_us)
+
+    def _secure(self, asleep: list[Node], java: str, before: Settings | None) -> None:
+        """Make what a login needs; if that fails, the cluster keeps its earlier settings."""
+        try:
+            self.security.make_files(java)
+            directories = [node.directory for node in asleep]
+            self.security.set_superuser(directories, java, jars_directory())
+        except BaseException:
+            if before is not None and not before.secure:
+                save_settings(self.directory, before)
+            raise
 
     def _cut_torn_end(self, node: Node) -> None:
         try:
@@ -385,8 +424,15 @@ class LocalCluster:
         context, login = (
             (self.security.context(), self.security.root_login()) if secure else (None, None)
         )
-        with CqlSession(node.address, port, context, login) as session:
-            tables = half_made_tables(session)
+        try:
+            with CqlSession(node.address, port, context, login) as session:
+                tables = half_made_tables(session)
+        except (OSError, struct.error) as exc:
+            self._say(
+                f"warning: node {node.number} was killed, and does not tell whether it was making "
+                f"a table then ({exc}); if a topic is missing start it once more"
+            )
+            return
         pid = self._pid(node)
         if not tables or not pid:
             return
@@ -399,14 +445,14 @@ class LocalCluster:
         offsets = {each.number: 0 for each in self.nodes}
         self._await_neighbours([node.number], {**offsets, node.number: offset})
 
-    def _await_answer(self, node: Node, offset: int) -> None:
+    def _await_answer(self, node: Node, offset: int, limit_sec: float = START_TIMEOUT_SEC) -> None:
         begun = time.monotonic()
         while not node.answers():
             waited = time.monotonic() - begun
             self._progress(f"starting Cassandra node {node.number}", waited)
             if not self._pid(node):
                 self._fail(node, "ended while it was starting.", offset)
-            if waited > START_TIMEOUT_SEC:
+            if waited > limit_sec:
                 where = f"{node.address}:{self.settings.port}"
                 text = f"does not answer on {where} after {waited:.0f} s; it is left running."
                 self._fail(node, text, offset)
@@ -423,8 +469,9 @@ class LocalCluster:
         still counts as successful: only requests that need both nodes fail.
         """
         deadline = time.monotonic() + _NEIGHBOUR_TIMEOUT_SEC
-        for node in self.nodes:
-            others = [other for other in self.nodes if other != node]
+        nodes = [node for node in self.nodes if not node.is_being_replaced]
+        for node in nodes:
+            others = [other for other in nodes if other != node]
             fresh = [o for o in others if o.number in started or node.number in started]
             while fresh and time.monotonic() < deadline:
                 # The log shows which nodes are up, the system tables which tokens they have.

@@ -129,7 +129,10 @@ def load_settings(directory: Path) -> Settings | None:
 def save_settings(directory: Path, settings: Settings) -> None:
     """Write the settings atomically: a crash leaves either the old or the new ones."""
     draft = directory / _DRAFT
-    draft.write_text(json.dumps(asdict(settings), indent=2) + "\n", encoding="utf-8")
+    with draft.open("w", encoding="utf-8") as file:
+        file.write(json.dumps(asdict(settings), indent=2) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
     os.replace(draft, directory / SETTINGS_FILE)
 
 
@@ -198,6 +201,6 @@ def _foreign(directory: Path) -> list[str]:
         return []
     except NotADirectoryError:
         raise ServerError(f"{directory} is a file; choose a directory with --dir") from None
-    # In the default directory, jars and the viewer's Studio may have been installed before the
+    # In the default directory jars, the viewer's Studio and a recorder's spool may be before the
     # first start. A start that was killed early leaves its lock and a draft of its settings.
-    return sorted(names - {"jars", "studio", "lock", SETTINGS_FILE, _DRAFT})
+    return sorted(names - {"jars", "studio", "spool", "lock", SETTINGS_FILE, _DRAFT})

@@ -116,6 +116,12 @@ def schema_versions(
     return {address: version for address, version in versions_of_peers.items() if version}
 
 
+def may_log_in(session: CqlSession, role: str) -> bool:
+    """Return whether a role exists and may log in; its name has no quotes."""
+    rows = _select(session, f"can_login FROM system_auth.roles WHERE role = '{role}'")
+    return any(row["can_login"] for row in rows)
+
+
 def half_made_tables(session: CqlSession) -> list[str]:
     """Return the tables that a node lists and cannot use, with their keyspaces.
 

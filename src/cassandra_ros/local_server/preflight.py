@@ -73,15 +73,17 @@ def check_change(directory: Path, old: Settings, new: Settings, running: bool) -
         )
 
 
-def remove_stale_pid_file(node: Node) -> str:
-    """Delete the pid file of a node that is not running; return a note about it, or ''."""
+def note_stale_pid_file(node: Node) -> str:
+    """Return a note about the pid file of a node that is not running; '' = there is none.
+
+    It stays until the node is started: what was killed must be looked after then.
+    """
     try:
         text = node.pid_file.read_text(encoding="ascii", errors="replace").strip()
     except FileNotFoundError:
         return ""
     owner = processes.describe_process(int(text)) if text.isdigit() else "no process"
-    node.pid_file.unlink()
-    return f"removed the stale {node.pid_file}: it names {owner}, not this Cassandra"
+    return f"{node.pid_file} is stale: it names {owner}, not this Cassandra"
 
 
 def check_port(node: Node) -> None:

@@ -14,11 +14,13 @@ import os
 import signal
 import subprocess
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Callable, Iterator, Mapping, Sequence
 
 import psutil
+
+from cassandra_ros.errors import ServerError
 
 _PR_SET_PDEATHSIG = 1
 _CONFIG = "-Dcassandra.config="
@@ -121,9 +123,17 @@ def spawn(
 
 
 def terminate(pid: int) -> None:
-    """Send SIGTERM to a process; do nothing if it has ended already."""
-    with suppress(ProcessLookupError):
+    """Send SIGTERM to a process; do nothing if it has ended already.
+
+    Raises:
+        ServerError: It belongs to another user.
+    """
+    try:
         os.kill(pid, signal.SIGTERM)
+    except ProcessLookupError:
+        pass
+    except PermissionError as exc:
+        raise ServerError(f"process {pid} belongs to another user, who can end it") from exc
 
 
 def _in_child(die_with_us: bool) -> Callable[[], None]:
@@ -144,7 +154,17 @@ def _in_child(die_with_us: bool) -> Callable[[], None]:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a file, which is created if needed; wait for other processes."""
-    with open(path, "a", encoding="utf-8") as file:
+    """Hold the lock of a file, which is created if needed; wait for other processes.
+
+    Raises:
+        ServerError: The file cannot be opened.
+    """
+    try:
+        file = open(path, "a", encoding="utf-8")
+    except OSError as exc:
+        raise ServerError(
+            f"{path} cannot be opened: {exc.strerror}; was it made by another user?"
+        ) from exc
+    with file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -20,7 +20,7 @@ from typing import Sequence
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server.cluster_settings import LOGIN_DIRECTORY, Settings
-from cassandra_ros.local_server.cql import CqlSession
+from cassandra_ros.local_server.cql import CqlSession, may_log_in
 from cassandra_ros.local_server.java_programs import run_to_end
 from cassandra_ros.local_server.superuser import set_superuser
 
@@ -165,7 +165,10 @@ class Security:
         while True:  # with several nodes, the role may not be readable a moment after they answer
             try:
                 with self._session(*self.root_login()) as session:
-                    return self._make_users(session)
+                    if not may_log_in(session, USER):
+                        return self._make_users(session)
+                    self._session(*self.login()).close()  # a moment ago it was not known yet
+                    return
             except (OSError, struct.error) as exc:
                 refusal = exc
             if time.monotonic() > deadline:
@@ -257,4 +260,6 @@ def write_private(path: Path, text: str) -> None:
     number = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with open(number, "w", encoding="utf-8") as file:
         file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
     os.replace(draft, path)
