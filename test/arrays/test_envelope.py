@@ -29,7 +29,7 @@ def plain(grid, rows):
         times = [t for t, *_ in inside]
         ends = []
         for column in (1, 2):
-            known = [row[column] for row in inside if not math.isnan(row[column])]
+            known = [row[column] for row in inside if math.isfinite(row[column])]
             ends.append((min(known), max(known)) if known else None)
         shown[pixel] = (min(times) + max(times)) // 2, len(inside), ends
     return shown

@@ -84,7 +84,7 @@ def brute(grid, columns, passes=lambda t, node, n, numbers: True):
     for pixel, inside in pixels.items():
         times, ends = [each[0] for each in inside], []
         for column in columns:
-            known = [x for *_, numbers in inside for x in [numbers[column]] if x == x]
+            known = [x for *_, numbers in inside for x in [numbers[column]] if math.isfinite(x)]
             ends.append((min(known), max(known)) if known else None)
         found[pixel] = (min(times) + max(times)) // 2, len(inside), ends
     return found
@@ -158,10 +158,14 @@ def test_of_blocks_in_one_pixel_nothing_is_unpacked(stored, monkeypatch):
 
     monkeypatch.setattr(bucket_envelope, "open_blocks", counted)
     monkeypatch.setattr(PieceReader, "_matching", lambda *_: pytest.fail("rows are read"))
-    read(stored, "packed", ["f", "i"], window=Window(pixels=1))
+    read(stored, "packed", ["d", "i"], window=Window(pixels=1))
     # Only those of which messages were deleted: their bounds may be too wide.
     assert 1 <= len(opened) <= 4
     assert all(len(header.gone) for header in opened)
+    opened.clear()
+    read(stored, "packed", ["f", "i"], window=Window(pixels=1))
+    # And those with an infinity, which hides the greatest number.
+    assert [header.t <= time_of(600) <= header.last for header in opened if not len(header.gone)]
 
 
 def test_what_is_found_soon_shows_all_of_it_thinly(stored):
@@ -203,6 +207,12 @@ def test_what_was_read_of_closed_buckets_is_kept(stored, monkeypatch):
     aside = Window(T0 + 3 * SEC, time_of(COUNT - 1) + SEC, 50)
     assert shown(read(stored, "ros", ["f"], window=aside, cache=cache))
     assert {piece.bucket for piece in pieces} <= {T0 // SEC + 2}
+    # Nor does one that moves with now(), but in the bucket where it begins.
+    whole = Window(time_of(0), time_of(COUNT - 1), 50)
+    for ns in (5, 6):
+        pieces.clear()
+        read(stored, "ros", ["f"], f"where KEY > {T0 + ns}", window=whole, cache=cache)
+    assert {piece.bucket for piece in pieces} <= {T0 // SEC, T0 // SEC + 2}
     read(stored, "ros", ["d"], window=Window(pixels=50), cache=cache)  # not the same
     assert len(pieces) > 5
 

@@ -11,6 +11,7 @@ import pytest
 from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Duration, Float64, Int64, String, UInt8MultiArray
 from viewers import running_viewer
+from viewing.test_timeline import add
 
 from cassandra_ros.overview.envelopes import EnvelopeReader
 from cassandra_ros.topics.query_result import QueryResult
@@ -188,3 +189,22 @@ def test_a_browser_that_goes_away_ends_the_reading(viewer, monkeypatch):
         assert begun.wait(180)
         connection.close()
         assert ended.wait(180), path
+
+
+def test_several_runs_are_chosen_by_name_or_id(viewer):
+    for writer, name in ((71, "one"), (72, "two"), (73, "three")):
+        add(viewer.store, "/runs", [T0 + writer, T0 + SEC + writer], writer=writer, name=name)
+    for runs, count in (
+        ("one,two", 4),
+        ("71,72", 4),
+        ("one,73", 4),
+        ("72", 2),
+        ("one", 2),
+        ("", 6),
+    ):
+        asked = {"q": "select count(*) from /runs", "runs": runs}
+        assert viewer.get("/api/query", **asked)["rows"] == [[count]]
+        asked["q"] = "select data from /runs"
+        assert sum(viewer.get("/api/plot", **asked)["rows"]) == count
+    status, problem = viewer.fail("/api/query", q="select data from /runs", runs="one,nobody")
+    assert status == 404 and "there is no run 'nobody'" in str(problem)

@@ -303,3 +303,17 @@ def test_a_year_of_many_buckets_costs_what_a_day_costs(fresh, monkeypatch):
             lane = lanes(viewer.get("/api/timeline", pixels=500))["/even", "husky"]
             assert lane["messages"] == pytest.approx(10**9, rel=0.5)
             assert not lane["exact"]
+
+
+def test_the_ends_are_those_of_all_runs_of_the_outmost_bucket(fresh):
+    """The directory orders the runs of a bucket by writer ids, which say nothing of their times."""
+    with fresh() as store:
+        for n in range(12):
+            times = [T0 + (n * 7 % 12 + 1) * SECOND_NS]
+            add(store, "/many", times, writer=50 + n, name=f"run {n}")
+        with running_viewer(store) as viewer:
+            answer = viewer.get("/api/timeline")
+        assert (answer["first"], answer["last"]) == (
+            str(T0 + SECOND_NS),
+            str(T0 + 12 * SECOND_NS),
+        )

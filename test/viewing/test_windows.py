@@ -163,6 +163,9 @@ def test_what_is_stored_since_makes_another_file(store, viewer, tmp_path):
     ]
     part = viewer.ask("/window.bag", window, Range="bytes=0-99", If_Range=tag(again))
     assert (part.status, part.data) == (206, again.data[:100])
+    before = tag(viewer.ask("/window.mcap", window))
+    store.addEvent("bump", 10**18, 10**18 + 1)  # which the MCAP holds, too
+    assert tag(viewer.ask("/window.mcap", window)) != before
     topic.removeData(10**18)
     assert tag(viewer.ask("/window.bag", window)) not in (tag(first), tag(again))
     store.removeTopic("/notes")

@@ -126,13 +126,19 @@ function fail(problem, signal, other = false) {
 
 /** List the topics. */
 async function showNothing() {
+  asking.abort();
+  asking = new AbortController();
+  const { signal } = asking;
+  rest("done");
   asked = "";
   plot.clear();
   rows.clear();
   plan.hidden = true;
   const begin = "SELECT * FROM ";
-  const { offers } = await get("/api/complete", { q: begin, language: language.value });
-  const topics = offers.filter((/** @type {any} */ offer) => offer.kind === "topic");
+  const answer = await get("/api/complete", { q: begin, language: language.value }, { signal })
+    .catch((problem) => fail(problem, signal));
+  if (!answer || signal.aborted) return;
+  const topics = answer.offers.filter((/** @type {any} */ offer) => offer.kind === "topic");
   examples.hidden = topics.length === 0;
   examples.querySelector(".content")?.replaceChildren(
     ...topics.slice(0, 60).map((/** @type {any} */ offer) =>

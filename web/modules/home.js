@@ -4,7 +4,7 @@
 /** Page Home: stored topics over time; a selected time range opens in Look or Ask, or as a file. */
 
 import * as api from "./api.js";
-import { showEvents, showRuns, showTopics } from "./home_tables.js";
+import { quoted, showEvents, showRuns, showTopics } from "./home_tables.js";
 import * as page from "./page.js";
 import * as state from "./state.js";
 import { Timeline } from "./timeline.js";
@@ -53,6 +53,8 @@ let whole = null;
 let following = true;
 /** Whether there are more events than are drawn; then those of the visible time range are requested. */
 let manyEvents = false;
+/** Whether there are more marks of runs and losses than are shown at once. */
+let manyMarks = false;
 let updateEvents = () => {};
 /** @type {import("./timeline.js").Span[]} Time ranges with messages, separated by ten years or more. */
 let eras = [];
@@ -85,6 +87,7 @@ async function load({ again: known = false } = {}) {
   timeline.picture.takeMarks(marks.marks);
   timeline.picture.takeEvents(events.events);
   manyEvents = events.more;
+  manyMarks = marks.left_off > 0;
   timeline.update();
   box.style.height = `${timeline.wanted}px`;
   const nothing = !timeline.picture.lanes.length;
@@ -171,10 +174,12 @@ async function askWindow(detail) {
   const robots = [...new Set(timeline.seen.map((lane) => lane.node))];
   const nodes = many && robots.length && robots.every(Boolean) ? robots : choice.nodes;
   const asked = { ...choice, topics, nodes, start: from, end: to, pixels: cellsOf(parts), detail };
-  const [answer, events] = await Promise.all([
+  const [answer, events, marks] = await Promise.all([
     api.get("/api/timeline", asked, { signal }),
     manyEvents ? askEvents({ start: from, end: to }, signal) : null,
+    manyMarks ? api.get("/api/marks", { ...choice, start: from, end: to }, { signal }) : null,
   ]);
+  if (marks) timeline.picture.takeMarks(marks.marks);
   if (events) timeline.picture.takeEvents(events.events);
   const { runs: known } = timeline.picture;
   timeline.picture.take(answer, { topics, nodes });
@@ -354,7 +359,8 @@ function tell() {
   const window_ = { start, end };
   const inside = moment !== null && start <= moment && moment <= end ? moment : start;
   const lane = timeline.lane ?? picture.lanes[0];
-  const q = lane && `select * from ${lane.topic} where KEY >= ${start} and KEY <= ${end} limit 1000`;
+  const bounds = lane && ["manual", "hash"].includes(lane.foundBy) ? "" : ` where KEY >= ${start} and KEY <= ${end}`;
+  const q = lane && `select * from ${quoted(lane.topic)}${bounds} limit 1000`;
   const link = (/** @type {string} */ text, /** @type {string} */ href, /** @type {string} */ about, main = false) =>
     make("a", { class: main ? "button main" : "button", href, title: about }, text);
   links.replaceChildren(

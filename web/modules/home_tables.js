@@ -146,9 +146,14 @@ function sorted(rows, value, up) {
   });
 }
 
+/** @param {string} topic @returns {string} Its name as a statement takes it. */
+export function quoted(topic) {
+  return /^\/?[A-Za-z~_][A-Za-z0-9_/~]*$/.test(topic) ? topic : `"${topic.replaceAll('"', '""')}"`;
+}
+
 /** @param {string} topic @param {string} text */
 function ask(topic, text) {
-  const q = `select * from ${topic} limit 100`;
+  const q = `select * from ${quoted(topic)} limit 100`;
   return make("a", { href: state.link("/ask.html", { q, topics: null }), title: `Ask: ${q}` }, text);
 }
 

@@ -36,6 +36,8 @@ export class Lane {
     this.node = node;
     /** @type {string[]} */
     this.types = [];
+    /** How its messages are found: "time", a field, or "manual" and "hash" by a name. */
+    this.foundBy = "time";
     this.messages = 0;
     this.bytes = 0;
     this.exact = true;
@@ -66,6 +68,7 @@ export class Lane {
    */
   take(said, scale, keep = false) {
     this.types = said.types;
+    this.foundBy = said.key ?? this.foundBy;
     this.messages = said.messages;
     this.bytes = said.bytes;
     this.exact = said.exact;

@@ -6,8 +6,8 @@ The length of a pixel is a power of two of nanoseconds, and pixels begin at its 
 envelope of a time range can be reused for every plot with the same pixel length, and envelopes of
 adjacent time ranges can be merged.
 
-Numbers are float64: an integer above 2^53 is rounded, as by float(). A missing value counts as NaN.
-A pixel is NaN only if it contains no number.
+Numbers are float64: an integer above 2^53 is rounded, as by float(). Missing and infinite values
+count as NaN. A pixel is NaN only if it contains no finite number.
 """
 
 from __future__ import annotations
@@ -103,6 +103,7 @@ class Envelope:
 
     def add(self, times: AnyArray, values: AnyArray) -> None:
         """Add numbers: (columns, rows). Times outside the grid are ignored."""
+        values = finite(values)
         self.add_spans(times, times, values, values, None)
 
     def add_spans(
@@ -201,6 +202,12 @@ class Envelope:
         usual = np.where(sure, np.median(pauses[sure]) if sure.any() else 0, self.grid.width)
         long = (pauses > GAP_INTERVALS * usual) & (np.diff(held) > 1)
         return np.flatnonzero(long) if len(pauses) > 1 else np.zeros(0, np.int64)
+
+
+def finite(values: AnyArray) -> AnyArray:
+    """Return numbers with NaN in place of infinities."""
+    infinite = np.isinf(values)
+    return np.where(infinite, np.nan, values) if infinite.any() else values
 
 
 def breaks(times: AnyArray) -> AnyArray:

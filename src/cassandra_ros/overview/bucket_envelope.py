@@ -18,7 +18,7 @@ import numpy as np
 
 from cassandra_ros.arrays.array_types import AnyArray, ArrayType, group_types
 from cassandra_ros.arrays.column_values import Convert, compile_convert
-from cassandra_ros.arrays.envelope import Envelope, Grid
+from cassandra_ros.arrays.envelope import Envelope, Grid, finite
 from cassandra_ros.arrays.table_values import TableValues
 from cassandra_ros.blocks.block_bounds import BlockZones, ask_bounds, open_blocks, read_bounds
 from cassandra_ros.blocks.block_row import BlockRow
@@ -203,6 +203,9 @@ class PieceReader:
         sure = (exact > 0) & (places(firsts) == places(lasts))
         sure &= (firsts >= piece.low) & (lasts <= piece.high)
         low, high = self._numbers(zoned, [block.values for block in blocks])
+        # An infinite bound hides the finite one, which only the messages tell.
+        sure &= ~(np.isinf(low) | np.isinf(high)).any(axis=0)
+        low, high = finite(low), finite(high)
         part.sure.add_spans(firsts[sure], lasts[sure], low[:, sure], high[:, sure], rows[sure])
         edge = ~sure
         part.edges = [blocks[n].header for n in np.flatnonzero(edge).tolist()]

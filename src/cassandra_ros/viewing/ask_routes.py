@@ -25,7 +25,6 @@ from cassandra_ros.query.tree.syntax import (
     Literal,
     NodeOperand,
     OneOf,
-    RunOperand,
     Select,
     TimeNs,
 )
@@ -36,7 +35,7 @@ from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.lossless_json import Cells
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE
+from cassandra_ros.viewing.selection_parameters import NODES, RUNS, WHOLE_RANGE, whose_of
 from cassandra_ros.viewing.sql_answers import sql_plan, sql_plot, sql_rows
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
@@ -73,21 +72,18 @@ def _is_sql(call: ApiCall) -> bool:
     return language == "sql"
 
 
-def _one(call: ApiCall, name: str) -> str | None:
-    """Return the value of a parameter nodes or runs; None if none or several are given."""
-    given = call.texts(name) or ()
+def _one_node(call: ApiCall) -> str | None:
+    """Return the robot of the parameter nodes; None if none or several are given."""
+    given = call.texts("nodes") or ()
     return given[0] if len(given) == 1 else None
 
 
 def _statement(call: ApiCall) -> Select:
-    """Return the statement, restricted to the robots and runs if several are given."""
-    select = parse_select(call.text("q") or "")
-    terms: list[Expression] = []
-    for name, operand in (("nodes", NodeOperand(0)), ("runs", RunOperand(0))):
-        given = call.texts(name) or ()
-        if len(given) > 1:
-            terms.append(OneOf(operand, tuple(Literal(text, 0) for text in given)))
-    return _narrowed(select, terms)
+    """Return the statement, restricted to the robots if several are given."""
+    select, given = parse_select(call.text("q") or ""), call.texts("nodes") or ()
+    if len(given) < 2:
+        return select
+    return _narrowed(select, [OneOf(NodeOperand(0), tuple(Literal(text, 0) for text in given))])
 
 
 def _narrowed(select: Select, terms: Sequence[Expression]) -> Select:
@@ -102,8 +98,8 @@ def _query(call: ApiCall) -> Json:
         return sql_rows(call, limit, PAGE_BYTES, _watch(call))
     result = call.store.statements.select(
         _windowed(call),
-        node=_one(call, "nodes"),
-        run=_one(call, "runs"),
+        node=_one_node(call),
+        run=whose_of(call).writers,
         after=call.text("after"),
         watch=_watch(call),
     )
@@ -170,7 +166,7 @@ def _explain(call: ApiCall) -> Json:
     if _is_sql(call):
         return sql_plan(call, _watch(call))
     plan = call.store.statements.explain(
-        _statement(call), node=_one(call, "nodes"), run=_one(call, "runs"), watch=_watch(call)
+        _statement(call), node=_one_node(call), run=whose_of(call).writers, watch=_watch(call)
     )
     return {
         "text": str(plan),
@@ -245,8 +241,8 @@ def _plot(call: ApiCall) -> Json:
     series = call.store.statements.series(
         _statement(call),
         window=window,
-        node=_one(call, "nodes"),
-        run=_one(call, "runs"),
+        node=_one_node(call),
+        run=whose_of(call).writers,
         cache=call.cached(_cache),
         watch=_watch(call),
     )

@@ -13,7 +13,7 @@ from collections import OrderedDict
 from dataclasses import replace
 from typing import Iterable, Iterator, NamedTuple, Sequence
 
-from cassandra_ros.errors import InvalidOption
+from cassandra_ros.errors import InvalidOption, StoreUnavailable
 from cassandra_ros.keys import SECOND_NS, decode_cursor
 from cassandra_ros.overview.latest_messages import Latest
 from cassandra_ros.overview.timeline.lanes import Lane, View
@@ -165,8 +165,8 @@ def _shown(call: ApiCall) -> list[TopicTable]:
 
 def _until_gone(call: ApiCall, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
     for row in rows:
-        if call.gone.is_set():
-            return
+        if call.gone.is_set():  # not an end: the client would take the rest for read
+            raise StoreUnavailable("the client does not wait for the messages any more")
         yield row
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections import OrderedDict
 from typing import Callable, Hashable
 
@@ -14,6 +15,7 @@ from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.mapping.map_builder import DEFAULT_RESOLUTION, MadeMap, MapOptions, makeMap
 from cassandra_ros.mapping.sensor_poses import PoseChoice
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.api_call import ApiCall
@@ -80,9 +82,11 @@ def _map(call: ApiCall) -> Bytes:
         )
         return _answer(made)
 
-    # The key includes the stored messages: further ones need a new picture.
-    last = topic.last()
-    asked = (topic.name, str(start), str(end), nodes, runs, call.text("name"), options, choice)
+    # The key includes the stored messages: further ones need a new picture. Poses may be stored
+    # later than the messages recorded there.
+    last, minute = topic.last(), time.time() // NEAR_KEPT_SEC
+    choices = (nodes, runs, call.text("name"), options, choice, minute)
+    asked = (topic.name, str(start), str(end), *choices)
     return call.cached(MapCache).get((*asked, topic.countTopicData(), str(last)), make)
 
 

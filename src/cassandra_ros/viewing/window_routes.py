@@ -12,6 +12,8 @@ that looks at a topic while it is recorded gets all parts of one file.
 from __future__ import annotations
 
 import hashlib
+import re
+import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,6 +26,7 @@ from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.overview.content_version import content_version
 from cassandra_ros.overview.latched_messages import latched_before
+from cassandra_ros.overview.plot_series import NEAR_KEPT_SEC
 from cassandra_ros.read import Nodes, Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.row_finder import Where, range_between
@@ -120,6 +123,8 @@ def _of_nodes(
     return conditions
 
 
+_MOVING = re.compile(r"\b(near|now|today)\b", re.IGNORECASE)
+"""What a condition's answer may change by, although the messages stay: poses, and the time."""
 _CONTENT_TYPES = {"bag": "application/x-rosbag", "mcap": "application/x-mcap"}
 _COMPRESSIONS = {"bag": ("none", "lz4", "bz2"), "mcap": ("none", "lz4", "zstd")}
 _STREAM = Parameter(
@@ -196,9 +201,14 @@ def _version(catalog: Catalog, selection: MessageSelection, latched: bool) -> st
             run=selection.whose.writers,
             where=selection.where or None,
         )
-    tables = catalog.tables(topics)
+    keyspace = catalog.keyspace
     read = Read(time_range, selection.whose)
-    return content_version(catalog.keyspace.directory, tables, read, before)
+    version = content_version(keyspace.directory, catalog.tables(topics), read, before)
+    # An MCAP has the events, too, and a condition may choose by them.
+    version += "".join(map(repr, keyspace.events.find(None, within=time_range, whose=read.whose)))
+    if any(_MOVING.search(repr(condition)) for condition in (selection.where or {}).values()):
+        version += f" {time.time() // NEAR_KEPT_SEC}"
+    return version
 
 
 def _write(

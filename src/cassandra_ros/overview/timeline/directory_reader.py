@@ -140,10 +140,14 @@ class DirectoryReader:
         ]
         params = (place for _, place in slot_ranges)
         answers = self._directory.begin_buckets(params, _WRITERS, reverse=reverse)
-        for (table, _), answer in zip(slot_ranges, sent_ahead(answers, AT_ONCE)):
+        for (table, place), answer in zip(slot_ranges, sent_ahead(answers, AT_ONCE)):
             length, ttl = table.metadata.bucket_ns, table.metadata.ttl
             times: list[int] = []
-            rows = [row for row in answer() if not row.expired(ttl)]
+            found = answer()
+            if len(found) >= _WRITERS and found[0].bucket == found[-1].bucket:
+                # There may be more writers, whose messages are earlier or later.
+                found = self._directory.find(table.name, place[1], found[0].bucket)
+            rows = [row for row in found if not row.expired(ttl)]
             for row in [] if any(row.cut for row in rows) else rows:
                 if row.rows:
                     times += (row.t_min, row.t_max)
