@@ -24,8 +24,10 @@ from store.text_messages import (
 )
 from threads import together
 
+from cassandra_ros import Stamp
 from cassandra_ros.errors import WriteFailed
 from cassandra_ros.messages.classes import serialize
+from cassandra_ros.tables.row_table import CHUNK_BYTES
 
 
 def packed(store, **options):
@@ -95,6 +97,31 @@ def test_large_messages(rosCas, size):
             writer.write(handle, T0 + number, number, wire)
     assert wires(rosCas) == sent
     assert told(rosCas) == (4, 4, 4)
+
+
+def test_the_last_message_of_a_block_outlives_the_others(rosCas, cql):
+    with packed(rosCas) as writer:
+        write(writer, range(10))
+    topic, condition = rosCas.getTopic("/a"), "KEY != ?"
+    assert blocks(cql, rosCas) == [10]
+    assert topic.removeData(where=(condition, [Stamp.from_ns(T0 + 4)])) == 9
+    assert wires(rosCas) == [wire_of(4)]
+    assert told(rosCas) == (1, 1, 1)
+    assert topic.removeData(where=("KEY = ?", [Stamp.from_ns(T0 + 4)])) == 1
+    assert blocks(cql, rosCas) == []
+
+
+def test_the_chunks_of_a_large_message_are_deleted_with_it(rosCas, cql):
+    with packed(rosCas) as writer:
+        handle = connect(writer, cls=UInt8MultiArray)
+        for number in range(3):
+            wire = serialize(UInt8MultiArray(data=os.urandom(2 * CHUNK_BYTES)))
+            writer.write(handle, T0 + number, number, wire)
+    (table,) = rosCas.getTopic("/a").tables
+    times = f'SELECT "_t" FROM {rosCas.keyspace}."{table.name}_c"'
+    assert {t for (t,) in cql.execute(times)} == {T0, T0 + 1, T0 + 2}
+    assert rosCas.getTopic("/a").removeData(Stamp.from_ns(T0 + 1), Stamp.from_ns(T0 + 2)) == 2
+    assert {t for (t,) in cql.execute(times)} == {T0}
 
 
 def test_a_time_of_the_message_as_the_key(rosCas):
