@@ -445,7 +445,8 @@ class LocalCluster:
         offsets = {each.number: 0 for each in self.nodes}
         self._await_neighbours([node.number], {**offsets, node.number: offset})
 
-    def _await_answer(self, node: Node, offset: int, limit_sec: float = START_TIMEOUT_SEC) -> None:
+    def _await_answer(self, node: Node, offset: int, limit_sec: float | None = None) -> None:
+        limit_sec = START_TIMEOUT_SEC if limit_sec is None else limit_sec
         begun = time.monotonic()
         while not node.answers():
             waited = time.monotonic() - begun

@@ -46,8 +46,10 @@ def local_directory(host: str, port: int) -> Path | None:
 def local_nodes(directory: Path) -> int:
     """Return the number of nodes of the local Cassandra of a directory; 0 = none of them runs."""
     settings = _settings(directory)
-    numbers = range(1, settings.nodes + 1) if settings is not None else ()
-    nodes = [Node(n, directory / f"node{n}", settings) for n in numbers if settings is not None]
+    if settings is None:
+        return 0
+    numbers = range(1, settings.nodes + 1)
+    nodes = [Node(n, directory / f"node{n}", settings) for n in numbers]
     return len(nodes) if any(find_server(node.config) for node in nodes) else 0
 
 

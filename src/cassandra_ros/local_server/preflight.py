@@ -74,7 +74,7 @@ def check_change(directory: Path, old: Settings, new: Settings, running: bool) -
 
 
 def note_stale_pid_file(node: Node) -> str:
-    """Return a note about the pid file of a node that is not running; '' = there is none.
+    """Return a text about the stale pid file of a stopped node; '' = it has no pid file.
 
     It stays until the node is started: what was killed must be looked after then.
     """
