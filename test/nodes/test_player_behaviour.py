@@ -29,6 +29,7 @@ from proxy import Proxy
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, UInt8MultiArray
 
+from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.nodes.publication import MessageKind, Publication
 from cassandra_ros.tables.registry import Loss, LossKind
 
@@ -281,7 +282,7 @@ def test_played_and_stopped_many_times(roscore, where, numbers):
                 rest = [number(wire) for wire in heard.rest()]
             assert rest == list(range(round_ % COUNT, round_ % COUNT + len(rest)))
             total = round_ % COUNT + len(rest)
-            assert child.lines[-1] == f"played {total} messages of 1 topic"
+            assert child.lines[-1] == f"played {counted(total, 'message')} of 1 topic"
     assert len(pids) == rounds
     for pid in pids:
         assert not Path(f"/proc/{pid}").exists()

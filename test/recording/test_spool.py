@@ -22,7 +22,7 @@ from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.spool_drain import Drain, read_left
 from cassandra_ros.spool.segment_writer import SegmentWriter
-from cassandra_ros.spool.spool_folder import SpoolFolder
+from cassandra_ros.spool.spool_folder import RunFolder, SpoolFolder
 from cassandra_ros.tables.registry import LossKind
 
 FORMATS = ("ros", "binary", "packed")
@@ -63,7 +63,10 @@ def rows_of(rosCas, topic="/text"):
 def drain(rosCas, folder):
     done = []
     for left in folder.left():
-        done.append(Drain(rosCas.catalog, read_left(left)).run())
+        try:
+            done.append(Drain(rosCas.catalog, read_left(left)).run())
+        finally:
+            left.release()
     return done
 
 
@@ -92,7 +95,7 @@ def test_a_store_that_goes_away_and_comes_back(proxy, store, rosCas, folder, for
 
 @pytest.mark.parametrize("journal", [False, True])
 @pytest.mark.parametrize("format", FORMATS)
-def test_a_store_that_is_away_at_the_end(proxy, store, rosCas, folder, format, journal):
+def test_a_store_that_is_away_at_the_end(proxy, store, rosCas, folder, caplog, format, journal):
     recorder = Recording(
         store.catalog, format=format, node="husky", spool=SpoolPlan(folder, journal=journal)
     )
@@ -107,7 +110,8 @@ def test_a_store_that_is_away_at_the_end(proxy, store, rosCas, folder, format, j
     assert report.spooled > 2000
     for _ in range(2):
         for done in drain(rosCas, folder):
-            assert done.complete and not done.lost and not done.gap
+            assert done.complete and not done.lost
+    assert "was not ended" not in caplog.text
     assert folder.runs() == []
     assert rows_of(rosCas) == [text(n) for n in range(3000)]
     assert [row.seq & 0xFFFFFFFF for row in rosCas.getTopic("/text").rows()] == [*range(3000)]
@@ -178,6 +182,30 @@ def test_what_is_drained_twice_ends_in_the_same_rows(
     assert rosCas.getTopic("/text").countTopicData() == 2000
     (run,) = rosCas.runs()
     assert run.stored == {"/text": 2000}
+
+
+def test_the_end_that_is_missing_is_told_before_the_files_go(
+    store, rosCas, folder, tmp_path, monkeypatch, caplog
+):
+    """A drain that is killed at its end leaves a run that the next one tells again."""
+    recorder = Recording(store.catalog, node="husky", spool=SpoolPlan(folder, journal=True))
+    send(recorder, range(100))
+    await_true(lambda: recorder.reports()[0].stored == 100, 60)
+    shutil.copytree(folder.path, tmp_path / "killed")
+    recorder.close()
+    told = "was not ended: its last sign of life was at"
+
+    def killed(folder):
+        raise OSError(errno.EIO, "killed")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RunFolder, "remove", killed)
+        with pytest.raises(OSError, match="killed"):
+            drain(rosCas, SpoolFolder(tmp_path / "killed"))
+    assert caplog.text.count(told) == 1
+    drain(rosCas, SpoolFolder(tmp_path / "killed"))
+    assert caplog.text.count(told) == 2
+    assert len(rows_of(rosCas)) == 100
 
 
 def test_a_damaged_file_costs_what_it_hits(proxy, store, rosCas, folder):

@@ -88,7 +88,8 @@ class LeftRuns:
                 return
             try:
                 drain = self._drain = Drain(self._store.result(), left)
-                self._tell(left, drain.run())
+                for text in lines_of(drain.run()):
+                    self._say(text)
                 return
             except CassandraRosError as exc:
                 _log.warning("run %s stays in the spool for now: %s", left.name, exc)
@@ -104,12 +105,6 @@ class LeftRuns:
             f"with: rosrun cassandra_ros cassandra_bag spool drain {left.folder.path.name}, or "
             "delete it with: spool drop"
         )
-
-    def _tell(self, left: LeftRun, done: Drained) -> None:
-        for text in lines_of(done):
-            self._say(text)
-        if done.gap:
-            _log.warning("%s", done.gap)
 
 
 def lines_of(done: Drained) -> list[str]:

@@ -108,8 +108,6 @@ class Drained:
     """Number of messages by topic that could not be read or stored."""
     complete: bool = False
     """Whether nothing of the run is left in the spool."""
-    gap: str = ""
-    """What may be missing because the recorder was killed, in words; '' = nothing."""
 
 
 class Drain:
@@ -149,12 +147,16 @@ class Drain:
         """
         self._begin()
         try:
-            for path in self._left.folder.files():
+            files = self._left.folder.files()
+            for path in files:
                 if self._stopped.is_set():
                     return self._done
                 self._store(path, progress)
                 if self._silent or self._stopped.is_set():
                     return self._done
+                if path != files[-1]:  # the last file tells how the run ended
+                    with suppress(OSError):
+                        path.unlink()
             self._end()
         finally:
             for writer in self._writers.values():
@@ -183,7 +185,7 @@ class Drain:
         )
 
     def _store(self, path: Path, progress: Progress) -> None:
-        """Store the messages of one file, and delete it when they are acknowledged."""
+        """Store the messages of one file."""
         reader = SegmentReader(path)
         writer = self._writer((reader.label() or self._label).writer)
         totals, known = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
@@ -212,8 +214,6 @@ class Drain:
         if not self._silent:
             self._done.messages += number
             self._remember()
-            with suppress(OSError):
-                path.unlink()
 
     def _writer(self, number: int) -> MessageWriter:
         writer = self._writers.get(number)
@@ -289,7 +289,7 @@ class Drain:
             self._losses.append(loss)
 
     def _remember(self) -> None:
-        """Store the losses found so far: the file that tells them is deleted."""
+        """Store the losses found so far: the file that tells them may be deleted next."""
         for loss in _joined(self._losses):
             self._space.registry.put_loss(loss)
         self._losses.clear()
@@ -321,10 +321,13 @@ class Drain:
             low = min(total.last_ns, MAX_NS)
             loss = Loss(topic, label.node, label.run, LossKind.KILLED, low, until, 0)
             self._space.registry.put_loss(loss)
-        self._done.gap = (
-            f"run {self._left.name} was not ended: its last sign of life was at "
-            f"{_time(max(last, alive)):%Y-%m-%dT%H:%M:%S.%fZ}, the last message in the spool has "
-            f"number {self._last_counter} of the run; what came within a second after it is missing"
+        # Before the files are deleted: a process that is killed in between tells it at its next start.
+        _log.warning(
+            "run %s was not ended: its last sign of life was at %s, the last message in the spool "
+            "has number %d of the run; what came within a second after it is missing",
+            self._left.name,
+            f"{_time(max(last, alive)):%Y-%m-%dT%H:%M:%S.%fZ}",
+            self._last_counter,
         )
 
 

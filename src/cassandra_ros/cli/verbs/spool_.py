@@ -176,7 +176,7 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
             answer.append({"run": left.name, "messages": done.messages, "lost": dict(done.lost)})
             failed = failed or bool(done.lost)
             if not (options.quiet or options.json):
-                print("\n".join(map(shown, [*lines_of(done), *[done.gap][: bool(done.gap)]])))
+                print("\n".join(map(shown, lines_of(done))))
     if options.json:
         print_json(answer)
     return int(failed)
