@@ -60,6 +60,7 @@ def test_check(store, call, cql, connect):
     assert damages(call, "--start", late) == {("not listed", "/n", False)}
     found = {("count", "/n", False), ("not listed", "/n", False)}
     assert damages(call) == found == damages(call, "-e", "/[n]")
+    assert damages(call, "--end", late) == found  # the bucket in which a range ends is in it
     status, out, err = call("check", "/n", "--repair")
     assert (status, err) == (0, "") and "2 damages, 2 mended" in out
     assert out.count("mended: ") == 2

@@ -47,8 +47,12 @@ def message(n):
 
 
 def time_of(n):
-    """Messages every 7 ms, of each hundred the last ten in a moment; and a gap of a minute."""
-    return T0 + (n - max(0, n % 100 - 90)) * STEP + (n >= 700) * 60 * SEC
+    """Messages every 7 ms, of each hundred the last ten in a moment; and a gap of a minute.
+
+    The first message of a second lies at the last nanosecond of the second before, its bucket.
+    """
+    t = T0 + (n - max(0, n % 100 - 90)) * STEP + (n >= 700) * 60 * SEC
+    return t - t % SEC - 1 if t % SEC < STEP else t
 
 
 @pytest.fixture(scope="module")

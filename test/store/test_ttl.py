@@ -7,12 +7,15 @@ from __future__ import annotations
 import time
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from std_msgs.msg import UInt8MultiArray
 
 from cassandra_ros.errors import MessageNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.tables.expiry import STEPS, rounded
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -132,3 +135,10 @@ def test_reading_an_expired_stretch_asks_for_none_of_it(rosCas, cql, asked):
     assert topic.countTopicData() == rosCas.info()[0].count == 0
     assert topic.getData(T0, nearest="either", default=None) is None
     assert len(asked) == 0
+
+
+@given(st.integers(1, 2 * 10**9).flatmap(lambda ttl: st.tuples(st.integers(0, ttl), st.just(ttl))))
+def test_a_copy_lives_as_long_as_its_original_and_hardly_longer(times):
+    """A lifetime of 0 s would mean for ever."""
+    left, ttl = times
+    assert max(1, left) <= rounded(left, ttl) <= min(ttl, left + max(1, ttl // STEPS))

@@ -54,7 +54,8 @@ def fill(rosCas, format, count=300, topic="/t", writers=((7, ""), (3, "r1"))):
                 for name in names
             ]
             for number in range(count):
-                t = T0 + rand.randrange(8) * SEC // 2
+                # Some at the last nanosecond of a bucket, others at its first.
+                t = T0 + rand.randrange(8) * SEC // 2 - (number % 5 == 4)
                 writer.write(rand.choice(handles), t, number, serialize(joint_state(number)))
 
 

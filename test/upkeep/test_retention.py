@@ -156,6 +156,16 @@ def test_by_size(topics):
     assert (left(topics, "/rows"), left(topics, "/blocks")) == ([], seconds(75, 99.5))
 
 
+@pytest.mark.parametrize("fmt", ["binary", "packed"])
+def test_a_bucket_that_begins_where_another_ends_counts_once(store, fmt):
+    """The first and the last nanosecond of three buckets have a message each."""
+    times = [T0 + n * SECOND_NS + inside for n in range(3) for inside in (0, SECOND_NS - 1)]
+    messages = [(t, Int64(t)) for t in times]
+    write(store, f"/ends_{fmt}", messages, fmt, 6, bucket_sec=1)
+    store.upkeep.retain(f"/ends_{fmt}", max_bytes=3 * len(serialize(Int64())), now=NOW)
+    assert [msg.data for _, msg in store.getTopic(f"/ends_{fmt}").items()] == times[3:]
+
+
 def test_what_cannot_be_asked(store):
     store.addTopic("/maps", key_format="manual").addData(Int64(1), key="kitchen")
     with pytest.raises(InvalidOption, match="nothing says what is to be dropped"):
