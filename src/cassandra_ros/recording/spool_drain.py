@@ -321,7 +321,7 @@ class Drain:
             low = min(total.last_ns, MAX_NS)
             loss = Loss(topic, label.node, label.run, LossKind.KILLED, low, until, 0)
             self._space.registry.put_loss(loss)
-        # Before the files are deleted: a process that is killed in between tells it at its next start.
+        # Before the files are deleted: after a kill in between the next start tells it again.
         _log.warning(
             "run %s was not ended: its last sign of life was at %s, the last message in the spool "
             "has number %d of the run; what came within a second after it is missing",
