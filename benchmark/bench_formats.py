@@ -98,7 +98,7 @@ class Sample:
     messages: list[tuple[int, bytes]]
     """(time in ns, wire bytes), each once."""
     count: int
-    """So many are stored."""
+    """Number of messages that are stored."""
     bag_bytes: float = 0.0
 
     def repeated(self) -> Iterator[tuple[int, bytes]]:

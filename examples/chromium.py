@@ -23,7 +23,7 @@ from selenium.webdriver.chrome.service import Service
 
 PROGRAMS = ("chromium", "chromedriver")
 SCRIPT_SEC = 120
-"""So long a script may take on a busy machine; selenium's own bound is 30."""
+"""Maximum time of a script on a busy machine, s; selenium's own bound is 30 s."""
 # WebGL without a graphics card: slow, and right.
 WEBGL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 # Nothing but what a page itself does.

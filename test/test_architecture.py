@@ -64,3 +64,13 @@ def test_every_room_is_on_the_map():
 def test_every_file_on_the_map_exists():
     for name in re.findall(r"`((?:\w+/)*\w+\.(?:py|lark))`", MAP):
         assert (PACKAGE / name).is_file() or (ROOT / name).is_file(), name
+
+
+@pytest.mark.parametrize("folder", ["src", "benchmark", "faults", "examples", "test"])
+def test_docstrings_begin_with_a_noun_or_a_verb(folder):
+    """None begins with "Of" or "So many", or says that there "is none"."""
+    riddle = re.compile(r'(?:"""(?:Of|So (?:many|much|long|often)) )|there (?:is|are) none\b')
+    files = [p for p in (ROOT / folder).rglob("*.py") if p.name != Path(__file__).name]
+    assert len(files) > 10
+    found = [p.name for p in files if riddle.search(p.read_text(encoding="utf-8"))]
+    assert found == []

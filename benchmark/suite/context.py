@@ -80,7 +80,7 @@ class Costs:
     client_cpu: float
     """Processor time of this process, s."""
     server_cpu: float | None
-    """Of the server, s; None where it is not ours."""
+    """Processor time of the server, s; None = it is not ours."""
 
 
 def measure(server: Server, work: Callable[[], Value]) -> tuple[Costs, Value]:

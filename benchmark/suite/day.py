@@ -43,7 +43,7 @@ class Topic:
     msg: Any
     hz: float
     signals: list[Signal] = field(default_factory=list)
-    """Of the marked numbers of the message, in their order."""
+    """A signal for each marked number of the message, in their order."""
     latched: bool = False
 
     @property

@@ -68,14 +68,14 @@ class Results:
     def find(
         self, experiment: str, what: str, contender: str, kind: str = "", x: float | None = None
     ) -> list[float]:
-        """Return samples; [] where there are none."""
+        """Return samples; [] = no samples."""
         key = (experiment, what, contender, kind, x)
         return next((one.values for one in self.series if one.key == key), [])
 
     def median(
         self, experiment: str, what: str, contender: str, kind: str = "", x: float | None = None
     ) -> float | None:
-        """Return the median of samples; None where there are none."""
+        """Return the median of samples; None = no samples."""
         values = self.find(experiment, what, contender, kind, x)
         return statistics.median(values) if values else None
 

@@ -18,7 +18,7 @@ class Size:
     rounds: int
     """Measured ones."""
     long_rounds: int
-    """Of scans, images and clouds, whose times differ most."""
+    """Measured rounds for scans, images and clouds, whose times differ most."""
     steps: tuple[int, ...]
     """Messages stored in the growing tables (fig. 5, 6, 7); the last is the largest."""
     lookups: int
@@ -31,10 +31,10 @@ class Size:
     bag_bytes: int
     """Real bags are repeated until they have so many wire bytes."""
     bag_messages: int | None
-    """So many of the first bag alone; None = all of all."""
+    """Number of messages of the first bag alone; None = all messages of all bags."""
     writers: tuple[int, ...]
     writer_messages: int
-    """Of each writer."""
+    """Number of messages of each writer."""
     rates: tuple[int, ...]
     """Messages a second that recorders are tried with, ascending."""
     image_rates: tuple[int, ...]
@@ -47,7 +47,7 @@ class Size:
     starts: int
     """Starts of a local Cassandra and runs of make setup."""
     nodes: int
-    """Of the cluster; 0 = the server that runs anyway."""
+    """Number of nodes of the cluster; 0 = the server that runs anyway."""
     cluster_messages: int
 
 

@@ -24,7 +24,7 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Show a number with so many digits, '-' where there is none."""
+    """Show a number with so many digits, '-' for no number."""
     if value is None:
         return "-"
     if abs(value) >= 10 ** (digits - 1):

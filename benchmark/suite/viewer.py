@@ -19,7 +19,7 @@ EXPERIMENT = "viewer"
 HOUR_NS = 3600 * 10**9
 NOON_NS = START_NS + 12 * HOUR_NS
 FIRST_NS = 20 * 10**9
-"""So much of the recording is read before it plays."""
+"""Length of the recording that is read before it plays, ns."""
 PIXELS = 1200
 PLOT = "select linear_acceleration.x from /imu"
 

@@ -421,7 +421,7 @@ def is_whole(rows):
 
 @pytest.mark.fault
 def test_large_messages_come_from_the_store_that_still_answers(stores, proxied):
-    """Of the first store, which goes away, their rows were read, and not yet their chunks."""
+    """The first store goes away after their rows were read, and before their chunks are."""
     first, second, _ = stores
     casTopic = first.addTopic("/image", format="binary")
     for n in range(6):

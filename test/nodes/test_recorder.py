@@ -492,7 +492,7 @@ def test_a_connection_that_breaks_is_made_again(recorder, roscore, rosCas):
 
 
 def test_who_unsubscribes_hears_no_more_though_another_listens(roscore):
-    """Of two subscribers of a process the first one leaves."""
+    """A process has two subscribers, and the first one leaves."""
     script = Path(__file__).with_name("two_subscribers.py")
     with RawPublisher(roscore.uri, "/a", header_of(String)) as publisher, Child(
         [sys.executable, script], roscore.env

@@ -51,7 +51,7 @@ class Recorded:
     cpu: float
     """Processor time of the recorder, s."""
     server_cpu: float
-    """Of the server, s; 0 where it is not ours, or no part of it."""
+    """Processor time of the server, s; 0 = it is not ours, or no part of it."""
     peak_mb: float
     """Memory of the recorder."""
     drain_sec: float

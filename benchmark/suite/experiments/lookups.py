@@ -20,7 +20,7 @@ from suite.messages import serialized
 WARM = 100
 """Lookups that do not count."""
 ENOUGH_SEC = 12.0
-"""Of one contender; where all lookups would take longer there are fewer of them."""
+"""Maximum time of the lookups of one contender, s; it makes fewer of them if they take longer."""
 
 
 def run(context: Context) -> None:

@@ -181,9 +181,9 @@ class FormatSize:
     """Bytes that one message of a topic takes in one format, without copies on other nodes."""
 
     plain: float
-    """Before Cassandra compresses it."""
+    """Size before Cassandra compresses it, bytes."""
     disk: float
-    """Compressed."""
+    """Size on disk after compression, bytes."""
 
 
 def estimate(sample: TopicSample, block_sec: float) -> Mapping[str, FormatSize | None]:

@@ -110,7 +110,7 @@ def lay_out(wires: Sequence[bytes], cost: Callable[[bytes], int]) -> Sequence[By
     still = _counts(steps == 0)
     rises = _counts(steps[1:] == steps[:-1]) > still
     if size >= _UNIT:
-        # Of long messages only the ends are tried, or trying would cost more than packing.
+        # For long messages only the ends are tried: trying all would cost more than packing.
         tried = slice(-max(_UNIT, _SAMPLE_BYTES // len(sample) // _UNIT * _UNIT), None)
         ends = sample[:, tried]
         planes, rising = np.array(ends.T, order="C"), rises[tried]

@@ -208,7 +208,7 @@ def foreign_keyspace(ros_cas: RosCassandra, before: str = "") -> str:
 
 
 class Hurried(Protocol):
-    """What waits for answers of a store."""
+    """An object that waits for answers of a store."""
 
     def hurry(self) -> None:
         """End all waits soon."""

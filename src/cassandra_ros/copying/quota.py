@@ -38,7 +38,7 @@ class QuotaReport:
     bytes: int = 0
     """Serialised bytes of all messages with a time key afterwards."""
     uncopied_bytes: int = 0
-    """Those of them that no other store has acknowledged."""
+    """Bytes of these messages that no other store has acknowledged."""
     topics: dict[str, Retained] = field(default_factory=dict)
 
     @property

@@ -116,7 +116,7 @@ def find_pair(
 
 
 def find_existing(here: Keyspace, there: Keyspace, source: TopicTable) -> TablePair | None:
-    """Return a table with its counterpart there, or None if there is none yet; nothing is made.
+    """Return a table with its counterpart there; None = it has none yet. No table is made.
 
     Raises:
         SchemaConflict: There is another topic, type or key under this name.

@@ -47,7 +47,7 @@ class TargetBuckets:
         self._marked: dict[_Key, float] = {}
         """Monotonic times at which they were marked, s."""
         self._new: set[_Key] = set()
-        """Those of writers that had no rows in the bucket before."""
+        """Marked entries of writers that had no rows in the bucket before."""
 
     def connect(self, conn: int) -> None:
         """Write the header of a connection, unless that was done."""

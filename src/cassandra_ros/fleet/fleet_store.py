@@ -31,7 +31,7 @@ _SETTINGS = ("place", "cqlshrc", "credentials")
 
 @dataclass(frozen=True)
 class StorePlace:
-    """Where a store is, and with which files to log in."""
+    """Address of a store, and the files with the login."""
 
     name: str
     """Name by which the fleet calls it."""

@@ -255,7 +255,7 @@ class LocalCluster:
                 )
             java = find_java()
             for node in self.nodes:
-                # Of each node its own part of the ring: together they are all data once.
+                # Each node repairs its own part of the ring; together they are all data, once.
                 self._repair(node, java, "--partitioner-range")
 
     def _repair(self, node: Node, java: str, *options: str) -> None:

@@ -103,7 +103,7 @@ def _inside(counts: Floats, scale: Scale, window: Scale) -> Floats:
 
 
 def _covered(filled: Bools, gap: float) -> Bools:
-    """Return which cells lie between two filled ones at most a gap apart, both included.
+    """Return a mask of the cells between two filled ones at most a gap apart, both included.
 
     Args:
         filled: For each cell, whether it has poses.

@@ -139,7 +139,7 @@ class _Subscription(_SubscriberImpl):
         self.set_tcp_nodelay(tcp_nodelay)
         self._connecting: dict[str, threading.Thread] = {}
         self._named: dict[str, float] = {}
-        """When the master last named a connected publisher, monotonic clock, s, by its URI."""
+        """URI of a connected publisher -> time at which the master last named it, monotonic, s."""
         self.on_gaps: list[OnGap] = []
         self.heard = False
         """Whether a publisher was ever connected."""

@@ -215,7 +215,7 @@ class Backlog:
         return taken
 
     def _read(self) -> list[BufferedMessage]:
-        """Read the next messages from the files; [] when there is none left."""
+        """Read the next messages from the files; [] = the files hold no more."""
         while not self.leaving:
             if self._reading is None:
                 segment = self._next_segment()
@@ -332,7 +332,7 @@ class Backlog:
             if not (self._journal or self._parking):
                 return False  # the writing thread has read all files meanwhile
             items = self._buffer.take(CHUNK_MESSAGES, CHUNK_BYTES, 0.0)
-            # Of one generation of the counter: a file names one writer.
+            # All messages of a file have one generation of the counter: a file names one writer.
             high = items[0].counter >> COUNTER_BITS if items else 0
             same = [item for item in items if item.counter >> COUNTER_BITS == high]
             if len(same) < len(items):
@@ -354,7 +354,7 @@ class Backlog:
         return self._journal or self._parking
 
     def _park(self) -> bool:
-        """Let messages go through files from now on, unless the disk fails; return whether."""
+        """Send messages through files from now on; return False if the disk failed."""
         now = time.monotonic()
         with self._changed:
             if not self._parking and self._retry_at <= now:

@@ -95,7 +95,7 @@ class EventWatch:
         holds: Returns whether a message satisfies the condition: header, time of reception, bytes.
         node: nodeID of the robot.
         put: Stores an event without waiting.
-        writer: Returns the writer id of the present run; 0 = there is none.
+        writer: Returns the writer id of the present run; 0 = no run.
     """
 
     def __init__(

@@ -34,7 +34,7 @@ class Filters:
         settings: Conditions and rates by topic.
         node: nodeID of the recorded robot, NODE in conditions.
         put: Stores an event without waiting; None = events are not watched.
-        writer: Returns the writer id of the present run; 0 = there is none.
+        writer: Returns the writer id of the present run; 0 = no run.
     """
 
     def __init__(

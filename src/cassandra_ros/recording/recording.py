@@ -166,7 +166,7 @@ class Recording:
             )
         )
         self._queue: Backlog | Buffer = self._backlog or self._buffer
-        """Where the writing thread takes messages."""
+        """Queue from which the writing thread takes messages."""
         self._left = False
         """Whether messages stay in the spool at the end."""
         self._start()
@@ -679,7 +679,7 @@ class Recording:
                 writer.hurry(SLOW_SEC)
 
     def _leave(self) -> None:
-        """Let what is not stored stay in the spool, with what the store gives back."""
+        """Keep unstored messages in the spool, also those that the store gives back."""
         with self._closing:
             if self._backlog is None or self._left or self._closed.is_set():
                 return

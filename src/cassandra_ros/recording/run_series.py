@@ -202,7 +202,7 @@ class RunSeries:
 
     @property
     def writer(self) -> int:
-        """Writer id of the run that is being recorded; 0 = there is none."""
+        """Writer id of the run that is being recorded; 0 = no run."""
         current = self.current
         return 0 if current is None else current.writer_id
 

@@ -51,7 +51,7 @@ class RunFolder:
         return self.path / f"{self._next - 1:06d}{_SUFFIX}"
 
     def release(self) -> None:
-        """Let other processes have it. A second call does nothing."""
+        """Release the lock on the folder. A second call does nothing."""
         lock, self._lock = self._lock, -1
         if lock >= 0:
             os.close(lock)

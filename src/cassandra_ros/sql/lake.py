@@ -325,7 +325,7 @@ def _read_listing(folder: Path) -> dict[str, Any]:
 
 
 def _sync(path: Path) -> None:
-    """Have a file on the disk before it gets its name: a power cut could leave it empty."""
+    """Sync a file to disk before it is renamed: a power cut could leave it empty."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
 

@@ -29,7 +29,7 @@ class TopicReport:
     events: tuple[str, ...] | None
     """Names of events in whose time the messages lie; None = not bounded."""
     condition: str
-    """Condition that bounded what was read; '' = there is none."""
+    """Condition that bounded what was read; '' = no condition."""
     messages: int
     """Number of messages that DuckDB got, in all scans together."""
     blocks: int

@@ -132,7 +132,7 @@ class _SeriesReader:
         self._envelope.add(times, np.array(values))
 
     def _widen(self, low: int, high: int) -> None:
-        """Have pixels for a time range, too."""
+        """Extend the pixels so that they also cover a time range, ns."""
         if self._ends is not None:
             low, high = min(low, self._ends[0]), max(high, self._ends[1])
         if self._ends == (low, high):

@@ -35,7 +35,7 @@ class TableColumns:
         self._fields = list(found.fields.values())
 
     def find(self, names: Sequence[str]) -> FieldColumn | None:
-        """Return a column, or a field in a message; None = there is none, or it is an array."""
+        """Return a column, or a field in a message; None = no such column, or it is an array."""
         own = self._own.get(names[0].lower()) if len(names) == 1 else None
         if own is not None:
             return FieldColumn("text" if self._named and own == "key" else own)

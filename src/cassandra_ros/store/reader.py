@@ -588,7 +588,7 @@ class _BucketQueue(Generic[_T]):
         self._streams = max(1, streams)
 
     def _page_bytes(self, table: RowTable) -> int:
-        # Of filtered blocks only the headers are requested ahead, of filtered rows the rows.
+        # For filtered blocks only headers are requested ahead, for filtered rows the rows.
         checks = self._read.chooser is not None and not table.packed
         pages = self._streams + (AHEAD if self._few or checks else 1)
         return min(PAGE_BYTES, max(64 * 1024, ALL_PAGES_BYTES // (2 * pages)))

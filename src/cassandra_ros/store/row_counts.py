@@ -109,7 +109,7 @@ def settle(directory: Directory, table: RowTable, rows: list[BucketRow]) -> list
         if final and all(row.closed for row in group):
             settled.extend(group)
             continue
-        # Of the entries that a recount compares itself with, as they are before it.
+        # The entries that a recount compares itself with are read before it.
         left = {row.writer for row in group if not row.closed and row.age_sec > STALE_SEC}
         found = directory.find(table.name, node, bucket) if left else []
         counted = recount(table, node, bucket)

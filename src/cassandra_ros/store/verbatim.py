@@ -222,7 +222,7 @@ class VerbatimCopy:
         return self._target.place(part.node, part.where if self._target.named else bucket)
 
     def _copy_chunks(self, part: Part, bucket: int, row: RawRow) -> bool:
-        """Send the chunks of a row, if it has any; return whether the row is to be sent too."""
+        """Send the chunks of a row, if it has any; return whether the row must be sent, too."""
         if self._gone_at >= 0 and row[self._gone_at] is not None:
             # What was deleted here stays there: a block that is there is not written again.
             key = decode_long(row[0]), decode_long(row[1])

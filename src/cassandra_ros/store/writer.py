@@ -710,7 +710,7 @@ class RowWriter:
             self._lost(table, lost, exc, times)
 
     def _write_later(self, table: RowTable, rows: Sequence[Again | None]) -> int:
-        """Have rows written again that can be; return their number."""
+        """Queue the rows that can be written again; return their number."""
         homeless = [(table, again) for again in rows if again is not None]
         self._homeless.extend(homeless)
         return len(homeless)
@@ -849,7 +849,7 @@ class RowWriter:
                 self._ticker.join()
             self._flight.wait()
         if self.gives_back:
-            return  # the buckets stay open, for whoever stores what was given back
+            return  # the buckets stay open, for the one that stores what was given back
         try:
             for bucket in self._buckets.values():
                 self._close_or_leave(bucket)

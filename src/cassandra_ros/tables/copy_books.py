@@ -3,7 +3,7 @@
 """cr_copy and cr_copied: the books of what was copied to other stores.
 
 A row of cr_copy names, for a target and a table of ours, the table there that takes its rows, or
-why there is none. A row of cr_copied says what the target has acknowledged of the rows of one
+why no table takes them. A row of cr_copied says what the target has acknowledged of the rows of one
 writer in one bucket. It is written after that acknowledgement, so the books may say less than what
 is true, and never more. A target is known by the id of its table of runs: a keyspace that was
 dropped and made again under the same name is another target, of which nothing is confirmed.
@@ -38,7 +38,7 @@ class CopiedTable:
     """Address and keyspace of the target, as they were given last."""
     topic: str
     there: str = ""
-    """Name of the table there that takes the rows; '' = there is none."""
+    """Name of the table there that takes the rows; '' = no table."""
     refused: str = ""
     """Why the topic was not copied the last time; '' = it was."""
 

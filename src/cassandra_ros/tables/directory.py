@@ -502,10 +502,10 @@ class Directory:
         return self.seen.get(table, {}).get(slot, ()), nodes
 
     def has_few_nodes(self, table: str, slot: int) -> bool:
-        """Return whether a slot had nodes when it was listed last, and so few that all are asked.
+        """Return whether the last listing of a slot found between 1 and FEW_NODES nodes.
 
-        Then its nodes are listed by ``begin_slot`` again, which takes less than the rows of one
-        bucket.
+        If so, the caller asks all of them at once and lists them again by ``begin_slot``, which
+        takes less time than listing the rows of one bucket.
         """
         return 0 < len(self.seen.get(table, {}).get(slot, ())) <= FEW_NODES
 

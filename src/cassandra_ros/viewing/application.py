@@ -117,7 +117,7 @@ async def _errors_told(request: web.Request, handler: Handler) -> web.StreamResp
 
 
 def _text_of(request: web.Request, error: web.HTTPError) -> str:
-    """Say what is wrong where aiohttp only says the status."""
+    """Return the text of an error for which aiohttp gives only a status."""
     if isinstance(error, web.HTTPMethodNotAllowed):
         return f"{request.path} takes {error.headers['Allow']}, not {request.method}"
     if isinstance(error, web.HTTPNotFound):

@@ -115,7 +115,7 @@ MAX_DIGITS = 400
 
 @v_args(inline=True)
 class _Builder(Transformer):  # type: ignore[type-arg]
-    """One method for each rule of the grammar, called while lark parses."""
+    """Builds the syntax tree: a method for each rule of the grammar, which lark calls."""
 
     def select(
         self,
