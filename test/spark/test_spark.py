@@ -25,6 +25,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.spark import topic
+from cassandra_ros.sql.lake import Lake
 
 pytestmark = [
     pytest.mark.long,
@@ -108,6 +109,24 @@ def test_what_is_pushed_is_what_spark_would_filter(spark, numbers, bounds, mine)
     found = [sorted(map(repr, frame.select(columns).collect())) for frame in (pushed, filtered)]
     assert found[0] == found[1]
     assert pushed.columns == [*fields[:4], "s"]
+
+
+def test_a_lake_is_read_as_the_page_says(spark, numbers, tmp_path):
+    """Times in ns need an option of Spark 3.5, and are integers then."""
+    Lake(numbers.catalog, tmp_path / "lake").write()
+    [name] = {topic_.name for topic_ in numbers.getAllTopics()}
+    folder = tmp_path / "lake" / name.lstrip("/")
+    option = "spark.sql.legacy.parquet.nanosAsLong"
+    with pytest.raises(Exception, match=r"Illegal Parquet type.*NANOS"):
+        spark.read.parquet(str(folder)).collect()
+    spark.conf.set(option, "true")
+    try:
+        frame = spark.read.parquet(str(folder))
+        found = sorted((row["robot"], row["KEY"]) for row in frame.collect())
+    finally:
+        spark.conf.unset(option)
+    rows = numbers.getTopic(name).rows()
+    assert found == sorted((row.node or "-", row.t) for row in rows)
 
 
 def test_no_message(spark, rosCas):

@@ -164,6 +164,18 @@ def test_differences_are_found(lake, rosCas):
     ]
 
 
+def test_a_file_whose_messages_are_all_deleted_is_a_difference(lake, rosCas):
+    path = sorted(lake.rglob("*.parquet"))[0]
+    robot = path.parent.name.partition("=")[2]
+    count = pq.read_metadata(path).num_rows
+    rosCas.upkeep.delete(nodeID="" if robot == "-" else robot)
+    verified = Lake(rosCas.catalog, lake).verify()
+    assert f"{path} has {count} messages, the store 0" in verified.differences
+    gone = [each for each in lake.rglob("*.parquet") if each.parent.name == path.parent.name]
+    assert len(verified.differences) == len(gone)
+    assert Lake(rosCas.catalog, lake).write().files == 0 and path.exists()
+
+
 def test_a_file_is_replaced_whole(lake, rosCas, monkeypatch):
     fill(rosCas, 4, "r1", first=2, count=1)
     before = files(lake)

@@ -430,6 +430,43 @@ def test_ctrl_c_stops_a_statement(robot):
     timer.join()
 
 
+def test_a_sort_that_does_not_fit_into_memory_goes_to_disk(robot, monkeypatch):
+    """DuckDB writes its temporary files though it may open no other file."""
+    text = "SELECT count(*) FROM (SELECT n FROM range(3000000) t(n) ORDER BY hash(n) OFFSET 1)"
+    assert robot.sql(text, memory="30MB").fetchall() == [(2_999_999,)]
+    monkeypatch.setattr(duck_database, "SPILL", "1MB")
+    with pytest.raises(AnswerTooLarge, match="memory or disk"):
+        robot.sql(text, memory="30MB").fetchall()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELECT * FROM read_csv('/etc/passwd')",
+        "SELECT * FROM read_text('/etc/passwd')",
+        "SELECT * FROM '/etc/passwd.csv'",
+        "COPY (SELECT 1) TO '/tmp/cassandra_ros_lock.csv'",
+        "ATTACH '/tmp/cassandra_ros_lock.db'",
+        "INSTALL httpfs",
+        "LOAD httpfs",
+        "SET memory_limit = '9GB'",
+        "SET enable_external_access = true",
+        "RESET lock_configuration",
+        "SELECT * FROM frame_of_this_test",
+    ],
+)
+def test_duckdb_itself_is_locked(text):
+    """What our own checks would let through, DuckDB refuses."""
+    frame_of_this_test = pa.table({"n": [1]})
+    database = duck_database.DuckDatabase()
+    try:
+        with pytest.raises(database.duckdb.Error):
+            database.connection.execute(text).fetchall()
+    finally:
+        database.close()
+    assert frame_of_this_test.num_rows == 1
+
+
 def test_endless_recursion_ends_at_the_bound(robot, monkeypatch):
     monkeypatch.setattr(duck_database, "SPILL", "1MB")
     inner = "SELECT 1 AS n UNION ALL SELECT n + 1 FROM r"

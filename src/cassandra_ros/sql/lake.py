@@ -249,10 +249,13 @@ class Lake:
         for topic in self._timed():
             source = self._source(topic)
             folder = self._folder / _quoted(topic.name.lstrip("/"))
-            for part, _ in self._parts(source.tables):
-                source.pushed = part.pushed
-                path = folder / part.folder / FILE
-                stored = _digest_of(source)
+            parts = {part.folder: part for part, _ in self._parts(source.tables)}
+            for name in sorted({*parts, *_read_listing(folder)["files"]}):
+                path = folder / name / FILE
+                stored: tuple[int, int | None] = (0, None)
+                if name in parts:  # else all its messages were deleted
+                    source.pushed = parts[name].pushed
+                    stored = _digest_of(source)
                 found: tuple[int, int | None] = (0, None)
                 if path.exists():
                     try:
