@@ -12,7 +12,7 @@ as structs. A second run writes only the files whose messages have changed; each
 the old one when it is complete. Files of messages that the store deleted are kept.
 
 --verify compares the files with the store instead: numbers of messages, and a digest of all values
-(needs DuckDB). A file whose messages were deleted differs, too. The exit status is 1 if they differ.
+(needs DuckDB). A file whose messages were deleted differs. The exit status is 1 if any file does.
 """
 
 from __future__ import annotations
