@@ -28,8 +28,8 @@ Sift = Callable[..., Optional[NDArray[np.bool_]]]
 """Function of an unpacked block that returns a mask of the messages to keep; None = all."""
 
 
-class Place(Protocol):
-    """A row, its position, or a key that the store returned."""
+class MessageOrigin(Protocol):
+    """Robot and writer of a message, as a row, a position or a stored key has them."""
 
     @property
     def node(self) -> str | None:
@@ -75,7 +75,7 @@ class Whose(NamedTuple):
         """Whether there is no robot or no writer left."""
         return self.nodes == () or self.writers == frozenset()
 
-    def has(self, place: Place) -> bool:
+    def has(self, place: MessageOrigin) -> bool:
         """Return whether a row, position or key belongs to one of these robots and writers."""
         return self.wrote(place.seq or 0) and (self.nodes is None or place.node in self.nodes)
 

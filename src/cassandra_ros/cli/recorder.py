@@ -366,7 +366,7 @@ def main() -> int:
 
     if given.topics or given.all or given.node or not master_answers():
         read_options(parser, given)
-    from cassandra_ros.nodes.diagnostics import StorePlace
+    from cassandra_ros.nodes.diagnostics import KeyspaceAddress
     from cassandra_ros.nodes.recorder_node import record, start_node
     from cassandra_ros.nodes.recording_plan import make_plan
     from cassandra_ros.recording.store_future import NO_STORE, is_there
@@ -380,7 +380,7 @@ def main() -> int:
             plan = make_plan(ros_cas.catalog, chosen)
         print(plan_table(plan, chosen))
         return _tell_problems([each.problem for each in plan if each.problem])
-    place = StorePlace(store_place(options)[0], options.keyspace)
+    place = KeyspaceAddress(store_place(options)[0], options.keyspace)
     with awaited_store(options) as store:
         show = line.show if line.shows else None
         reports, problem = record(store, chosen, place, say, show)

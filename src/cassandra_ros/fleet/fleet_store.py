@@ -30,7 +30,7 @@ _SETTINGS = ("place", "cqlshrc", "credentials")
 
 
 @dataclass(frozen=True)
-class StorePlace:
+class StoreAddress:
     """Address of a store, and the files with the login."""
 
     name: str
@@ -48,7 +48,7 @@ def read_places(
     keyspace: str = DEFAULT_KEYSPACE,
     cqlshrc: str | None = None,
     credentials: str | None = None,
-) -> list[StorePlace]:
+) -> list[StoreAddress]:
     """Return the stores of a fleet.
 
     Args:
@@ -61,7 +61,7 @@ def read_places(
         InvalidOption: A name is not of this form, is given twice, or the file is not valid.
     """
     sections = read_sections(os.path.expanduser(file or ""), "stores", must_exist=True)
-    places: dict[str, StorePlace] = {}
+    places: dict[str, StoreAddress] = {}
     for name in check_list("stores", names, "['home', 'husky:9042']"):
         settings = dict(sections[name]) if sections.has_section(name) else {}
         unknown = sorted(set(settings).difference(_SETTINGS))
@@ -73,14 +73,14 @@ def read_places(
             raise InvalidOption(f"store {name} is given twice")
         host, port, space = read_place(settings.get("place", name), keyspace)
         login = (settings.get("cqlshrc", cqlshrc), settings.get("credentials", credentials))
-        places[name] = StorePlace(name, host, port, space, *login)
+        places[name] = StoreAddress(name, host, port, space, *login)
     if not places:
         raise InvalidOption("a fleet has at least one store: give ['home', 'husky:9042']")
     _refuse_same(list(places.values()))
     return list(places.values())
 
 
-def _refuse_same(places: Sequence[StorePlace]) -> None:
+def _refuse_same(places: Sequence[StoreAddress]) -> None:
     seen: dict[tuple[str, int, str], str] = {}
     for place in places:
         other = seen.setdefault((place.host, place.port, place.keyspace), place.name)
@@ -100,7 +100,7 @@ class FleetStore:
         closed: Whether the fleet was closed.
     """
 
-    def __init__(self, place: StorePlace, consistency: str, answer_sec: float) -> None:
+    def __init__(self, place: StoreAddress, consistency: str, answer_sec: float) -> None:
         self.name = place.name
         self.closed = False
         self._place = place

@@ -17,7 +17,7 @@ FULL = 0.5
 """Share of the buffer in use above which the level is WARN."""
 
 
-class StorePlace(NamedTuple):
+class KeyspaceAddress(NamedTuple):
     """The address of a store, as in the options: the store may not answer yet."""
 
     hosts: Sequence[str]
@@ -31,7 +31,7 @@ class Diagnostics:
         place: Address of the store.
     """
 
-    def __init__(self, place: StorePlace) -> None:
+    def __init__(self, place: KeyspaceAddress) -> None:
         self._hosts, self._keyspace = ",".join(place.hosts), place.keyspace
         self._name = rospy.get_name().lstrip("/")
         self._publisher = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=1)

@@ -14,7 +14,7 @@ from typing import Callable, Mapping, Sequence
 import rospy
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.nodes.diagnostics import Diagnostics, StorePlace
+from cassandra_ros.nodes.diagnostics import Diagnostics, KeyspaceAddress
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
 from cassandra_ros.nodes.recorder_services import serve
 from cassandra_ros.nodes.ros_node import (
@@ -54,7 +54,7 @@ def start_node(argv: Sequence[str]) -> Mapping[str, object]:
 def record(
     store: Future[RosCassandra],
     options: RecorderOptions,
-    place: StorePlace,
+    place: KeyspaceAddress,
     say: Say,
     show: Show | None = None,
 ) -> tuple[list[TopicReport], str]:

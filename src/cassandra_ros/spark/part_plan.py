@@ -34,7 +34,7 @@ class Piece(NamedTuple):
     """Last time, ns, included."""
 
 
-Part = List[Piece]
+SparkPartition = List[Piece]
 """What one partition reads."""
 
 
@@ -56,7 +56,7 @@ def plan_parts(
     whose: Whose,
     part_bytes: int,
     at_once: int,
-) -> list[Part]:
+) -> list[SparkPartition]:
     """Return what each partition reads: every message once. Without messages there is no part.
 
     Args:
@@ -102,7 +102,7 @@ def _buckets(
     return buckets
 
 
-def pack(buckets: dict[str, list[BucketRange]], part_bytes: int) -> list[Part]:
+def pack(buckets: dict[str, list[BucketRange]], part_bytes: int) -> list[SparkPartition]:
     """Return parts of consecutive buckets of a robot, or of several robots.
 
     Buckets of several tables, or writers, may overlap: each time of a robot is in one piece.
@@ -111,7 +111,7 @@ def pack(buckets: dict[str, list[BucketRange]], part_bytes: int) -> list[Part]:
         buckets: The buckets by robot, in any order.
         part_bytes: Maximum size of a part with several buckets, bytes.
     """
-    parts: list[Part] = []
+    parts: list[SparkPartition] = []
     size = 0
     for node in sorted(buckets):
         end = -1

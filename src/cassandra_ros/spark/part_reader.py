@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Iterable, Iterator, Sequence
 
 from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.spark.part_plan import Part, Piece
+from cassandra_ros.spark.part_plan import Piece, SparkPartition
 from cassandra_ros.spark.spark_types import spark_batch, spark_schema
 from cassandra_ros.spark.store_login import StoreLogin
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
@@ -49,7 +49,11 @@ class PartReader:
     """
 
     def __init__(
-        self, store: StoreLogin, selection: Selection, parts: Sequence[Part], schema: pyarrow.Schema
+        self,
+        store: StoreLogin,
+        selection: Selection,
+        parts: Sequence[SparkPartition],
+        schema: pyarrow.Schema,
     ) -> None:
         self._store = store
         self._selection = selection

@@ -61,7 +61,7 @@ Progress = Callable[[str, int], None]
 """Gets the path of a file that was written or compared, and its number of messages."""
 
 
-class Part(NamedTuple):
+class DayPart(NamedTuple):
     """The messages of a topic by one robot on one day."""
 
     day: int
@@ -183,10 +183,10 @@ class Lake:
     def _source(self, topic: CassandraTopic) -> TopicSource:
         return TopicSource(self._catalog.keyspace, topic, EVERYBODY, None, unwatched)
 
-    def _parts(self, tables: Iterable[TopicTable]) -> list[tuple[Part, str]]:
+    def _parts(self, tables: Iterable[TopicTable]) -> list[tuple[DayPart, str]]:
         """Return the parts of a topic, each with the state of its buckets in the directory."""
-        states: dict[Part, list[Any]] = {}
-        unfinished: set[Part] = set()
+        states: dict[DayPart, list[Any]] = {}
+        unfinished: set[DayPart] = set()
         for table in tables:
             for row in buckets_of(self._catalog.keyspace.directory, table):
                 if row.closed and not row.rows:
@@ -194,7 +194,7 @@ class Lake:
                 low = row.bucket * table.metadata.bucket_ns
                 high = low + table.metadata.bucket_ns - 1
                 for day in range(low // _DAY_NS, high // _DAY_NS + 1):
-                    part = Part(day, row.node)
+                    part = DayPart(day, row.node)
                     run = self._catalog.keyspace.runs.text(row.writer)  # column RUN
                     counts = (row.rows, row.bytes, row.t_min, row.t_max, row.odd, run)
                     states.setdefault(part, []).append((table.name, row.bucket, row.writer, counts))
