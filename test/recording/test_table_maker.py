@@ -13,6 +13,7 @@ from std_msgs.msg import String
 from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording.message_buffer import MessageSource
+from cassandra_ros.recording import table_maker
 from cassandra_ros.recording.table_maker import TOGETHER, TableMaker
 
 
@@ -53,4 +54,5 @@ def test_a_table_that_the_next_recorder_makes_is_no_error(caplog):
     maker.close(wait=False)
     begin.set()
     await_true(lambda: waiting.error)
-    assert not caplog.records
+    # The driver's threads of earlier tests may log that their server went away.
+    assert [each for each in caplog.records if each.name == table_maker.__name__] == []

@@ -99,6 +99,8 @@ class Reading:
         self.check("key", serialize(topic.getData(key)), wire)
         first = next(row for row in self.wanted if row[0] == key.ns)
         self.check("time", serialize(topic.getData(key.ns)), first[-1])
+        latest = max(row[0] for row in self.wanted if row[0] <= key.ns + 1)
+        first = next(row for row in self.wanted if row[0] == latest)
         near = serialize(topic.getData(key.ns + 1, nearest="before"))
         self.check("nearest", near, first[-1])
 
