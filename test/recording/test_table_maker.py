@@ -12,8 +12,8 @@ from std_msgs.msg import String
 
 from cassandra_ros.errors import StoreUnavailable
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.recording.message_buffer import MessageSource
 from cassandra_ros.recording import table_maker
+from cassandra_ros.recording.message_buffer import MessageSource
 from cassandra_ros.recording.table_maker import TOGETHER, TableMaker
 
 
