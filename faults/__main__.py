@@ -15,7 +15,7 @@ from cassandra_ros.errors import CassandraRosError
 from faults import network, page
 from faults.results import RESULTS, Results
 from faults.table import FAULTS, LONG, SHORT, try_fault
-from faults.world import Failed, World
+from faults.world import HEAP, Failed, World
 
 
 def main() -> int:
@@ -26,6 +26,7 @@ def main() -> int:
     parser.add_argument("--short", action="store_true", help="some thousand messages of each")
     parser.add_argument("--messages", type=int, help="numbered messages (default: 1000000)")
     parser.add_argument("--rate", type=float, help="messages a second (default: 5000)")
+    parser.add_argument("--heap", default=HEAP, help="Java heap of Cassandra (default: 512M)")
     parser.add_argument("--results", type=Path, default=RESULTS, help="(default: %(default)s)")
     parser.add_argument("--list", action="store_true", help="list the faults and end")
     options = parser.parse_args()
@@ -47,7 +48,7 @@ def main() -> int:
             print(f"faults of the network between nodes are skipped: {exc}", flush=True)
     failed = []
     with tempfile.TemporaryDirectory(prefix="cassandra_ros_faults_") as folder:
-        with World(Path(folder), dict(os.environ)) as world:
+        with World(Path(folder), dict(os.environ), options.heap) as world:
             for name in names:
                 print(f"{name}: {FAULTS[name].done}", flush=True)
                 try:
@@ -62,6 +63,8 @@ def main() -> int:
                     print(f"  failed: {exc}", flush=True)
                     failed.append(name)
                     continue
+                if options.heap != HEAP:
+                    result.notes.append(f"Java heap {options.heap}")
                 print(f"  {page.summary(result)}", flush=True)
                 if not result.clean:
                     failed.append(name)

@@ -22,6 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 WORKSPACE = Path(os.environ.get("CASSANDRA_ROS_TEST_WORKSPACE", ROOT / ".ws"))
 PROGRAMS = WORKSPACE / "devel/lib/cassandra_ros"
 POLL_SEC = 0.05
+HEAP = "512M"
+"""Java heap of a server of one node, unless another one is asked for."""
 
 
 class Failed(Exception):
@@ -114,7 +116,7 @@ class Server:
     """
 
     def __init__(
-        self, folder: Path, *, nodes: int = 1, host: str = "127.0.0.1", heap: str = "512M"
+        self, folder: Path, *, nodes: int = 1, host: str = "127.0.0.1", heap: str = HEAP
     ) -> None:
         self.cluster = LocalCluster(folder, nodes=nodes, host=host, port=free_port(), heap=heap)
 
@@ -165,10 +167,11 @@ class World:
     Args:
         folder: Folder for everything that is written.
         env: Environment of a shell that has sourced the workspace.
+        heap: Java heap of the server of one node.
     """
 
-    def __init__(self, folder: Path, env: dict[str, str]) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, env: dict[str, str], heap: str = HEAP) -> None:
+        self.folder, self.heap = folder, heap
         self.env = {name: value for name, value in env.items() if name != "ROS_HOSTNAME"}
         self.env.update(
             ROS_HOME=str(folder / "ros"),
@@ -194,7 +197,7 @@ class World:
     def server(self) -> Server:
         """A server of one node; it is started when it is first needed, or when it does not run."""
         if self._server is None:
-            self._server = Server(self.folder / "server")
+            self._server = Server(self.folder / "server", heap=self.heap)
             self._open.callback(self._server.stop)
         return self._server.start()
 

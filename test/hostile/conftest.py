@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import tempfile
 
 import pytest
@@ -28,6 +29,9 @@ def give(request, record_property, tmp_path, monkeypatch):
     def run(target, number, attempt, **options):
         asked, first = (request.config.getoption(name) for name in ("inputs", "first"))
         count = examples(number) if asked is None else asked
+        # A million inputs take longer than pytest waits before it prints a running thread's stack,
+        # which may crash the interpreter; an input that hangs is found by Inputs.
+        faulthandler.cancel_dump_traceback_later()
         inputs = Inputs(target, range(first, first + count), request.config.getoption("every"))
         report = inputs.give(attempt, **options)
         record_property("told", str(report))
