@@ -183,6 +183,20 @@ def test_of_a_cut_chunk_the_messages_before_the_cut_are_kept(tmp_path, compressi
         assert 0 < reader.salvaged.lost_bytes < (15_100 if compression == "none" else 600_000)
 
 
+def test_of_a_cut_chunk_of_unknown_compression_nothing_is_kept(tmp_path):
+    path, lz4 = tmp_path / "a.mcap", b"\3\0\0\0lz4"
+    with McapWriter(path, "lz4") as writer:
+        number = writer.connection(string_connection())
+        for n in range(400):
+            writer.write(number, n, string_wire(bytes([n % 100 + 1]) * 20_000))
+    whole = path.read_bytes()
+    last = whole.rindex(lz4, 0, len(whole) // 2)
+    path.write_bytes(whole[:last] + b"\3\0\0\0lz5" + whole[last + len(lz4) :][:500])
+    with open_file(path, salvage=True) as reader:
+        assert 100 < reader.message_count < 200
+        assert " is cut short or damaged in the chunk at byte " in reader.salvaged.told("a.mcap")
+
+
 def test_damage_is_found_or_changes_nothing(tmp_path):
     """The bytes of each message come back, or BagError says where the damage is."""
     whole = foreign(tmp_path / "a.mcap").read_bytes()

@@ -234,7 +234,8 @@ def unpack_part(head: ChunkHead, data: bytes) -> bytes:
     The caller has checked ``head.size`` with an Allowance.
     """
     content, end = b"", 0
-    with suppress(BagError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError):
+    damage = (BagError, KeyError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError)
+    with suppress(*damage):
         if head.compression == "zstd":
             content = zstandard.ZstdDecompressor().stream_reader(data).read(head.size)
         else:
