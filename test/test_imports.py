@@ -59,7 +59,7 @@ BELOW = {
     "drawing": {"mapping", "overview", "client", *TOPICS},
     "viewing": {
         *("drawing", "mapping", "bag", "recording", "client", "upkeep", "overview", "sql"),
-        *TOPICS,
+        *("fleet", *TOPICS),
     },
     "cli": {
         *("viewing", "drawing", "mapping", "nodes", "recording", "playing", "bag", "local_server"),

@@ -12,7 +12,6 @@ import threading
 from dataclasses import dataclass, replace
 from urllib.parse import quote, urlencode
 
-from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.viewer_server import listening
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
@@ -66,8 +65,8 @@ class RunningViewer:
 
 
 @contextlib.contextmanager
-def running_viewer(store, routes=ROUTES, **settings):
-    """Run a viewer of a store, which stays open; as ``serve`` does it, in a thread."""
+def running_viewer(store, routes=None, **settings):
+    """Run a viewer of a store or fleet, which stays open; as ``serve`` does it, in a thread."""
     manager = listening(replace(ViewerSettings(port=0), **settings), store, routes)
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, name="test viewer")

@@ -8,6 +8,9 @@ import { written } from "./times.js";
 /** @typedef {string | number | bigint | boolean | null | undefined} Value */
 /** @typedef {Record<string, Value | readonly Value[]>} Parameters */
 
+/** Event of the window: one of several stores did not answer; its detail has `store` and `reason`. */
+export const MISSING = "cassandra-missing";
+
 /** An error that the server answered, or a missing answer. */
 export class ApiError extends Error {
   /**
@@ -82,7 +85,11 @@ export async function ask(path, parameters = {}, options = {}) {
  * @throws {ApiError}
  */
 export async function get(path, parameters = {}, options = {}) {
-  return (await ask(path, parameters, options)).json();
+  const answer = await (await ask(path, parameters, options)).json();
+  for (const [store, reason] of Object.entries(answer.missing ?? {})) {
+    window.dispatchEvent(new CustomEvent(MISSING, { detail: { store, reason } }));
+  }
+  return answer;
 }
 
 /**

@@ -219,6 +219,11 @@ plan.addEventListener("toggle", () => {
   if (plan.open) loadPlan();
 });
 window.addEventListener("popstate", () => show());
+page.ifSeveralStores(() => {
+  for (const option of language.options) option.disabled = option.value === "sql";
+  language.title = page.ONE_STORE;
+  plan.replaceChildren(page.make("summary", { title: page.ONE_STORE }, "Plan: not over several stores"));
+});
 box.text = state.read().q;
 setLanguage(languageOf(state.read()));
 show(true);

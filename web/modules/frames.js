@@ -25,7 +25,8 @@ const TEXT = new TextDecoder();
 /**
  * Read a stream while it comes; only the present frame is held in memory.
  * @param {Response} response Response; it is cancelled if reading ends early.
- * @param {(problem: Problem) => void} onProblem Called for each message that cannot be read.
+ * @param {(problem: Problem) => void} onProblem Called for each message that cannot be read, and
+ *   at the end for each store that did not answer.
  * @returns {AsyncGenerator<Message, string | null>} Returns the cursor of the next page; null =
  *   no message is left.
  * @throws {Error} The stream was cut off.
@@ -42,7 +43,12 @@ export async function* messages(response, onProblem) {
       const data = await bytes.take(view.getUint32(4, true));
       if (id === CONTROL) {
         const told = JSON.parse(TEXT.decode(data));
-        if (told.end) return told.end.next;
+        if (told.end) {
+          for (const [store, reason] of Object.entries(told.end.missing ?? {})) {
+            onProblem({ topic: `store ${store}`, text: `store ${store} did not answer, what only it has is left out: ${reason}` });
+          }
+          return told.end.next;
+        }
         if (told.channel) channels.set(told.channel.id, opened(told.channel));
         if (told.problem) onProblem(told.problem);
         continue;

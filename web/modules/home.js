@@ -56,6 +56,8 @@ let manyEvents = false;
 /** Whether there are more marks of runs and losses than are shown at once. */
 let manyMarks = false;
 let updateEvents = () => {};
+/** Whether the viewer shows several stores, of which it sends no files. */
+let severalStores = false;
 /** @type {import("./timeline.js").Span[]} Time ranges with messages, separated by ten years or more. */
 let eras = [];
 let updateTopics = (/** @type {any[]} */ lanes) => {};
@@ -294,7 +296,8 @@ timeline.addEventListener("mark", () => markSelection().catch(failed));
 async function markSelection() {
   const { selection: span } = timeline;
   if (!span) return;
-  const { allow_writes: allowed } = await api.get("/api/keyspace");
+  const { allow_writes: allowed, stores } = await page.keyspaceAnswer();
+  if (stores.length) throw new api.ApiError("InvalidOption", page.ONE_STORE, 400);
   if (!allowed) {
     throw new api.ApiError("AccessDenied", "This viewer only reads. Start it with --allow-writes to make events here.", 403);
   }
@@ -361,13 +364,17 @@ function tell() {
   const lane = timeline.lane ?? picture.lanes[0];
   const bounds = lane && ["manual", "hash"].includes(lane.foundBy) ? "" : ` where KEY >= ${start} and KEY <= ${end}`;
   const q = lane && `select * from ${quoted(lane.topic)}${bounds} limit 1000`;
+  const files = [
+    ["bag", "Download this time range as a bag"],
+    ["mcap", "Download this time range as an MCAP file"],
+  ];
   const link = (/** @type {string} */ text, /** @type {string} */ href, /** @type {string} */ about, main = false) =>
     make("a", { class: main ? "button main" : "button", href, title: about }, text);
   links.replaceChildren(
     link("Look", state.link("/look.html", { ...window_, time: inside, selection: null }), "Show the messages of this time range", true),
     link("Ask", state.link("/ask.html", { ...window_, q, selection: null }), `Ask: ${q}`),
-    link(".bag", state.fileLink("bag", window_), "Download this time range as a bag"),
-    link(".mcap", state.fileLink("mcap", window_), "Download this time range as an MCAP file"),
+    ...(severalStores ? [] : files.map(([ending, about]) =>
+      link(`.${ending}`, state.fileLink(/** @type {"bag" | "mcap"} */ (ending), window_), about))),
   );
 }
 
@@ -390,8 +397,12 @@ function plural(count, name) {
 
 /** Show how to fill an empty store. */
 async function explain() {
-  const { keyspace, text } = await api.get("/api/keyspace");
+  const { keyspace, text, stores } = await api.get("/api/keyspace");
   const filtered = isFiltered();
+  if (stores.length && !filtered) {
+    empty.replaceChildren(make("h1", {}, `Nothing is stored in ${stores.join(", ")} yet`));
+    return;
+  }
   empty.replaceChildren(
     make("h1", {}, filtered ? "No message of the selection is stored" : `Nothing is stored in keyspace ${keyspace} yet`),
     make("p", {}, text || "Topics that you record or import appear here without reloading the page."),
@@ -471,6 +482,10 @@ function eventList() {
   return make("div", { class: "scroll", hidden: true, id: "event-sheet" }, make("div", { class: "row" }, search), list, more);
 }
 
+page.ifSeveralStores(() => {
+  severalStores = true;
+  if (whole) tell();
+});
 // Also if the selection has no messages: the user can change it in the menus.
 loadTables().catch(failed);
 load().catch(failed);

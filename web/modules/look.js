@@ -72,12 +72,14 @@ function explain() {
         + "registry once: 37 MB. In a shell on the viewer's machine:"),
       page.make("pre", {}, INSTALL),
       page.make("p", {}, "You need not stop the viewer; reload this page afterwards. Without the Studio you can ",
-        page.make("a", { href: state.link("/ask.html") }, "ask"), ", or save this time range as ",
-        page.make("a", { href: state.fileLink("bag") }, "a bag"), " or ",
-        page.make("a", { href: state.fileLink("mcap") }, "MCAP"),
-        " for rqt_bag, Foxglove or Lichtblick."),
+        page.make("a", { href: state.link("/ask.html") }, "ask"),
+        page.make("span", { id: "look-files" }, ", or save this time range as ",
+          page.make("a", { href: state.fileLink("bag") }, "a bag"), " or ",
+          page.make("a", { href: state.fileLink("mcap") }, "MCAP"),
+          " for rqt_bag, Foxglove or Lichtblick"), "."),
     ),
   );
+  page.ifSeveralStores(() => document.getElementById("look-files")?.remove());
 }
 
 /** A delay, so that selecting several entries of a menu reloads the Studio once. */

@@ -3,15 +3,36 @@
 // @ts-check
 /** Parts of all pages: the bar at the head, the banner of errors, the menus of topics, robots, runs. */
 
-import { get, isAbort, keyspace as keyspaceAsked, url } from "./api.js";
+import { MISSING, get, isAbort, keyspace as keyspaceAsked, url } from "./api.js";
 import * as state from "./state.js";
 
 const PAGES = [
   { name: "Home", path: "/" },
   { name: "Ask", path: "/ask.html" },
   { name: "Look", path: "/look.html" },
-  { name: "Map", path: "/map.html" },
+  { name: "Map", path: "/map.html", ofOneStore: true },
 ];
+
+/** Why something is not offered by a viewer of several stores. */
+export const ONE_STORE = "One store answers this, and this viewer shows several as one: start a viewer of that store, "
+  + "with --store-host in place of --store.";
+
+/** @type {Promise<any> | null} */
+let told = null;
+
+/** Return the answer of /api/keyspace, requested once; `stores` has several stores that are shown as one. */
+export function keyspaceAnswer() {
+  told ??= get("/api/keyspace");
+  return told;
+}
+
+/**
+ * Call a function if the viewer shows several stores.
+ * @param {() => void} act
+ */
+export function ifSeveralStores(act) {
+  keyspaceAnswer().then(({ stores }) => stores.length && act(), () => {});
+}
 
 /**
  * Make an element. Texts are inserted as text, never as markup.
@@ -48,8 +69,11 @@ export function start(name) {
     make("nav", { "aria-label": "Pages" }, ...links),
     keyspace,
   );
+  window.addEventListener(MISSING, (event) => showMissing(/** @type {CustomEvent} */ (event).detail));
   state.onChange(() => {
-    for (const [index, link] of links.entries()) link.href = state.link(PAGES[index].path);
+    for (const [index, link] of links.entries()) {
+      if (!link.hasAttribute("aria-disabled")) link.href = state.link(PAGES[index].path);
+    }
   });
   window.addEventListener("unhandledrejection", (event) => {
     showError(event.reason);
@@ -57,7 +81,43 @@ export function start(name) {
     if (event.reason instanceof Error && "status" in event.reason) event.preventDefault();
   });
   for (const problem of state.read().problems) showError(new Error(problem));
-  get("/api/keyspace").then((answer) => keyspace.replaceChildren("keyspace ", chooser(answer)), showError);
+  keyspaceAnswer().then((answer) => keyspace.replaceChildren(...shownPlace(answer)), showError);
+  ifSeveralStores(() => {
+    for (const [index, page] of PAGES.entries()) if (page.ofOneStore) disable(links[index]);
+    if (PAGES.some((page) => page.ofOneStore && page.name === name)) {
+      document.querySelector("main")?.replaceChildren(make("p", { class: "panel note", id: "one-store" }, ONE_STORE));
+    }
+  });
+}
+
+/**
+ * Return what the bar shows of the keyspace, or of the stores.
+ * @param {any} answer Answer of /api/keyspace.
+ * @returns {(Node | string)[]}
+ */
+function shownPlace(answer) {
+  return answer.stores.length ? [`stores ${answer.stores.join(", ")}`] : ["keyspace ", chooser(answer)];
+}
+
+/**
+ * Show that a link is not offered by a viewer of several stores.
+ * @param {HTMLAnchorElement} link
+ */
+function disable(link) {
+  link.removeAttribute("href");
+  link.setAttribute("aria-disabled", "true");
+  link.title = ONE_STORE;
+}
+
+/**
+ * Show until the page is loaded again that a store did not answer.
+ * @param {{store: string, reason: string}} missing
+ */
+function showMissing({ store, reason }) {
+  const id = `missing-${store}`;
+  if (document.getElementById(id)) return;
+  const text = `Store ${store} did not answer; what only it has is left out here. Load the page again to ask it again. (${reason})`;
+  document.getElementById("head")?.after(make("p", { class: "missing", id, role: "alert" }, text));
 }
 
 /**

@@ -20,12 +20,20 @@ STORE_MISSING = 3
 """Exit status if a store of --store did not answer."""
 
 
-def add_fleet_options(parser: argparse.ArgumentParser) -> None:
-    """Add --store and what goes with it; open_fleet reads them."""
+def add_fleet_options(
+    parser: argparse.ArgumentParser, prefix: str = "", *, ends: bool = True
+) -> None:
+    """Add --store and what goes with it; open_fleet reads them.
+
+    Args:
+        prefix: That of add_store_options.
+        ends: Whether the program ends by itself, with a status that says if a store is missing.
+    """
+    status = f", and the exit status is {STORE_MISSING}" if ends else ""
     group = parser.add_argument_group(
         "several stores",
         "each message comes once, in the order of time, though several stores have it; a store "
-        f"that does not answer is named, and the exit status is {STORE_MISSING}",
+        f"that does not answer is named{status}",
     )
     group.add_argument(
         "--store",
@@ -33,8 +41,9 @@ def add_fleet_options(parser: argparse.ArgumentParser) -> None:
         metavar=PLACE,
         action="append",
         default=[],
-        help="ask this store, in place of --host and --port; may be repeated (default: port 9042, "
-        "and the keyspace of --keyspace). With --store-file also the name of one of its sections",
+        help=f"ask this store, in place of --{prefix}host and --{prefix}port; may be repeated "
+        "(default: port 9042, and the keyspace of --keyspace). With --store-file also the name of "
+        "one of its sections",
     )
     group.add_argument(
         "--store-file",

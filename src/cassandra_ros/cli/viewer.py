@@ -5,11 +5,16 @@
   rosrun cassandra_ros viewer
   rosrun cassandra_ros viewer --keyspace field --port 9000 --open
   rosrun cassandra_ros viewer --host 0.0.0.0
+  rosrun cassandra_ros viewer --store home --store husky:9042
 
 It prints the address to open, and runs until Ctrl-C. It does not change stored data. By default
 only this machine can connect. With --host other machines can, too; they need the token at the end
 of the address. The token is sent unencrypted: in networks that you do not trust, put a TLS proxy in
 front of the viewer, or use 'ssh -L'.
+
+With --store, given once or several times, all these stores are shown as one on Home, Ask and Look.
+A store that does not answer is named on the page. The Map, SQL, plans, files of time ranges and new
+events ask one store: start a viewer of that store, with --store-host.
 
 doc/viewer.md describes the pages, the API, and how Foxglove, Lichtblick and curl use it.
 """
@@ -25,6 +30,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
+from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
@@ -47,6 +53,8 @@ from cassandra_ros.viewing.viewer_settings import (
 )
 
 if TYPE_CHECKING:
+    from cassandra_ros.client.ros_cassandra import RosCassandra
+    from cassandra_ros.fleet.fleet import Fleet
     from cassandra_ros.topics.catalog import Catalog
 
 PROGRAM = "viewer"
@@ -94,6 +102,8 @@ def make_parser() -> argparse.ArgumentParser:
     text = f"maximum size of this folder, for example 500M or 20G (default: {DEFAULT_CACHE_BYTES})"
     add("--cache-size", metavar="SIZE", type=byte_size, default=DEFAULT_CACHE_BYTES, help=text)
     add_store_options(parser, prefix="store-")
+    add_fleet_options(parser, prefix="store-", ends=False)
+    parser.set_defaults(parser=parser)
     return parser
 
 
@@ -133,17 +143,31 @@ def main(argv: Sequence[str] | None = None) -> int:
     settings = read_settings(options)
     _require_pages(settings.web)
     offer(PROGRAM, settings.studio)
-    # The viewer may be started before the recorder creates the keyspace.
-    with open_store(options, make=True) as ros_cas:
-        _warn_of_nothing(ros_cas.catalog)
+    with _opened(options) as source:
 
         def ready(address: str) -> None:
-            print(f"keyspace {options.keyspace} is at {address} (Ctrl-C ends it)", flush=True)
+            shown = f"keyspace {options.keyspace} is"
+            if options.stores:
+                shown = f"the fleet of {', '.join(options.stores)} is"
+            print(f"{shown} at {address} (Ctrl-C ends it)", flush=True)
             if options.open:
                 threading.Thread(target=webbrowser.open, args=[address], daemon=True).start()
 
-        serve(settings, ros_cas, ready)
+        serve(settings, source, ready)
     return 0
+
+
+def _opened(options: argparse.Namespace) -> RosCassandra | Fleet:
+    """Connect to the store, or to several stores, and warn if there is nothing to show."""
+    if options.stores:
+        refuse(options, {"--allow-writes": options.allow_writes})
+        fleet = open_fleet(options)
+        tell_missing(fleet.topics().missing, PROGRAM)
+        return fleet
+    # The viewer may be started before the recorder creates the keyspace.
+    ros_cas = open_store(options, make=True)
+    _warn_of_nothing(ros_cas.catalog)
+    return ros_cas
 
 
 def _require_pages(folder: Path) -> None:

@@ -18,7 +18,6 @@ from cassandra_ros.errors import (
     InvalidOption,
     InvalidQuery,
     MessageNotFound,
-    TopicNotFound,
 )
 from cassandra_ros.fleet.fleet_answer import FleetAnswer, FleetList, FleetRows, settled, told
 from cassandra_ros.fleet.fleet_info import FleetTopicInfo, describe_topic
@@ -34,7 +33,7 @@ from cassandra_ros.fleet.fleet_reads import (
 )
 from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.fleet.fleet_store import FleetStore, read_places
-from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic
+from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic, topic_of
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.query.tree.parse import parse_statement
 from cassandra_ros.query.tree.syntax import Select
@@ -228,7 +227,7 @@ class Fleet:
             topic, key, nearest, nodeID, where, run: As in getData, also the errors.
         """
         answer = FleetAnswer(self.stores)
-        find = partial(_find, answer, topic, key, nearest, where, nodeID, run)
+        find = partial(find_row, answer, topic, key, nearest, where, nodeID, run)
         return settled(answer, find)
 
     def getData(
@@ -265,7 +264,7 @@ class Fleet:
         if key is None:
             raise InvalidKey("getData needs a key (and to_key for a time range); items() reads all")
         answer = FleetAnswer(self.stores)
-        find = partial(_find, answer, topic, key, nearest, where, nodeID, run)
+        find = partial(find_row, answer, topic, key, nearest, where, nodeID, run)
         row = settled(answer, find)
         if row is not None:
             message = row.message()
@@ -389,17 +388,13 @@ class Fleet:
 
         def begin() -> QueryResult:
             whose = whose_of(answer, nodeID, run)
-            try:
-                found = find_topic(answer, select.topic)
-            except TopicNotFound as exc:
-                raise InvalidQuery(select.text, select.topic_position, str(exc)) from exc
-            return QueryResult(select, found, whose, limit=limit)
+            return QueryResult(select, topic_of(answer, select), whose, limit=limit)
 
         result = settled(answer, begin)
         return FleetRows(iter(result), answer, result.columns)
 
 
-def _find(
+def find_row(
     answer: FleetAnswer,
     topic: str,
     key: AnyKey,
@@ -408,7 +403,7 @@ def _find(
     node: str | None,
     run: RunName,
 ) -> FleetRow | None:
-    """Return the row that getData means by a key."""
+    """Return the row that getData means by a key; None if there is no such row."""
     whose, found = whose_of(answer, node, run), find_topic(answer, topic)
     if nearest is not None:
         return _nearest(found, found.read_of(key, None, whose), nearest, where)

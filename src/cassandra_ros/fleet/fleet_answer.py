@@ -42,18 +42,23 @@ it was there when the answer began."""
 class FleetAnswer:
     """The stores that one question is asked. Thread-safe.
 
+    Args:
+        stores: All stores of the fleet.
+        away: Stores that are not asked, because they did not answer a moment ago → why.
+
     Attributes:
         missing: The stores that did not answer, or not to the end.
+        reasons: The same without the messages that were left out.
         catalogs: The topics of each other store, by its name, in the order of the fleet.
 
     Raises:
         StoreUnavailable: No store answers.
     """
 
-    def __init__(self, stores: Sequence[FleetStore]) -> None:
+    def __init__(self, stores: Sequence[FleetStore], away: Mapping[str, str] | None = None) -> None:
         self._stores = {store.name: store for store in stores}
-        self.missing: Missing = {}
-        self._reasons: dict[str, str] = {}
+        self.missing: Missing = dict(away or {})
+        self.reasons: Missing = dict(self.missing)
         self._left_out: dict[str, int] = {}
         self._mutex = threading.Lock()
         self.catalogs: dict[str, Catalog] = self.each(self._stores, _catalog)
@@ -112,8 +117,8 @@ class FleetAnswer:
         if self._stores[name].closed:
             raise exc
         with self._mutex:
-            self._reasons.setdefault(name, " ".join(str(exc).split()))
-            self.missing.setdefault(name, self._reasons[name])
+            self.reasons.setdefault(name, " ".join(str(exc).split()))
+            self.missing.setdefault(name, self.reasons[name])
 
     def leave_out(self, name: str) -> None:
         """Count a message that a store had listed before it went away, and that no other has."""
@@ -121,7 +126,7 @@ class FleetAnswer:
             self._left_out[name] = self._left_out.get(name, 0) + 1
             count = self._left_out[name]
             which = f"at least {count} message{'s' * (count > 1)} that no other store has"
-            self.missing[name] = f"{self._reasons[name]}; left out: {which}"
+            self.missing[name] = f"{self.reasons[name]}; left out: {which}"
 
     def probed(self, exc: CassandraRosError) -> None:
         """Note which stores do not answer, after an error of an unknown store.

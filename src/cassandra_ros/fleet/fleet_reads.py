@@ -18,7 +18,7 @@ from cassandra_ros.errors import (
     RunNotFound,
 )
 from cassandra_ros.fleet.fleet_answer import FleetAnswer, told
-from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, key_order, merged_rows
+from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, key_order, merged_rows, resumed
 from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.event_table import Event
@@ -36,8 +36,11 @@ _log = logging.getLogger(__name__)
 def whose_of(answer: FleetAnswer, node: str | None, run: RunName) -> Whose:
     """Return the robot, and the writers that a run has in any store; raises RunNotFound."""
     nodes = check_nodes(node)
-    if run is None:
-        return Whose(nodes)
+    return Whose(nodes, None if run is None else writers_of(answer, run))
+
+
+def writers_of(answer: FleetAnswer, run: RunName) -> frozenset[int]:
+    """Return the writers that a run has in any store; raises RunNotFound."""
     reasons: list[str] = []
 
     def find(name: str) -> frozenset[int]:
@@ -52,7 +55,7 @@ def whose_of(answer: FleetAnswer, node: str | None, run: RunName) -> Whose:
     if not writers:
         away = f"; these do not answer: {told(answer.missing)}" if answer.partial else ""
         raise RunNotFound(f"no store of the fleet has run {run!r:.80} – {'; '.join(reasons)}{away}")
-    return Whose(nodes, writers)
+    return writers
 
 
 def events_of(
@@ -149,6 +152,8 @@ def merged_topics(
     received: bool,
 ) -> Iterator[FleetRow]:
     """Yield the rows of several topics; those without a condition are read together."""
+    if read.after is not None:
+        return resumed(read, lambda r: merged_topics(answer, topics, r, conditions, received))
     order = arrival_order if received else key_order
     plain: dict[str, list[str]] = {name: [] for name in answer.catalogs}
     streams: list[Iterator[FleetRow]] = []

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import heapq
-from itertools import groupby, repeat
+from dataclasses import replace
+from itertools import dropwhile, groupby, repeat
 from typing import Any, Callable, Iterator, Mapping, Sequence, Tuple, TypeVar
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
@@ -14,6 +15,7 @@ from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Stamp, iso_time
+from cassandra_ros.read import Read, TimeRange
 from cassandra_ros.topics.stored_row import Key, MessageIdentity, StoredRow
 
 _T = TypeVar("_T")
@@ -64,8 +66,8 @@ class FleetRow:
         """Whether a store did not answer so far."""
         return self._answer.partial
 
-    def _ask(self, work: Callable[[StoredRow], _T]) -> _T:
-        """Return what the first store says that answers, and whose copy is sound.
+    def ask(self, work: Callable[[StoredRow], _T]) -> _T:
+        """Return the result of a function of a row: of the first store that answers, and is sound.
 
         If no store that has the message answers any more, it is counted as left out.
         """
@@ -97,7 +99,7 @@ class FleetRow:
     @property
     def run(self) -> str:
         """Name of the run that stored the message, or its writer id if the run has no name."""
-        return self._ask(lambda row: row.run)
+        return self.ask(lambda row: row.run)
 
     @property
     def position(self) -> Position:
@@ -127,18 +129,18 @@ class FleetRow:
             MessageNotFound: It was deleted meanwhile, or no store that has it answers any more.
             CorruptMessage: It is damaged in each store.
         """
-        return self._ask(lambda row: row.wire)
+        return self.ask(lambda row: row.wire)
 
     def keep_wire(self) -> bytes:
         """Return the serialised message, and release the columns from which it was made."""
-        wire = self._ask(lambda row: row.keep_wire())
+        wire = self.ask(lambda row: row.keep_wire())
         self.columns = ()
         return wire
 
     @property
     def connection(self) -> Connection:
         """The connection over which the message came."""
-        return self._ask(lambda row: row.connection)
+        return self.ask(lambda row: row.connection)
 
     @property
     def type(self) -> str:
@@ -152,7 +154,7 @@ class FleetRow:
 
     def message_class(self) -> Any:
         """Return the class of the message: installed, generated, or RawMessage."""
-        return self._ask(lambda row: row.message_class())
+        return self.ask(lambda row: row.message_class())
 
     def message(self) -> Any:
         """Deserialise the message.
@@ -173,6 +175,19 @@ def key_order(row: StoredRow | FleetRow) -> Order:
 def arrival_order(row: StoredRow | FleetRow) -> Order:
     """Return the place of a message in the order of receive times."""
     return row.received, row.node, row.seq
+
+
+def resumed(read: Read, begin: Callable[[Read], Iterator[FleetRow]]) -> Iterator[FleetRow]:
+    """Yield the rows of a read in ascending order, after the position that it names.
+
+    A position has the table of one store; time, node and seq are the same in all stores.
+    """
+    after = read.after
+    if after is None:
+        return begin(read)
+    time_range = TimeRange(max(read.time_range.low, after.t), read.time_range.high)
+    rows = begin(replace(read, after=None, time_range=time_range))
+    return dropwhile(lambda row: key_order(row) <= after[:3], rows)
 
 
 def merged_rows(

@@ -6,17 +6,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Callable, Iterator, Mapping, Sequence
+from typing import Callable, Iterator, Mapping, Sequence, TypeVar
 
-from cassandra_ros.errors import SchemaConflict, StoreUnavailable, TopicNotFound
+from cassandra_ros.errors import InvalidQuery, SchemaConflict, StoreUnavailable, TopicNotFound
 from cassandra_ros.fleet.fleet_answer import FleetAnswer, told
-from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, merged_rows
+from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, merged_rows, resumed
+from cassandra_ros.query.tree.syntax import Select
 from cassandra_ros.read import EVERYBODY, Read, Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.row_finder import AnyKey, Finder
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
+
+_T = TypeVar("_T")
 
 
 class FleetTopic:
@@ -63,8 +66,12 @@ class FleetTopic:
         """Return the read of the messages with a single key; raises like read_of."""
         return self._by_finder(whose, lambda finder: finder.one(key))
 
-    def _by_finder(self, whose: Whose, work: Callable[[Finder], Read]) -> Read:
-        def ask(name: str) -> Read:
+    def key_of_text(self, text: str) -> AnyKey:
+        """Return the key in a text that a user typed, see CassandraTopic.keyOfText."""
+        return self._by_finder(EVERYBODY, lambda finder: finder.of_text(text))
+
+    def _by_finder(self, whose: Whose, work: Callable[[Finder], _T]) -> _T:
+        def ask(name: str) -> _T:
             keyspace, tables = self._answer.catalogs[name].keyspace, self._topics[name].tables
             return work(Finder(keyspace, self.name, self.key_format, tables, whose))
 
@@ -78,11 +85,10 @@ class FleetTopic:
         return StoreUnavailable(f"no store with topic {self.name} answers any more: {missing}")
 
     def read(self, read: Read) -> Iterator[FleetRow]:
-        """Yield the messages of a read in its order, each once.
+        """Yield the messages of a read in its order, each once."""
+        return resumed(read, self._read)
 
-        Its cursor is not used: a position names the table of one store.
-        """
-        read = replace(read, after=None)
+    def _read(self, read: Read) -> Iterator[FleetRow]:
         streams = {name: partial(topic.read, read) for name, topic in self._topics.items()}
         rows = merged_rows(self._answer, streams, reverse=read.reverse)
         return rows if self.key_format != "hash" else self._newest(rows)
@@ -144,6 +150,14 @@ def _key_format(topic: str, tables_by_store: Mapping[str, Sequence[TopicTable]])
             "order; ask each store alone"
         )
     return next(iter(kinds))[0] if kinds else "time"
+
+
+def topic_of(answer: FleetAnswer, select: Select) -> FleetTopic:
+    """Return the topic that a statement names; raises InvalidQuery if no store has it."""
+    try:
+        return find_topic(answer, select.topic)
+    except TopicNotFound as exc:
+        raise InvalidQuery(select.text, select.topic_position, str(exc)) from exc
 
 
 def find_topic(answer: FleetAnswer, name: str) -> FleetTopic:

@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 from itertools import islice
-from typing import Iterator, Sequence
+from typing import Callable, Iterator, Sequence
 
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.overview.latched_messages import LatchedFinder
+from cassandra_ros.overview.latched_messages import LatchedFinder, Source
 from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.stored_row import StoredRow
@@ -46,7 +46,9 @@ class Latest:
         timed = [table for table in tables if not table.named]
         self._latched = LatchedFinder(keyspace, timed, whose)
 
-    def before(self, t: int, since: int = 0) -> list[StoredRow]:
+    def before(
+        self, t: int, since: int = 0, sources: frozenset[Source] | None = None
+    ) -> list[StoredRow]:
         """Return the last messages of each topic, in order of time.
 
         They are: the last message; for transforms all messages of the last second; for latched
@@ -56,9 +58,10 @@ class Latest:
         Args:
             t: The moment, ns; a message at t itself counts.
             since: Minimum time of messages that are not latched, ns.
+            sources: Runs whose latched messages count; None = as sources_at finds them.
         """
         latest: dict[tuple[object, ...], StoredRow] = {}
-        for rows in (self._last(t, since), self._latched_before(t, since)):
+        for rows in (self._last(t, since), self._latched_before(t, since, sources)):
             latest.update(((row.topic, *row.place), row) for row in rows)
         return sorted(latest.values(), key=lambda row: row.position)
 
@@ -95,10 +98,27 @@ class Latest:
                 newest[key] = row
         return list(newest.values())
 
-    def _latched_before(self, t: int, since: int) -> Sequence[StoredRow]:
-        finder = self._latched
-        if not finder.latches:
+    def sources(self, low: int, high: int) -> frozenset[Source]:
+        """Return the runs that have messages of any topic in [low, high]."""
+        return self._latched.sources(low, high)
+
+    def _latched_before(
+        self, t: int, since: int, sources: frozenset[Source] | None
+    ) -> Sequence[StoredRow]:
+        if not self._latched.latches:
             return []
-        # If there are no runs around t, those before it.
-        runs = finder.sources(max(0, t - AROUND_NS), t + AROUND_NS) or finder.sources(since, t)
-        return finder.of_sources(runs, t + 1)
+        if sources is None:
+            sources = sources_at(self.sources, t, since)
+        return self._latched.of_sources(sources, t + 1)
+
+
+def sources_at(
+    find: Callable[[int, int], frozenset[Source]], t: int, since: int
+) -> frozenset[Source]:
+    """Return the runs whose latched messages hold at t: those around it or, without any, before it.
+
+    Args:
+        find: Returns the runs that have messages in a time range, ns.
+        since: Start of the time range before t, ns.
+    """
+    return find(max(0, t - AROUND_NS), t + AROUND_NS) or find(since, t)

@@ -29,8 +29,10 @@ from cassandra_ros.overview.plot_columns import (
 )
 from cassandra_ros.query.plan.bounds import Bounds, bounds_of, spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
+from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.rows.projection import ResultRow
 from cassandra_ros.query.rows.result_groups import analyse_select
+from cassandra_ros.query.source import Source
 from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected
 from cassandra_ros.read import ALWAYS, EVERYBODY, Read, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
@@ -46,6 +48,8 @@ MOST_ROWS = 2_000_000
 NEAR_KEPT_SEC = 60
 """How long cached conditions on places stay valid, s. Later poses may change them."""
 _CHUNK_ROWS = 4096
+_NO_TIME = "of messages that lie under names, not at a time"
+"""Reason for which columns of a topic whose messages have names are not drawn."""
 
 
 class Window(NamedTuple):
@@ -128,7 +132,7 @@ def read_series(
     settled = with_stays(plain, tables, bounds.read)
     drawn = drawn_columns(settled, tables)
     if any(table.named for table in tables):
-        return _nothing(topic, _without(drawn, "of messages that lie under names, not at a time"))
+        return _nothing(topic, _without(drawn, _NO_TIME))
     if settled.gathers or settled.limit is not None:
         return _of_rows(topic, select, drawn, window, asker)
     if asker.cache is None:
@@ -162,7 +166,7 @@ def _key(select: Select, bounds: Bounds, drawn: PlotColumns, near: bool) -> str:
     return f"{key} {time.time() // NEAR_KEPT_SEC}" if near else key
 
 
-def _nothing(topic: CassandraTopic, drawn: PlotColumns) -> Series:
+def _nothing(topic: Source[Row], drawn: PlotColumns) -> Series:
     grid = Grid(0, 0, 1)
     return Series(topic.name, *drawn, grid, Envelope(grid, len(drawn.columns)).points())
 
@@ -192,8 +196,23 @@ def _end(topic: CassandraTopic, bounds: Bounds, *, reverse: bool) -> int | None:
     return next((row.t for row in topic.read(read)), None)
 
 
+def read_rows_series(
+    topic: Source[Row], select: Select, window: Window, asker: SeriesRequest
+) -> Series:
+    """Read the numbers that a statement gives over time, from all its rows, as of several stores.
+
+    Raises:
+        InvalidQuery: As read_series; or there are more than MOST_ROWS rows.
+    """
+    tables = topic.tables
+    drawn = drawn_columns(analyse_select(select, tables), tables)
+    if any(table.named for table in tables):
+        return _nothing(topic, _without(drawn, _NO_TIME))
+    return _of_rows(topic, select, drawn, window, asker)
+
+
 def _of_rows(
-    topic: CassandraTopic, select: Select, drawn: PlotColumns, window: Window, asker: SeriesRequest
+    topic: Source[Row], select: Select, drawn: PlotColumns, window: Window, asker: SeriesRequest
 ) -> Series:
     """Draw the rows of a result, which are all made."""
     if select.columns is not None and not (select.aggregates or select.group or select.distinct):

@@ -11,9 +11,11 @@ from typing import Callable, Mapping, Sequence, TypeVar
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidKey, InvalidOption
+from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.messages.stamps import written_time_ns
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route, Value
+from cassandra_ros.viewing.viewed_fleet import ViewedFleet
 from cassandra_ros.viewing.viewer_context import ViewerContext
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
@@ -71,6 +73,15 @@ class ApiCall:
     def store(self) -> RosCassandra:
         """The store, open on the requested keyspace; shared by all calls, which only read."""
         return self._shared.store
+
+    @property
+    def fleet(self) -> ViewedFleet:
+        """The stores of a viewer of several stores."""
+        context = self._shared
+        if not isinstance(context.source, Fleet):
+            raise TypeError("the viewer shows one store")
+        make = partial(ViewedFleet, context.source, self.settings.store_pause_sec)
+        return context.get(ViewedFleet, make)
 
     @property
     def catalog(self) -> Catalog:

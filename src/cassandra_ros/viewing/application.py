@@ -20,6 +20,7 @@ from cassandra_ros.errors import (
     StoreUnavailable,
     TransformException,
 )
+from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.handler_threads import HandlerThreads
 from cassandra_ros.viewing.route import Route
@@ -38,21 +39,21 @@ For its 22 MB of script the browser then also keeps the compiled code.
 
 
 def make_application(
-    settings: ViewerSettings, store: RosCassandra, routes: Sequence[Route] = ROUTES
+    settings: ViewerSettings, source: RosCassandra | Fleet, routes: Sequence[Route] = ROUTES
 ) -> web.Application:
     """Return the viewer's application.
 
     Args:
         settings: Settings of the viewer; its address is used for the access rules only.
-        store: The connected store. The caller closes it; the application's cleanup closes it only
-            if a handler does not end otherwise.
+        source: The connected store, or several. The caller closes it; the application's cleanup
+            closes it only if a handler does not end otherwise.
         routes: Routes of the API.
 
     Raises:
         InvalidOption: Other machines could read the store without a token.
     """
     check_settings(settings)
-    guard, handling = Guard(settings), HandlerThreads(ViewerContext(store, settings))
+    guard, handling = Guard(settings), HandlerThreads(ViewerContext(source, settings))
     application = web.Application(middlewares=[_errors_told, guard.check])
     application.on_response_prepare.append(guard.protect)
     application.on_shutdown.append(handling.stop)

@@ -14,6 +14,7 @@ from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidOptio
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import MOST_PIXELS, PIXELS, Series, Window
+from cassandra_ros.query.protocols import Table
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.tree.parse import parse_select
 from cassandra_ros.query.tree.statement_completion import NameSource, complete
@@ -55,7 +56,7 @@ class ClientGone(CassandraRosError):
     """The client does not wait for the answer any more."""
 
 
-def _watch(call: ApiCall) -> Callable[[], None]:
+def watch_of(call: ApiCall) -> Callable[[], None]:
     """Return a function that raises ClientGone if the client has disconnected."""
 
     def watch() -> None:
@@ -65,20 +66,21 @@ def _watch(call: ApiCall) -> Callable[[], None]:
     return watch
 
 
-def _is_sql(call: ApiCall) -> bool:
+def is_sql(call: ApiCall) -> bool:
+    """Return whether a statement is in SQL; raises InvalidOption for another language."""
     language = call.text("language")
     if language not in LANGUAGES:
         raise InvalidOption(f"language {language!r}: give one of {', '.join(LANGUAGES)}")
     return language == "sql"
 
 
-def _one_node(call: ApiCall) -> str | None:
+def one_node(call: ApiCall) -> str | None:
     """Return the robot of the parameter nodes; None if none or several are given."""
     given = call.texts("nodes") or ()
     return given[0] if len(given) == 1 else None
 
 
-def _statement(call: ApiCall) -> Select:
+def statement_of(call: ApiCall) -> Select:
     """Return the statement, restricted to the robots if several are given."""
     select, given = parse_select(call.text("q") or ""), call.texts("nodes") or ()
     if len(given) < 2:
@@ -94,23 +96,23 @@ def _narrowed(select: Select, terms: Sequence[Expression]) -> Select:
 def _query(call: ApiCall) -> Json:
     """Answer with a page of a statement's rows."""
     limit = min(call.count("limit") or PAGE_ROWS, MOST_ROWS)
-    if _is_sql(call):
-        return sql_rows(call, limit, PAGE_BYTES, _watch(call))
+    if is_sql(call):
+        return sql_rows(call, limit, PAGE_BYTES, watch_of(call))
+    select = statement_of(call)
+    tables = call.store.statements.topic_of(select).tables
     result = call.store.statements.select(
-        _windowed(call),
-        node=_one_node(call),
+        windowed(call, select, tables),
+        node=one_node(call),
         run=whose_of(call).writers,
         after=call.text("after"),
-        watch=_watch(call),
+        watch=watch_of(call),
     )
     with result:
-        return _page(call, result, limit)
+        return page_of(call, result, tables, limit)
 
 
-def _windowed(call: ApiCall) -> Select:
-    """Return the statement restricted to start and end; groups are not restricted."""
-    select = _statement(call)
-    tables = call.store.statements.topic_of(select).tables
+def windowed(call: ApiCall, select: Select, tables: Sequence[Table]) -> Select:
+    """Return a statement restricted to start and end; groups are not restricted."""
     low, high = call.time_ns("start"), call.time_ns("end")
     if analyse_select(select, tables).gathers or any(table.named for table in tables):
         return select
@@ -123,7 +125,10 @@ def _windowed(call: ApiCall) -> Select:
     return _narrowed(select, terms)
 
 
-def _page(call: ApiCall, result: QueryResult, limit: int) -> Json:
+def page_of(
+    call: ApiCall, result: QueryResult, tables: Sequence[Table], limit: int
+) -> dict[str, Json]:
+    """Return the next rows of a statement as JSON, up to a number and PAGE_BYTES."""
     cells = Cells(call.count("cut"))
     rows: list[Json] = []
     times: list[Json] = []
@@ -145,7 +150,7 @@ def _page(call: ApiCall, result: QueryResult, limit: int) -> Json:
     return {
         "topic": result.select.topic,
         "columns": list(result.columns),
-        "kinds": _kinds(call, result),
+        "kinds": _kinds(result, tables),
         "rows": rows,
         "times": times,
         "after": cursor,
@@ -154,19 +159,18 @@ def _page(call: ApiCall, result: QueryResult, limit: int) -> Json:
     }
 
 
-def _kinds(call: ApiCall, result: QueryResult) -> Json:
+def _kinds(result: QueryResult, tables: Sequence[Table]) -> Json:
     """Return the type of each column: a type of ROS, with [] for each level of arrays."""
-    tables = call.store.statements.topic_of(result.select).tables
     kinds = column_types(result.select, tables)
     return ["int" if kind.kind == "sum" else kind.kind + "[]" * kind.depth for _, kind in kinds]
 
 
 def _explain(call: ApiCall) -> Json:
     """Run a statement to its end and answer how it was run."""
-    if _is_sql(call):
-        return sql_plan(call, _watch(call))
+    if is_sql(call):
+        return sql_plan(call, watch_of(call))
     plan = call.store.statements.explain(
-        _statement(call), node=_one_node(call), run=whose_of(call).writers, watch=_watch(call)
+        statement_of(call), node=one_node(call), run=whose_of(call).writers, watch=watch_of(call)
     )
     return {
         "text": str(plan),
@@ -190,8 +194,7 @@ def _explain(call: ApiCall) -> Json:
 
 def _complete(call: ApiCall) -> Json:
     """Answer with the completions at a position of a statement."""
-    text, store = call.text("q") or "", call.store
-    cursor = call.count("at")
+    store = call.store
 
     def definitions(topic: str) -> Sequence[Definition]:
         try:
@@ -209,9 +212,15 @@ def _complete(call: ApiCall) -> Json:
         lambda: sorted({info.node for info in store.info() if info.node}),
         lambda: list(dict.fromkeys(run.name for run in store.runs() if run.name)),
     )
+    return completed(call, names)
+
+
+def completed(call: ApiCall, names: NameSource) -> dict[str, Json]:
+    """Return the completions as JSON, of names that a source has."""
+    text, cursor = call.text("q") or "", call.count("at")
     at = len(text) if cursor is None else cursor
-    if _is_sql(call):
-        completion = complete_sql(text, at, topics(), definitions)
+    if is_sql(call):
+        completion = complete_sql(text, at, names.topics(), names.definitions)
     else:
         completion = complete(text, at, names)
     offers: Json = [
@@ -226,6 +235,24 @@ def _cache(catalog: Catalog, settings: ViewerSettings) -> EnvelopeCache:
 
 def _plot(call: ApiCall) -> Json:
     """Answer with the minimum and the maximum of each pixel."""
+    window = window_of(call)
+    if is_sql(call):
+        drawn = sql_plot(call, (window.low, window.high), window.pixels, watch_of(call))
+        lines = _lines([(name, "") for name in drawn.columns], drawn.points)
+        return _picture("", lines, drawn.left_out, drawn.grid, drawn.points)
+    series = call.store.statements.series(
+        statement_of(call),
+        window=window,
+        node=one_node(call),
+        run=whose_of(call).writers,
+        cache=call.cached(_cache),
+        watch=watch_of(call),
+    )
+    return shown_series(series)
+
+
+def window_of(call: ApiCall) -> Window:
+    """Return the time range, the pixels and the time limit of a plot."""
     pixels = call.count("pixels") or PIXELS
     if pixels > MOST_PIXELS:
         raise InvalidOption(f"pixels {pixels}: at most {MOST_PIXELS}")
@@ -233,23 +260,11 @@ def _plot(call: ApiCall) -> Json:
     low, high = call.time_ns("start"), call.time_ns("end")
     if low is not None and high is not None and low > high:
         raise InvalidOption("start lies after end")
-    if _is_sql(call):
-        drawn = sql_plot(call, (low, high), pixels, _watch(call))
-        lines = _lines([(name, "") for name in drawn.columns], drawn.points)
-        return _picture("", lines, drawn.left_out, drawn.grid, drawn.points)
-    window = Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
-    series = call.store.statements.series(
-        _statement(call),
-        window=window,
-        node=_one_node(call),
-        run=whose_of(call).writers,
-        cache=call.cached(_cache),
-        watch=_watch(call),
-    )
-    return _shown(series)
+    return Window(low, high, pixels, BUDGET_SEC if seconds is None else max(0.0, seconds))
 
 
-def _shown(series: Series) -> Json:
+def shown_series(series: Series) -> dict[str, Json]:
+    """Return a plot as JSON."""
     lines = _lines([(column.name, column.unit) for column in series.columns], series.points)
     picture = _picture(series.topic, lines, series.left_out, series.grid, series.points)
     progress: dict[str, Json] = {"breaks": series.breaks.tolist(), "complete": series.complete}

@@ -8,9 +8,11 @@ from datetime import datetime
 from typing import Iterable, Sequence
 
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.fleet.fleet_topic import FleetTopic
 from cassandra_ros.messages.stamps import to_ns
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.run_list import list_runs
 from cassandra_ros.topics.stored_totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
@@ -40,6 +42,7 @@ def _keyspace(call: ApiCall) -> Json:
         "exists": not absence,
         "text": absence,
         "keyspaces": keyspaces,
+        "stores": [],
         "allow_writes": call.settings.allow_writes,
     }
 
@@ -48,14 +51,16 @@ def _topics(call: ApiCall) -> Json:
     store, names = call.store, call.texts("topics")
     topics = [store.getTopic(name) for name in names] if names else store.getAllTopics()
     if not call.flag("counts"):
-        return {"topics": [_topic(topic) for topic in topics]}
+        return {"topics": [topic_entry(topic) for topic in topics]}
     infos: dict[str, list[TopicInfo]] = {}
     for info in store.info([topic.name for topic in topics]) if topics else ():
         infos.setdefault(info.topic, []).append(info)
-    return {"topics": [{**_topic(topic), **_counts(infos.get(topic.name, []))} for topic in topics]}
+    return {
+        "topics": [{**topic_entry(topic), **_counts(infos.get(topic.name, []))} for topic in topics]
+    }
 
 
-def _topic(topic: CassandraTopic) -> dict[str, Json]:
+def topic_entry(topic: CassandraTopic | FleetTopic) -> dict[str, Json]:
     """Return the description of a topic, without anything that is counted over its messages."""
     tables = [table.metadata for table in topic.tables]
     return {
@@ -121,10 +126,18 @@ def shown_time(time: datetime | None) -> str | None:
 
 
 def _runs(call: ApiCall) -> Json:
+    return listed_runs(call, runs_of(call.catalog, call.flag("counts")))
+
+
+def runs_of(catalog: Catalog, counts: bool) -> list[Run]:
+    """Return the runs of a keyspace; counts: messages of runs that did not end are counted, too."""
+    return list_runs(catalog.keyspace, catalog.tables(None) if counts else ())
+
+
+def listed_runs(call: ApiCall, runs: Iterable[Run]) -> dict[str, Json]:
+    """Return the selected runs as JSON."""
     names, limit = call.texts("runs"), listed_at_most(call)
     by_topic, counts = call.flag("by_topic"), call.flag("counts")
-    # Messages of runs that did not end are counted in all tables of the keyspace.
-    runs = call.store.runs() if counts else list_runs(call.catalog.keyspace, ())
     selected = [r for r in runs if not names or r.name in names or str(r.writer) in names]
     selected.sort(key=lambda run: str(run.started), reverse=True)
     listed: list[Json] = [_run(run, by_topic, counts) for run in selected[:limit]]
@@ -169,7 +182,9 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/keyspace",
         _keyspace,
-        "The keyspace that is shown, and the other keyspaces that have topics.",
+        "The keyspace that is shown, and the other keyspaces that have topics. A viewer of several "
+        "stores has their names in `stores`; each of its answers has `partial`, and in `missing` "
+        "the stores that did not answer, with the reason.",
     ),
     Route(
         "/api/topics",

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from itertools import islice
+from typing import Iterator
 
 from cassandra_ros.errors import AccessDenied
 from cassandra_ros.read import LAST_NS, TimeRange
@@ -21,10 +22,19 @@ _MAX_SEARCHED = 100_000
 
 
 def _events(call: ApiCall) -> Json:
+    find = call.catalog.keyspace.events.find
+    return listed_events(call, find(call.text("name"), within=within(call), whose=whose_of(call)))
+
+
+def within(call: ApiCall) -> TimeRange:
+    """Return the time range of the parameters ``start`` and ``end``."""
     start, end = call.time_ns("start"), call.time_ns("end")
-    within = TimeRange(start or 0, LAST_NS if end is None else end)
-    name, text, limit = call.text("name"), call.text("text"), listed_at_most(call)
-    found = call.catalog.keyspace.events.find(name, within=within, whose=whose_of(call))
+    return TimeRange(start or 0, LAST_NS if end is None else end)
+
+
+def listed_events(call: ApiCall, found: Iterator[Event]) -> dict[str, Json]:
+    """Return as JSON the events with the text of a call in their name."""
+    text, limit = call.text("text"), listed_at_most(call)
     if text:
         part = text.casefold()
         searched = islice(found, _MAX_SEARCHED)

@@ -152,7 +152,7 @@ class HandlerThreads:
         ended = loop.run_in_executor(None, self._threads.shutdown)
         done, _ = await asyncio.wait([ended], timeout=PATIENCE_SEC)
         if not done:
-            self._shared.store.close()  # handlers that still read get an error
+            self._shared.source.close()  # handlers that still read get an error
             await ended
         self._shared.close()
 

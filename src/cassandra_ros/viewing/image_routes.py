@@ -5,6 +5,8 @@
 from __future__ import annotations
 
 import json
+from types import MappingProxyType
+from typing import Callable, Mapping
 
 from cassandra_ros.drawing.images import jpeg_of
 from cassandra_ros.errors import InvalidOption, MessageNotFound
@@ -13,7 +15,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.topics.message_text import MessageText
 from cassandra_ros.topics.row_finder import AnyKey
 from cassandra_ros.topics.stored_row import StoredRow
-from cassandra_ros.viewing.answers import Bytes
+from cassandra_ros.viewing.answers import Bytes, Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
 
@@ -24,7 +26,13 @@ _KEPT = {"Cache-Control": "private, max-age=3600"}
 
 
 def _message(call: ApiCall) -> Bytes:
-    row = _row(call)
+    return message_answer(call, _row(call))
+
+
+def message_answer(
+    call: ApiCall, row: StoredRow, more: Mapping[str, Json] = MappingProxyType({})
+) -> Bytes:
+    """Return a message as JSON, with more entries after its position."""
     known = {
         "topic": row.topic,
         "time": str(row.t),
@@ -36,6 +44,7 @@ def _message(call: ApiCall) -> Bytes:
         "size": row.size,
         "name": row.name,
         "position": encode_cursor(row.position),
+        **more,
     }
     elements, characters = call.count("elements"), call.count("characters")
     text = MessageText(True, elements, characters, bounded=True).of(row)
@@ -44,10 +53,14 @@ def _message(call: ApiCall) -> Bytes:
 
 
 def _image(call: ApiCall) -> Bytes:
+    return image_answer(call, _row(call))
+
+
+def image_answer(call: ApiCall, row: StoredRow) -> Bytes:
+    """Return the picture of an image message."""
     width = call.count("width")
     if width is not None and not 1 <= width <= MAX_WIDTH:
         raise InvalidOption(f"width {width} is no number of pixels of 1 to {MAX_WIDTH}")
-    row = _row(call)
     return Bytes(jpeg_of(row, width), "image/jpeg", _KEPT if call.text("position") else {})
 
 
@@ -60,19 +73,22 @@ def _row(call: ApiCall) -> StoredRow:
         InvalidKey: The key cannot be read.
     """
     topic = call.store.getTopic(call.text("topic") or "")
-    position, text = call.text("position"), call.text("key")
-    if (position is None) == (text is None):
-        raise InvalidOption("give either position or key of the message")
-    nearest = None
-    if position is not None:
-        key: AnyKey = _key_at(decode_cursor(position))
-    else:
-        key, nearest = topic.keyOfText(text or ""), call.text("nearest")
+    key, nearest = key_of(call, topic.keyOfText)
     row = topic.getRow(key, nearest=nearest)
     if row is None:
         topic.getData(key, nearest=nearest)  # its error has the nearest keys
         raise MessageNotFound(f"topic {topic.name} has no message at {key!r:.80}")
     return row
+
+
+def key_of(call: ApiCall, read: Callable[[str], AnyKey]) -> tuple[AnyKey, str | None]:
+    """Return the key that a call selects, which a function reads from its text, and nearest."""
+    position, text = call.text("position"), call.text("key")
+    if position is not None and text is None:
+        return _key_at(decode_cursor(position)), None
+    if position is None and text is not None:
+        return read(text), call.text("nearest")
+    raise InvalidOption("give either position or key of the message")
 
 
 def _key_at(position: Position) -> AnyKey:

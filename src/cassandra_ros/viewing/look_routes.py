@@ -11,12 +11,14 @@ import threading
 import time
 from collections import OrderedDict
 from dataclasses import replace
-from typing import Iterable, Iterator, NamedTuple, Sequence
+from functools import partial
+from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, TypeVar
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
+from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import SECOND_NS, decode_cursor
 from cassandra_ros.overview.latest_messages import Latest
-from cassandra_ros.overview.timeline.lanes import Lane, View
+from cassandra_ros.overview.timeline.lanes import Lane, Picture, View
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_row import StoredRow
@@ -43,6 +45,7 @@ PAGE_BYTES = 4 * 2**20
 """Default size of the messages of a page, bytes."""
 MAX_PAGE_BYTES = 64 * 2**20
 """Maximum size of the messages of a page, bytes."""
+_RowT = TypeVar("_RowT", StoredRow, FleetRow)
 _MAX_FINDERS = 16
 """Maximum number of cached lists of latched topics."""
 _FINDER_SEC = 30
@@ -53,19 +56,37 @@ A publisher that starts latching is seen after this time at the latest.
 
 
 def _connections(call: ApiCall) -> Json:
-    whose = whose_of(call)
-    problems: list[Json] = []
+    timeline = call.cached(timeline_of)
+    draw = partial(timeline.picture, gone=call.gone)
+    return connections_of(call, tables_of(call), whose_of(call), draw)
+
+
+def connections_of(
+    call: ApiCall,
+    tables: Iterable[TopicTable],
+    whose: Whose,
+    draw: Callable[[View], Picture],
+    problems: Iterable[Json] = (),
+) -> dict[str, Json]:
+    """Return as JSON the topics of a time range.
+
+    Args:
+        tables: Tables of the topics.
+        draw: Draws a timeline of them.
+        problems: Topics that are left out, with the reasons.
+    """
+    problems = list(problems)
     shown: dict[str, list[TopicTable]] = {}
-    for table in tables_of(call):
-        reason = _reason_not_shown(table)
+    for table in tables:
+        reason = reason_not_shown(table)
         if reason:
             problems.append({"topic": table.metadata.topic, "text": reason})
         else:
             shown.setdefault(table.metadata.topic, []).append(table)
     view = View(cells=1, topics=sorted(shown), whose=whose)
-    window = _window(call, view)
+    window = _window(call, view, draw)
     view = replace(view, start=window.low, end=window.high)
-    lanes = call.cached(timeline_of).picture(view, call.gone).lanes
+    lanes = draw(view).lanes
     whole = WindowContent.of_lanes(lane for lane in lanes if not _is_named(shown[lane.topic]))
     window = _cut(call, window, whole)
     return {
@@ -78,7 +99,7 @@ def _connections(call: ApiCall) -> Json:
     }
 
 
-def _window(call: ApiCall, view: View) -> TimeRange:
+def _window(call: ApiCall, view: View, draw: Callable[[View], Picture]) -> TimeRange:
     """Return the requested or default time range.
 
     Args:
@@ -87,7 +108,7 @@ def _window(call: ApiCall, view: View) -> TimeRange:
     start, end, moment = (call.time_ns(name) for name in ("start", "end", "time"))
     newest = None
     if start is None and end is None and moment is None:
-        extent = call.cached(timeline_of).picture(view, call.gone).extent
+        extent = draw(view).extent
         newest = extent[1] if extent else None
     window = default_window(start, end, moment, newest)
     _check_order(window)
@@ -104,7 +125,7 @@ def _cut(call: ApiCall, window: TimeRange, held: WindowContent) -> TimeRange:
     return TimeRange(min(low, high), high)
 
 
-def _reason_not_shown(table: TopicTable) -> str:
+def reason_not_shown(table: TopicTable) -> str:
     """Return why the messages of a table cannot be shown; '' = they can."""
     topic = table.metadata.topic
     if table.definition is None:
@@ -137,6 +158,15 @@ def _topic(topic: str, tables: Sequence[TopicTable], lanes: Sequence[Lane]) -> J
 
 
 def _messages(call: ApiCall) -> Stream:
+    read, limit = page_read(call, whose_of(call))
+    # Messages stored under names are not played: /api/latest has them.
+    tables = [table for table in _shown(call) if not table.named]
+    rows = call.catalog.keyspace.rows.read(tables, read)
+    return Stream(frames(until_gone(call, rows), limit), CONTENT_TYPE)
+
+
+def page_read(call: ApiCall, whose: Whose) -> tuple[Read, int]:
+    """Return the read of a page of messages, and the size after which the page ends, bytes."""
     start, end = call.time_ns("start"), call.time_ns("end")
     time_range = TimeRange(0 if start is None else start, LAST_NS if end is None else end)
     _check_order(time_range)
@@ -144,26 +174,26 @@ def _messages(call: ApiCall) -> Stream:
     limit = call.count("bytes") or PAGE_BYTES
     if limit > MAX_PAGE_BYTES:
         raise InvalidOption(f"bytes={limit}: give at most {MAX_PAGE_BYTES}")
-    # Messages stored under names are not played: /api/latest has them.
-    rows = call.catalog.keyspace.rows.read(
-        [table for table in _shown(call) if not table.named],
-        Read(time_range, whose_of(call), after=None if after is None else decode_cursor(after)),
-    )
-    return Stream(frames(_until_gone(call, rows), limit), CONTENT_TYPE)
+    return Read(time_range, whose, after=None if after is None else decode_cursor(after)), limit
 
 
 def _latest(call: ApiCall) -> Stream:
-    t, since = call.time_ns("time"), call.time_ns("start")
     finder = call.cached(_Finders).of(_shown(call), whose_of(call))
-    rows = finder.before(LAST_NS - 1 if t is None else t, 0 if since is None else since)
-    return Stream(frames(_until_gone(call, iter(rows))), CONTENT_TYPE)
+    return Stream(frames(until_gone(call, iter(finder.before(*moment_of(call))))), CONTENT_TYPE)
+
+
+def moment_of(call: ApiCall) -> tuple[int, int]:
+    """Return the last time of the last messages, and the first one of those not latched, ns."""
+    t, since = call.time_ns("time"), call.time_ns("start")
+    return LAST_NS - 1 if t is None else t, 0 if since is None else since
 
 
 def _shown(call: ApiCall) -> list[TopicTable]:
-    return [table for table in tables_of(call) if not _reason_not_shown(table)]
+    return [table for table in tables_of(call) if not reason_not_shown(table)]
 
 
-def _until_gone(call: ApiCall, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+def until_gone(call: ApiCall, rows: Iterator[_RowT]) -> Iterator[_RowT]:
+    """Yield rows while the client waits for them."""
     for row in rows:
         if call.gone.is_set():  # not an end: the client would take the rest for read
             raise StoreUnavailable("the client does not wait for the messages any more")
@@ -175,7 +205,8 @@ def _check_order(time_range: TimeRange) -> None:
         raise InvalidOption(f"start={time_range.low} lies after end={time_range.high}")
 
 
-def _studio(call: ApiCall) -> Json:
+def studio_answer(call: ApiCall) -> Json:
+    """Return whether the Studio is installed, and its version."""
     return {"installed": studio_installed(call.settings.studio), "version": STUDIO_VERSION}
 
 
@@ -204,7 +235,9 @@ _TIME = Parameter("time", "time", "Time that is shown first.")
 
 ROUTES: tuple[Route, ...] = (
     Route(
-        "/api/studio", _studio, "Whether the Studio, in which Look shows messages, is installed."
+        "/api/studio",
+        studio_answer,
+        "Whether the Studio, in which Look shows messages, is installed.",
     ),
     Route(
         "/api/connections",

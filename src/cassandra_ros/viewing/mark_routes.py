@@ -9,14 +9,15 @@ time of the import is known, not that of the recording of its bag.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Iterator, Mapping
+from typing import Iterable, Iterator, Mapping
 
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.read import LAST_NS, Read, TimeRange
+from cassandra_ros.read import Read
 from cassandra_ros.tables.registry import Loss, Run
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most
+from cassandra_ros.viewing.event_routes import within
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, whose_of
 
@@ -57,11 +58,17 @@ class Mark:
 
 
 def _marks(call: ApiCall) -> Json:
-    start, end = call.time_ns("start"), call.time_ns("end")
-    time_range = TimeRange(start or 0, LAST_NS if end is None else end)
-    whose, limit, keyspace = whose_of(call), listed_at_most(call), call.catalog.keyspace
-    runs = {(run.writer, run.node): run for run in keyspace.registry.runs()}
-    losses = keyspace.runs.losses(call.texts("topics") or None, Read(time_range, whose))
+    keyspace, read = call.catalog.keyspace, Read(within(call), whose_of(call))
+    losses = keyspace.runs.losses(call.texts("topics") or None, read)
+    return listed_marks(call, keyspace.registry.runs(), losses, read)
+
+
+def listed_marks(
+    call: ApiCall, found: Iterable[Run], losses: Iterable[Loss], read: Read
+) -> dict[str, Json]:
+    """Return as JSON the losses, and the starts and ends of those runs that a read selects."""
+    limit, whose, time_range = listed_at_most(call), read.whose, read.time_range
+    runs = {(run.writer, run.node): run for run in found}
     marks = [_of_loss(loss, runs) for loss in losses]
     for run in runs.values():
         if (whose.nodes is None or run.node in whose.nodes) and (

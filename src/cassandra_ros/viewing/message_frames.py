@@ -8,7 +8,8 @@ A frame is a head of 16 bytes, little endian (uint32 channel, uint32 size, int64
 * ``channel``: ``{id, topic, type, md5sum, schema}``, before the first message of channel ``id``;
 * ``problem``: ``{topic, text}``, in place of a message that cannot be read;
 * ``end``: ``{next}``, the last frame. If a limit ended the stream, the next page begins with
-  ``after=next``; null = no message is left. A stream without this frame was cut off.
+  ``after=next``; null = no message is left. A stream without this frame was cut off. Of several
+  stores it also has ``missing``, the stores that did not answer and the reason of each.
 
 A schema is ``{root, types}``: types by name, each a list of fields and constants. The names in it
 were checked (messages/spec.py): the browser never gets the recorded text of a definition.
@@ -20,9 +21,10 @@ import json
 import math
 import struct
 from functools import lru_cache
-from typing import Iterable, Iterator
+from typing import Iterable, Iterator, Mapping
 
 from cassandra_ros.errors import CorruptMessage, MessageNotFound
+from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import encode_cursor
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.spec import Constant, Field
@@ -39,7 +41,11 @@ _EXACT = 2**53
 """Maximum integer up to which JavaScript's numbers are exact."""
 
 
-def frames(rows: Iterable[StoredRow], limit_bytes: int | None = None) -> Iterator[bytes]:
+def frames(
+    rows: Iterable[StoredRow | FleetRow],
+    limit_bytes: int | None = None,
+    missing: Mapping[str, str] | None = None,
+) -> Iterator[bytes]:
     """Encode messages as chunks of a stream of frames.
 
     Memory: one message and CHUNK_BYTES.
@@ -48,6 +54,7 @@ def frames(rows: Iterable[StoredRow], limit_bytes: int | None = None) -> Iterato
         rows: The messages, in the order of sending.
         limit_bytes: Size of messages after which the stream ends, bytes; it has at least one
             message. None = it ends with the last row.
+        missing: Stores that did not answer so far, and why; None = there is one store.
 
     Raises:
         StoreUnavailable, ConnectionFailed: Rows could not be read; those before were sent.
@@ -67,11 +74,12 @@ def frames(rows: Iterable[StoredRow], limit_bytes: int | None = None) -> Iterato
         if limit_bytes is not None and sent >= limit_bytes:
             cursor = encode_cursor(row.position)
             break
-    waiting += _control("end", {"next": cursor})
+    away = {} if missing is None else {"missing": dict(missing)}
+    waiting += _control("end", {"next": cursor, **away})
     yield bytes(waiting)
 
 
-def _message(row: StoredRow, channels: dict[str, int]) -> Iterator[bytes]:
+def _message(row: StoredRow | FleetRow, channels: dict[str, int]) -> Iterator[bytes]:
     """Yield the head and the bytes of a message, after the frame of its channel if that is new."""
     channel = channels.get(row.table.name)
     if channel is None:

@@ -4,15 +4,17 @@
 
 from __future__ import annotations
 
-from typing import Sequence
+from typing import Iterable, Sequence
 
-from cassandra_ros.overview.timeline.lanes import Lane, RunSpan, Timeline, View
+from cassandra_ros.overview.timeline.lanes import Lane, Picture, RunSpan, Timeline, View
 from cassandra_ros.overview.timeline.time_cells import (
     MAX_CELLS,
     Scale,
     runs_of_cells,
     time_ranges_of_cells,
 )
+from cassandra_ros.read import Whose
+from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
@@ -31,17 +33,26 @@ def timeline_of(catalog: Catalog, settings: ViewerSettings) -> Timeline:
 
 
 def _answer(call: ApiCall) -> Json:
-    view = View(
+    picture = call.cached(timeline_of).picture(view_of(call, whose_of(call)), call.gone)
+    return shown_picture(picture, call.catalog.keyspace.registry.runs())
+
+
+def view_of(call: ApiCall, whose: Whose) -> View:
+    """Return what a call asks to be drawn, of some robots and runs."""
+    return View(
         start=call.time_ns("start"),
         end=call.time_ns("end"),
         cells=call.count("pixels") or 0,
         topics=call.texts("topics") or None,
-        whose=whose_of(call),
+        whose=whose,
         detail=call.flag("detail"),
     )
-    picture = call.cached(timeline_of).picture(view, call.gone)
+
+
+def shown_picture(picture: Picture, known: Iterable[Run]) -> dict[str, Json]:
+    """Return a picture as JSON; its runs are named as those that are known."""
     (first, last), scale = picture.extent or (None, None), picture.scale
-    names = {run.writer: run.name for run in call.catalog.keyspace.registry.runs()}
+    names = {run.writer: run.name for run in known}
     lanes: list[Json] = [_lane(lane, scale) for lane in picture.lanes]
     runs: list[Json] = [_run(span, names) for span in picture.runs]
     return {

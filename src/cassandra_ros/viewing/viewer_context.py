@@ -8,6 +8,8 @@ import threading
 from typing import Callable, TypeVar, cast
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 T = TypeVar("T")
@@ -21,17 +23,32 @@ class ViewerContext:
     Each further keyspace that is requested has its own context, which that of the viewer holds.
 
     Args:
-        store: The connected store; the caller closes it.
+        source: The connected store, or several stores that are shown as one; the caller closes it.
         settings: Settings of the viewer.
     """
 
-    def __init__(self, store: RosCassandra, settings: ViewerSettings) -> None:
-        self.store = store
+    def __init__(self, source: RosCassandra | Fleet, settings: ViewerSettings) -> None:
+        self.source = source
         self.settings = settings
         self._others: dict[str, ViewerContext] = {}
         """Contexts by keyspace, in the order of their last request."""
         self._made: dict[object, object] = {}
         self._lock = threading.RLock()  # reentrant: making an object may need another one
+
+    @property
+    def store(self) -> RosCassandra:
+        """The store.
+
+        Raises:
+            InvalidOption: The viewer shows several stores.
+        """
+        if isinstance(self.source, Fleet):
+            names = ", ".join(store.name for store in self.source.stores)
+            raise InvalidOption(
+                f"one store answers this, and this viewer shows several as one ({names}): start a "
+                "viewer of that store, with --store-host and --keyspace in place of --store"
+            )
+        return self.source
 
     def of(self, keyspace: str) -> ViewerContext:
         """Return the context of a keyspace; '' = that of the viewer.

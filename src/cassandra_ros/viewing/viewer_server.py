@@ -16,8 +16,10 @@ from aiohttp import web
 
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.viewing.application import make_application
 from cassandra_ros.viewing.clients import Clients
+from cassandra_ros.viewing.fleet_routes import FLEET_ROUTES
 from cassandra_ros.viewing.route import Route
 from cassandra_ros.viewing.routes import ROUTES
 from cassandra_ros.viewing.security import is_loopback
@@ -29,32 +31,35 @@ LAST_ANSWERS_SEC = 0.5
 """Maximum time at the end for answers that are being sent, s."""
 
 
-def serve(settings: ViewerSettings, store: RosCassandra, ready: Callable[[str], None]) -> None:
+def serve(
+    settings: ViewerSettings, source: RosCassandra | Fleet, ready: Callable[[str], None]
+) -> None:
     """Serve until Ctrl-C or SIGTERM; called from the main thread.
 
     Args:
         settings: Settings of the viewer.
-        store: The connected store; the caller closes it.
+        source: The connected store, or several stores that are shown as one; the caller closes it.
         ready: Called with the address for a browser, with the token, once the viewer listens.
 
     Raises:
         InvalidOption: The viewer cannot listen on this address; the text says why.
     """
-    asyncio.run(_serve(settings, store, ready))
+    asyncio.run(_serve(settings, source, ready))
 
 
 async def _serve(
-    settings: ViewerSettings, store: RosCassandra, ready: Callable[[str], None]
+    settings: ViewerSettings, source: RosCassandra | Fleet, ready: Callable[[str], None]
 ) -> None:
+    hurry = source.hurry if isinstance(source, Fleet) else source.cassandra.outage.hurry
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
 
     def end() -> None:
-        store.cassandra.outage.hurry()
+        hurry()
         ended.set()
 
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end)
-    async with listening(settings, store) as port:
+    async with listening(settings, source) as port:
         ready(address(settings, port))
         await ended.wait()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -63,15 +68,20 @@ async def _serve(
 
 @contextlib.asynccontextmanager
 async def listening(
-    settings: ViewerSettings, store: RosCassandra, routes: Sequence[Route] = ROUTES
+    settings: ViewerSettings, source: RosCassandra | Fleet, routes: Sequence[Route] | None = None
 ) -> AsyncIterator[int]:
     """Listen and answer while the context is open; yield the port.
+
+    Args:
+        routes: Routes of the API; None = those of one store, or of several.
 
     Raises:
         InvalidOption: The viewer cannot listen on this address; the text says why.
     """
     clients = Clients(settings.limits)
-    application = make_application(settings, store, routes)
+    if routes is None:
+        routes = FLEET_ROUTES if isinstance(source, Fleet) else ROUTES
+    application = make_application(settings, source, routes)
     application.middlewares.insert(0, clients.heard)
     runner = web.AppRunner(
         application,

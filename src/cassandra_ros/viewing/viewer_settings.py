@@ -62,6 +62,8 @@ class ViewerSettings:
     """Maximum size of all files in it, bytes."""
     threads: int = DEFAULT_THREADS
     """Maximum number of requests that are answered at the same time; further ones wait."""
+    store_pause_sec: float = 30.0
+    """Minimum time until one of several stores that did not answer is asked again, s."""
     limits: Limits = Limits()
     """Limits for clients."""
     web: Path = field(default_factory=_web_folder)

@@ -14,7 +14,6 @@ from typing import Sequence
 import numpy as np
 
 from cassandra_ros.blocks.block_counts import headers
-from cassandra_ros.keys import writer_of
 from cassandra_ros.overview.timeline.range_counts import MessageKeys, RangeCounts
 from cassandra_ros.overview.timeline.time_cells import WIDE_CELLS, Bools, Longs, Scale, TimeRanges
 from cassandra_ros.read import Whose
@@ -110,11 +109,11 @@ def _keys(
     rows: list[tuple[int, int, int]] = []
     for bucket in map(int, buckets):
         scan = scan_keys(piece.table, piece.node, bucket, scale.start, scale.end)
-        some = [(t, writer_of(seq), size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
+        some = [(t, seq, size) for t, seq, size, *_ in islice(scan, budget.keys + 1)]
         # The bucket may have more messages than the directory says.
         if not budget.take_keys(len(some)):
             return None
-        rows += [row for row in some if whose.writers is None or row[1] in whose.writers]
+        rows += [row for row in some if whose.wrote(row[1])]
     return MessageKeys(*np.array(rows, np.int64).reshape(-1, 3).T)
 
 

@@ -164,6 +164,8 @@ class Picture(NamedTuple):
     """Cells of the time range; None = there is no time range."""
     lanes: list[Lane]
     """Lanes by robot and topic, including those without messages in the range."""
+    named: bool = False
+    """Whether the extent is that of messages with names."""
 
     @property
     def eras(self) -> list[Ends]:
@@ -250,15 +252,17 @@ class Timeline:
         ]
         # Maps with names do not count: one stored today for a recording of last year would leave
         # the recording a single pixel.
-        extent = self._reader.extent(tables, view.whose) or _extent(named)
-        ends = _window(view, extent)
+        timed = self._reader.extent(tables, view.whose)
+        extent = timed or _extent(named)
+        ends = window_of(view, extent)
         if ends is None:
             return Picture(None, None, self._lanes(tables, [], view.whose, (0, 0)))
         scale = Scale.over(*ends, view.cells)
         pieces = self._reader.pieces(tables, ends, view.whose)
         if view.detail:
             pieces = refined(pieces, scale, view.whose, gone)
-        return Picture(extent, scale, self._lanes(tables, [*pieces, *named], view.whose, ends))
+        lanes = self._lanes(tables, [*pieces, *named], view.whose, ends)
+        return Picture(extent, scale, lanes, timed is None)
 
     def _lanes(
         self, tables: Sequence[TopicTable], pieces: Sequence[RangeCounts], whose: Whose, ends: Ends
@@ -291,7 +295,7 @@ def _extent(named: Sequence[RangeCounts]) -> Ends | None:
     return (int(times.min()), int(times.max())) if len(times) else None
 
 
-def _window(view: View, extent: Ends | None) -> Ends | None:
+def window_of(view: View, extent: Ends | None) -> Ends | None:
     """Return the range to draw; an open end is never on the wrong side of the other end."""
     start, end = view.start, view.end
     if start is None:

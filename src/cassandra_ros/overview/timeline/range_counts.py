@@ -30,13 +30,19 @@ class MessageKeys(NamedTuple):
     """Single messages with known times."""
 
     times: Longs
-    writers: Longs
+    seqs: Longs
+    """Writer id << 32 | counter."""
     sizes: Longs
     """Sizes of the serialised messages, bytes."""
 
+    @property
+    def writers(self) -> Longs:
+        """Writer ids."""
+        return self.seqs >> 32
+
     def where(self, chosen: Bools) -> MessageKeys:
         """Return the messages for which ``chosen`` is true."""
-        return MessageKeys(self.times[chosen], self.writers[chosen], self.sizes[chosen])
+        return MessageKeys(self.times[chosen], self.seqs[chosen], self.sizes[chosen])
 
     @classmethod
     def joined(cls, parts: Sequence[MessageKeys]) -> MessageKeys:
@@ -130,7 +136,7 @@ def named_pieces(table: TopicTable, whose: Whose) -> list[RangeCounts]:
     by_node: dict[str, list[tuple[int, int, int]]] = {}
     for (t, node, seq, _, _), size, *_ in keys:
         if whose.wrote(seq) and (whose.nodes is None or node in whose.nodes):
-            by_node.setdefault(node, []).append((t, seq >> 32, size))
+            by_node.setdefault(node, []).append((t, seq, size))
     pieces = []
     for node, rows in by_node.items():
         single = MessageKeys(*np.array(rows, np.int64).T)

@@ -1,0 +1,365 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""The routes of a viewer that shows several stores as one: each message once, in order of time.
+
+They have the paths and parameters of those of one store. Each answer names the stores that did not
+answer. Routes that one store answers are refused with what to do instead.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from typing import Callable, Dict, Iterator, Mapping, Sequence, Union
+
+from cassandra_ros.arguments import check_node
+from cassandra_ros.errors import DefinitionError, MessageNotFound, SchemaConflict
+from cassandra_ros.fleet.fleet import find_row
+from cassandra_ros.fleet.fleet_answer import FleetAnswer, settled, told
+from cassandra_ros.fleet.fleet_info import FleetTopicInfo, describe_topic
+from cassandra_ros.fleet.fleet_reads import (
+    events_of,
+    merged_topics,
+    topic_names,
+    topics_of,
+    writers_of,
+)
+from cassandra_ros.fleet.fleet_row import FleetRow, merged_rows
+from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic, topic_of
+from cassandra_ros.messages.definition import Definition
+from cassandra_ros.overview.latched_messages import is_latched, publisher_of
+from cassandra_ros.overview.latest_messages import TRANSFORMS, Latest, sources_at
+from cassandra_ros.overview.plot_series import SeriesRequest, read_rows_series
+from cassandra_ros.query.tree.statement_completion import NameSource
+from cassandra_ros.read import EVERYBODY, Read, Whose
+from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics.query_result import QueryResult
+from cassandra_ros.topics.stored_row import StoredRow
+from cassandra_ros.viewing import (
+    ask_routes,
+    catalog_routes,
+    event_routes,
+    image_routes,
+    look_routes,
+    mark_routes,
+    timeline_routes,
+)
+from cassandra_ros.viewing.answers import Answer, Bytes, Json, Stream
+from cassandra_ros.viewing.api_call import ApiCall
+from cassandra_ros.viewing.message_frames import CONTENT_TYPE, frames
+from cassandra_ros.viewing.openapi import describe
+from cassandra_ros.viewing.route import Route
+from cassandra_ros.viewing.routes import ROUTES
+
+_Told = Union[Dict[str, Json], Bytes, Stream]
+_Work = Callable[[ApiCall, FleetAnswer], _Told]
+
+
+def _of_all(work: _Work, call: ApiCall) -> Answer:
+    """Answer a call over all stores, and say which of them did not answer."""
+    fleet = call.fleet
+    stores = fleet.begin()
+    try:
+        found = settled(stores, lambda: work(call, stores))
+    finally:
+        fleet.note(stores)
+    if isinstance(found, Stream):
+        return found
+    if isinstance(found, Bytes):
+        away = {"X-Missing": json.dumps(stores.missing)} if stores.partial else {}
+        return replace(found, headers={**found.headers, **away})
+    return {**found, **_missing(stores)}
+
+
+def _missing(stores: FleetAnswer) -> dict[str, Json]:
+    return {"partial": stores.partial, "missing": dict(stores.missing)}
+
+
+def _refuse(call: ApiCall) -> Answer:
+    """Refuse a call that one store answers."""
+    return {"store": repr(call.store)}  # raises the error that says what to do
+
+
+def _whose(call: ApiCall, stores: FleetAnswer) -> Whose:
+    """Return the robots and runs of a call, see selection_parameters.whose_of."""
+    nodes, runs = call.texts("nodes"), call.texts("runs")
+    writers = [writers_of(stores, run) for run in runs or ()]
+    return Whose(
+        tuple(map(check_node, nodes)) if nodes else None,
+        frozenset().union(*writers) if runs else None,
+    )
+
+
+def _topics_of(call: ApiCall, stores: FleetAnswer) -> tuple[list[FleetTopic], list[Json]]:
+    """Return the topics of a call, and of all topics those that cannot be read, with reasons."""
+    names = call.texts("topics")
+    if names:
+        return topics_of(stores, names), []
+    topics: list[FleetTopic] = []
+    problems: list[Json] = []
+    for name in topic_names(stores):
+        try:
+            topics += topics_of(stores, [name])
+        except (DefinitionError, SchemaConflict) as exc:
+            problems.append({"topic": name, "text": str(exc)})
+    return list({frozenset(topic.names.items()): topic for topic in topics}.values()), problems
+
+
+def _keyspace(call: ApiCall, stores: FleetAnswer) -> _Told:
+    return {
+        "keyspace": "",
+        "exists": True,
+        "text": "",
+        "keyspaces": [],
+        "stores": [*call.fleet.names],
+        "allow_writes": False,
+    }
+
+
+def _topics(call: ApiCall, stores: FleetAnswer) -> _Told:
+    topics, problems = _topics_of(call, stores)
+    listed: list[Json] = []
+    for topic in topics:
+        entry = catalog_routes.topic_entry(topic)
+        if call.flag("counts"):
+            entry.update(_counts(list(describe_topic(stores, topic, EVERYBODY))))
+        listed.append(entry)
+    return {"topics": listed, "problems": problems}
+
+
+def _counts(infos: Sequence[FleetTopicInfo]) -> dict[str, Json]:
+    starts = (info.first_ns for info in infos if info.first_ns is not None)
+    ends = (info.last_ns for info in infos if info.last_ns is not None)
+    names = dict.fromkeys(name for info in infos for name in info.stores)
+    return {
+        "nodes": list(dict.fromkeys(info.node for info in infos)),
+        "messages": sum(info.count for info in infos),
+        "bytes": sum(info.bytes for info in infos),
+        "start": catalog_routes.shown_ns(min(starts, default=None)),
+        "end": catalog_routes.shown_ns(max(ends, default=None)),
+        "stores": {name: sum(info.stores.get(name, 0) for info in infos) for name in names},
+    }
+
+
+def _all_runs(stores: FleetAnswer, counts: bool = False) -> list[Run]:
+    """Return the runs of all stores, each as the store describes it that knows most of it."""
+    found = stores.each(stores.catalogs, lambda c: catalog_routes.runs_of(c, counts))
+    best: dict[tuple[int, str], Run] = {}
+    for run in chain.from_iterable(found.values()):
+        key = run.writer, run.node
+        best[key] = max(best.get(key, run), run, key=_known_of)
+    return list(best.values())
+
+
+def _known_of(run: Run) -> tuple[bool, bool, int]:
+    return run.ended is not None, run.state == "recording", sum(run.stored.values())
+
+
+def _runs(call: ApiCall, stores: FleetAnswer) -> _Told:
+    return catalog_routes.listed_runs(call, _all_runs(stores, call.flag("counts")))
+
+
+def _marks(call: ApiCall, stores: FleetAnswer) -> _Told:
+    topics = call.texts("topics") or None
+    read = Read(event_routes.within(call), _whose(call, stores))
+    found = stores.each(stores.catalogs, lambda c: c.keyspace.runs.losses(topics, read))
+    losses = dict.fromkeys(chain.from_iterable(found.values()))
+    return mark_routes.listed_marks(call, _all_runs(stores), losses, read)
+
+
+def _events(call: ApiCall, stores: FleetAnswer) -> _Told:
+    name, whose = call.text("name"), _whose(call, stores)
+    found = events_of(stores, name, None, event_routes.within(call), whose)
+    return event_routes.listed_events(call, found)
+
+
+def _timeline(call: ApiCall, stores: FleetAnswer) -> _Told:
+    view = timeline_routes.view_of(call, _whose(call, stores))
+    picture = call.fleet.picture(stores, view, call.gone)
+    return timeline_routes.shown_picture(picture, _all_runs(stores))
+
+
+def _query(call: ApiCall, stores: FleetAnswer) -> _Told:
+    _refuse_sql(call)
+    limit = min(call.count("limit") or ask_routes.PAGE_ROWS, ask_routes.MOST_ROWS)
+    select = ask_routes.statement_of(call)
+    topic = topic_of(stores, select)
+    result = QueryResult(
+        ask_routes.windowed(call, select, topic.tables),
+        topic,
+        _whose_asked(call, stores),
+        after=call.text("after"),
+        watch=ask_routes.watch_of(call),
+    )
+    with result:
+        return ask_routes.page_of(call, result, topic.tables, limit)
+
+
+def _refuse_sql(call: ApiCall) -> None:
+    if ask_routes.is_sql(call):
+        _refuse(call)
+
+
+def _whose_asked(call: ApiCall, stores: FleetAnswer) -> Whose:
+    """Return the robot and the runs of a statement, which itself names the robots if several."""
+    return Whose.of(ask_routes.one_node(call), _whose(call, stores).writers)
+
+
+def _plot(call: ApiCall, stores: FleetAnswer) -> _Told:
+    _refuse_sql(call)
+    select = ask_routes.statement_of(call)
+    topic = topic_of(stores, select)
+    request = SeriesRequest(_whose_asked(call, stores), watch=ask_routes.watch_of(call))
+    select = ask_routes.windowed(call, select, topic.tables)
+    series = read_rows_series(topic, select, ask_routes.window_of(call), request)
+    return ask_routes.shown_series(series)
+
+
+def _complete(call: ApiCall, stores: FleetAnswer) -> _Told:
+    _refuse_sql(call)
+
+    def definitions(name: str) -> Sequence[Definition]:
+        if name not in {*topic_names(stores), *(each.lstrip("/") for each in topic_names(stores))}:
+            return ()
+        tables = find_topic(stores, name).tables
+        return [table.definition for table in tables if table.definition is not None]
+
+    def nodes() -> Sequence[str]:
+        found = stores.each(stores.catalogs, lambda c: {info.node for info in c.infos(None)})
+        return sorted(set().union(*found.values()) - {""})
+
+    def runs() -> Sequence[str]:
+        return list(dict.fromkeys(run.name for run in _all_runs(stores) if run.name))
+
+    names = NameSource(lambda: topic_names(stores), definitions, nodes, runs)
+    return ask_routes.completed(call, names)
+
+
+def _connections(call: ApiCall, stores: FleetAnswer) -> _Told:
+    topics, problems = _topics_of(call, stores)
+    tables = [table for topic in topics for table in topic.tables]
+    draw = partial(call.fleet.picture, stores, gone=call.gone)
+    return look_routes.connections_of(call, tables, _whose(call, stores), draw, problems)
+
+
+def _messages(call: ApiCall, stores: FleetAnswer) -> _Told:
+    read, limit = look_routes.page_read(call, _whose(call, stores))
+    topics = [t for t in _topics_of(call, stores)[0] if not any(table.named for table in t.tables)]
+    rows = merged_topics(stores, topics, read, {}, received=False)
+    return _stream(call, stores, filter(_is_shown, rows), limit)
+
+
+def _is_shown(row: FleetRow) -> bool:
+    return not look_routes.reason_not_shown(row.table)
+
+
+def _stream(
+    call: ApiCall, stores: FleetAnswer, rows: Iterator[FleetRow], limit: int | None = None
+) -> Stream:
+    """Return messages as frames, and note at the end which stores did not answer."""
+
+    def chunks() -> Iterator[bytes]:
+        try:
+            yield from frames(look_routes.until_gone(call, rows), limit, stores.missing)
+        finally:
+            call.fleet.note(stores)
+
+    return Stream(chunks(), CONTENT_TYPE)
+
+
+def _latest(call: ApiCall, stores: FleetAnswer) -> _Told:
+    whose, (t, since) = _whose(call, stores), look_routes.moment_of(call)
+    names: dict[str, list[str]] = {}
+    for topic in _topics_of(call, stores)[0]:
+        for store, name in topic.names.items():
+            names.setdefault(store, []).append(name)
+
+    def make(store: str) -> Latest:
+        catalog = stores.catalogs[store]
+        tables = [t for t in catalog.tables(names[store]) if not look_routes.reason_not_shown(t)]
+        return Latest(catalog.keyspace, tables, whose)
+
+    finders = stores.each({store: store for store in names}, make)
+
+    def runs(low: int, high: int) -> frozenset[tuple[str, int]]:
+        return frozenset().union(*stores.each(finders, lambda f: f.sources(low, high)).values())
+
+    sources = sources_at(runs, t, since)
+
+    def begin(finder: Latest) -> Iterator[StoredRow]:
+        return iter(finder.before(t, since, sources))
+
+    rows = merged_rows(stores, {store: partial(begin, each) for store, each in finders.items()})
+    last = {_replaced_by_later(row): row for row in rows}
+    return _stream(call, stores, iter(sorted(last.values(), key=lambda row: row.place)))
+
+
+def _replaced_by_later(row: FleetRow) -> tuple[object, ...]:
+    """Return a key that a message shares with the later ones after which it does not hold."""
+    if row.table.named:
+        return row.topic, row.node, row.name
+    if row.table.msg_type in TRANSFORMS:
+        return row.topic, row.place
+    try:
+        latched = is_latched(row.connection)
+    except MessageNotFound:  # its store went away
+        latched = False
+    return (row.topic, publisher_of(row)) if latched else (row.topic,)
+
+
+def _row(call: ApiCall, stores: FleetAnswer) -> FleetRow:
+    topic = call.text("topic") or ""
+    key, nearest = image_routes.key_of(call, find_topic(stores, topic).key_of_text)
+    row = find_row(stores, topic, key, nearest, None, None, None)
+    if row is None:
+        away = f"; these do not answer: {told(stores.missing)}" if stores.partial else ""
+        raise MessageNotFound(f"no store has a message of topic {topic} at {key!r:.80}{away}")
+    return row
+
+
+def _message(call: ApiCall, stores: FleetAnswer) -> _Told:
+    row = _row(call, stores)
+    return row.ask(lambda each: image_routes.message_answer(call, each, _missing(stores)))
+
+
+def _image(call: ApiCall, stores: FleetAnswer) -> _Told:
+    return _row(call, stores).ask(partial(image_routes.image_answer, call))
+
+
+def _describe(call: ApiCall) -> Json:
+    return describe(FLEET_ROUTES)
+
+
+_WORK: Mapping[str, _Work] = {
+    "/api/keyspace": _keyspace,
+    "/api/topics": _topics,
+    "/api/runs": _runs,
+    "/api/marks": _marks,
+    "/api/events": _events,
+    "/api/timeline": _timeline,
+    "/api/query": _query,
+    "/api/plot": _plot,
+    "/api/complete": _complete,
+    "/api/connections": _connections,
+    "/api/messages": _messages,
+    "/api/latest": _latest,
+    "/api/message": _message,
+    "/api/image": _image,
+}
+"""Routes that all stores answer, by path."""
+_STORELESS = {"/api/studio": look_routes.studio_answer, "/api/openapi.json": _describe}
+"""Routes that need no store, by path."""
+
+
+def _route_of_all(route: Route) -> Route:
+    if route.path in _STORELESS:
+        return replace(route, answer=_STORELESS[route.path])
+    if route.path in _WORK:
+        return replace(route, answer=partial(_of_all, _WORK[route.path]))
+    return replace(route, answer=_refuse, summary=f"Refused: one store answers it. {route.summary}")
+
+
+FLEET_ROUTES: tuple[Route, ...] = tuple(map(_route_of_all, ROUTES))
+"""All routes of one store, in the same order."""
