@@ -114,7 +114,9 @@ def test_blocks(give):
         low, high = sorted((chance.randrange(2**40), chance.randrange(2**40)))
         places = block.between((low, 0), (high, 5))
         rows = [*block.rows(places), *block.rows(np.arange(len(block)))]
-        if block.unpacked is not None:  # else its bytes are in chunks
+        if block.unpacked is None:  # its bytes are in chunks
+            assert all(each.columns == (None,) for each in rows)
+        else:
             assert all(len(each.columns[0]) == each.size for each in rows)
         block.first((low, 0), (high, 5))
         if block.unpacked is not None and len(block):

@@ -234,19 +234,19 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         sign = operator.upper()
         if _quantifies(operand) and sign == "LIKE":
             return _quantified(operand, [(sign, _value(value))], negated, False)
-        return _unless(negated, Compare(_part(operand), sign, _value(value)))
+        return _unless(negated, Compare(_varying(operand), sign, _value(value)))
 
     def one_of(self, operand: Term, negated: _Not, *values: Term | None) -> Expression:
         listed = tuple(_value(v) for v in values if v is not None)
         if _quantifies(operand):
             return _quantified(operand, [("=", value) for value in listed], negated, True)
-        return _unless(negated, OneOf(_part(operand), listed))
+        return _unless(negated, OneOf(_varying(operand), listed))
 
     def in_list(self, operand: Term, negated: _Not, values: Literal) -> Expression:
         if _quantifies(operand):
             reason = "beside ANY and ALL the values of IN stand in parentheses: IN (?, ?)"
             raise StatementError(values.position, reason)
-        return _unless(negated, OneOf(_part(operand), (values,), whole=True))
+        return _unless(negated, OneOf(_varying(operand), (values,), whole=True))
 
     def between(self, operand: Term, negated: _Not, low: Term, high: Term) -> Expression:
         ends = ((">=", low), ("<=", high))
@@ -272,7 +272,7 @@ class _Builder(Transformer):  # type: ignore[type-arg]
         return _unless(negated, InEvent(_value(pattern), True, _at(word)))
 
     def is_null(self, operand: Term, negated: _Not) -> Expression:
-        return _unless(negated, IsNull(_part(operand)))
+        return _unless(negated, IsNull(_varying(operand)))
 
     def place(self, token: Token) -> Operand:
         return _OWN[str(token)](_at(token))
@@ -361,6 +361,14 @@ def _part(term: Term) -> Term:
         reason += "select it, and compare or compute in a second statement"
         raise StatementError(term.position, reason)
     return term
+
+
+def _varying(term: Term) -> Term:
+    """Return a term whose value differs from row to row, else raise StatementError."""
+    if is_constant(_part(term)):
+        reason = "names no field: it is the same for each message"
+        raise StatementError(term.position, f"{_part(term).text} {reason}")
+    return _part(term)
 
 
 def _column(term: Term) -> Term | Aggregate:
