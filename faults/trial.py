@@ -236,6 +236,11 @@ class Trial:
         )
         self.result.normal_sec = round((time.time_ns() - since) / 1e9, 1)
 
+    def await_newer(self) -> None:
+        """Wait until a message is stored that is later than all that are stored now."""
+        newest = self._newest_ns()
+        await_true("a later message is stored", lambda: self._newest_ns() > newest, 900)
+
     def _newest_ns(self) -> int:
         """Return the time of the newest stored message, ns; 0 while there is no answer."""
         try:
