@@ -27,6 +27,7 @@ KEYS = {
     "cr_event_slot": ("named", "name"),
     "cr_copy": ("target",),
     "cr_copied": ("target", "tbl", "node", "slot"),
+    "cr_copied_beat": ("target", "tbl", "node", "slot"),
     "cr_lock": ("name",),
 }
 """Partition keys of the side tables."""

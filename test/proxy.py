@@ -115,6 +115,8 @@ class Proxy:
         self._caught = []
         self.late_pushes = False
         """What the server pushes of itself comes as late as it may: before the next answer."""
+        self.answered_bytes = 0
+        """Number of bytes of the server's answers."""
         self._pairs = []
         self._mutex = threading.Lock()
         self._listener = socket.create_server((host, 0))
@@ -234,6 +236,8 @@ class _Pair:
         self._send("client", Frame(frame.version | 0x80, 0, frame.stream, _ERROR, body))
 
     def _answer(self, frame):
+        with self._proxy._mutex:
+            self._proxy.answered_bytes += len(frame.body)
         if self.frozen and frame.opcode != SupportedMessage.opcode:
             return
         if frame.stream < 0 and self._proxy.late_pushes:

@@ -27,6 +27,9 @@ Query = Tuple[Terms, bool]
 Sift = Callable[..., Optional[NDArray[np.bool_]]]
 """Function of an unpacked block that returns a mask of the messages to keep; None = all."""
 
+Skip = Callable[..., bool]
+"""Function of a table, a node and a bucket that returns whether the bucket is left out."""
+
 
 class MessageOrigin(Protocol):
     """Robot and writer of a message, as a row, a position or a stored key has them."""
@@ -169,6 +172,9 @@ class Read:
     """Object that decides which comparisons the server checks; None = it checks none."""
     wanted: int | None = None
     """Number of rows that the caller will probably take; None = all. More rows can be read."""
+    skip: Skip | None = None
+    """Function that tells which buckets are left out; None = none. Messages with names are not in
+    buckets."""
 
 
 EVERYTHING = Read()

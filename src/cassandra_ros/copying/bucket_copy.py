@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import partial
 from typing import Callable, Iterator, Mapping, NamedTuple, Sequence, Tuple
 from uuid import UUID
@@ -295,6 +296,20 @@ class PieceCopy:
         place = (row.bucket, row.writer)
         return any(book.released for book in books if (book.bucket, book.writer) == place)
 
+    def _beat_there(self, row: BucketRow) -> datetime | None:
+        """Return the heartbeat of the target's entry that stands for all rows of a bucket."""
+        source, target = self._pair.source, self._pair.target
+        if source.bucket_ns != target.bucket_ns:
+            return None
+        found = self._pair.there.directory.find(target.name, row.node, row.bucket)
+        entries = [r for r in found if r.writer == row.writer and r.closed and r.rows >= row.rows]
+        writers = frozenset([row.writer])
+        if entries and target.packed:
+            # Messages that were deleted in a block there are not copied again.
+            blocks = headers(target, row.node, row.bucket, writers=writers)
+            entries = [] if any(len(block.gone) for block in blocks) else entries
+        return entries[0].heartbeat if entries else None
+
     def _note(self, row: BucketRow, seen: int, final: bool, numbers: tuple[int, int]) -> None:
         entry = CopiedBucket(
             node=row.node,
@@ -311,6 +326,9 @@ class PieceCopy:
             t_max=max(row.t_max, 0),
         )
         self._books.put_bucket(self._id, self._pair.source.name, entry)
+        if final:
+            beat = self._beat_there(row)
+            self._books.put_beat(self._id, self._pair.source.name, entry, beat)
 
 
 def _is_same(row: BucketRow, rows: Sequence[BucketRow]) -> bool:

@@ -43,11 +43,10 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.stamps import Time
 from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
-from cassandra_ros.tables.copy_books import CopiedBucket, CopiedTable, CopyBooks
+from cassandra_ros.tables.copy_books import CopiedBucket, CopiedTable, CopyBooks, target_id
 from cassandra_ros.tables.directory import BucketRow, slot_of
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.event_times import EventTimes
-from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.topic_table import TopicTable
@@ -151,8 +150,8 @@ class Replicator:
         self._connected: set[str] = set()
         """Tables of which all connections were copied."""
         check_schema(self._there)
-        there = _identity(self._there)
-        if there is not None and there == _identity(self._here):
+        there = target_id(self._there.cassandra, self._there.name)
+        if there is not None and there == target_id(self._here.cassandra, self._here.name):
             raise InvalidOption(f"{self.place} is the store itself: give another one")
 
     @property
@@ -182,7 +181,7 @@ class Replicator:
         report = CopyReport(self.place)
         self._there.side_tables.make()
         self._books.make()
-        self._target = _identity(self._there)
+        self._target = target_id(self._there.cassandra, self._there.name)
         tables = self._tables()
         known: dict[str, CopiedTable] = {}
         for entry in self._books.tables():
@@ -243,7 +242,7 @@ class Replicator:
     def _id(self) -> UUID:
         """Id of the target in the books."""
         if self._target is None:
-            self._target = _identity(self._there)
+            self._target = target_id(self._there.cassandra, self._there.name)
         if self._target is None:
             raise KeyspaceNotFound(f"{self.place} was removed meanwhile; copy again")
         return self._target
@@ -543,12 +542,6 @@ def _first_of_periods(rows: Iterable[StoredRow], period_ns: int) -> Iterator[Sto
         if last.get(row.conn) != period:
             last[row.conn] = period
             yield row
-
-
-def _identity(space: Keyspace) -> UUID | None:
-    """Return the id of a keyspace: that of one of its side tables; None if it has none yet."""
-    rows = space.cassandra.system_schema("tables", "id", space.name, "cr_run")
-    return UUID(str(rows[0][0])) if rows else None
 
 
 def _pieces(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
 from itertools import chain, islice
 from typing import Callable, Dict, Generic, Iterable, Iterator, List, Mapping, Sequence, TypeVar
 
@@ -22,6 +23,7 @@ from cassandra_ros.errors import (
     TopicNotFound,
     UnsupportedSchema,
 )
+from cassandra_ros.fleet.fleet_books import FleetBooks
 from cassandra_ros.fleet.fleet_store import FleetStore
 from cassandra_ros.topics.catalog import Catalog
 
@@ -69,6 +71,11 @@ class FleetAnswer:
     def partial(self) -> bool:
         """Whether a store did not answer, so that its messages may be missing."""
         return bool(self.missing)
+
+    @cached_property
+    def books(self) -> FleetBooks:
+        """What the books of the stores say, read when they are needed first."""
+        return FleetBooks(self, believed=all(s.reads_quorum for s in self._stores.values()))
 
     def each(self, values: Mapping[str, _S], work: Callable[[_S], _T]) -> dict[str, _T]:
         """Call a function with a value of each store, at the same time.

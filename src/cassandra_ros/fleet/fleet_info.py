@@ -5,14 +5,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain
 from typing import Iterator
 
 from cassandra_ros.fleet.fleet_answer import FleetAnswer
 from cassandra_ros.fleet.fleet_topic import FleetTopic
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
-from cassandra_ros.read import Read, Whose
+from cassandra_ros.read import ALWAYS, Read, TimeRange, Whose
 from cassandra_ros.topics.stored_totals import TopicInfo, describe
 
 
@@ -59,15 +61,15 @@ def describe_topic(
     """Yield the numbers of a topic, by type and robot.
 
     What one store has alone is counted by its directory. If several stores have messages of a
-    robot, the keys of these are read.
+    robot, the keys of these are read, except where the first store needs to be asked alone.
     """
 
-    def ask(store: str) -> list[TopicInfo]:
+    def ask(whose: Whose, store: str, time_range: TimeRange = ALWAYS) -> list[TopicInfo]:
         catalog = answer.catalogs[store]
         tables = catalog.tables([topic.names[store]])
-        return describe(catalog.keyspace.directory, tables, whose)
+        return describe(catalog.keyspace.directory, tables, whose, (), time_range)
 
-    by_store = answer.each({store: store for store in topic.names}, ask)
+    by_store = answer.each({store: store for store in topic.names}, partial(ask, whose))
     by_node: dict[str, dict[str, list[TopicInfo]]] = defaultdict(dict)
     for store, infos in by_store.items():
         for info in infos:
@@ -82,10 +84,15 @@ def describe_topic(
                 if len(filled) < 2:
                     total.extend(info.first_ns, info.last_ns, info.count, info.bytes)
         if len(filled) > 1:
-            theirs = Whose.of(node).both(whose)
-            for row in topic.read(Read(whose=theirs, columns=lambda table: ())):
-                if row.md5sum in found:  # else of a type that was stored meanwhile
-                    found[row.md5sum].extend(row.t, row.t, 1, row.size)
+            read = Read(whose=Whose.of(node).both(whose), columns=lambda table: ())
+            alone, shared = topic.divided(read, partial(ask, read.whose))
+            for info in chain.from_iterable(alone):
+                if info.md5sum in found:  # else of a type that was stored meanwhile
+                    found[info.md5sum].extend(info.first_ns, info.last_ns, info.count, info.bytes)
+            for part in shared:
+                for row in topic.read(replace(read, time_range=part)):
+                    if row.md5sum in found:
+                        found[row.md5sum].extend(row.t, row.t, 1, row.size)
         yield from found.values()
 
 

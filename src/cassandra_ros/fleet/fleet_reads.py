@@ -18,7 +18,7 @@ from cassandra_ros.errors import (
     RunNotFound,
 )
 from cassandra_ros.fleet.fleet_answer import FleetAnswer, told
-from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, key_order, merged_rows, resumed
+from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, key_order, read_once, resumed
 from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.event_table import Event
@@ -168,10 +168,10 @@ def merged_topics(
         else:
             streams.append(topic.received(read) if received else rows_of(topic, read, where))
 
-    def begin(store: str) -> Iterator[StoredRow]:
+    def begin(store: str, read: Read) -> Iterator[StoredRow]:
         catalog = answer.catalogs[store]
         return catalog.merged(catalog.tables(plain[store]), {}, read, received=received)
 
     begins = {store: partial(begin, store) for store, names in plain.items() if names}
-    streams.append(merged_rows(answer, begins, order))
+    streams.append(read_once(answer, begins, plain, read, order))
     return heapq.merge(*streams, key=order)

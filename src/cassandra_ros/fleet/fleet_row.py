@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import replace
-from itertools import dropwhile, groupby, repeat
+from functools import partial
+from itertools import chain, dropwhile, groupby, repeat
 from typing import Any, Callable, Iterator, Mapping, Sequence, Tuple, TypeVar
 
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, MessageNotFound
 from cassandra_ros.fleet.fleet_answer import AWAY, FleetAnswer, Missing, told
+from cassandra_ros.fleet.fleet_books import Topics
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import deserialize
 from cassandra_ros.messages.connection_header import Connection
@@ -21,6 +23,8 @@ from cassandra_ros.topics.stored_row import Key, MessageIdentity, StoredRow
 _T = TypeVar("_T")
 StoreRow = Tuple[str, StoredRow]
 """Name of a store, and its row of a message."""
+More = Callable[["FleetRow"], Sequence[StoreRow]]
+"""Function that returns the copies of a message in stores that were not read for it."""
 Order = Tuple[int, str, int]
 """Time, ns, node and seq: the same for the rows of one message in all stores."""
 
@@ -35,10 +39,16 @@ class FleetRow:
         columns, conn, table: As in StoredRow, those of the first store.
     """
 
-    __slots__ = "_answer _copies _lost columns conn name node received seq size t table".split()
+    __slots__ = (
+        *("_answer", "_copies", "_lost", "_more", "columns", "conn", "name", "node", "received"),
+        *("seq", "size", "t", "table"),
+    )
 
-    def __init__(self, copies: Sequence[StoreRow], answer: FleetAnswer) -> None:
+    def __init__(
+        self, copies: Sequence[StoreRow], answer: FleetAnswer, more: More | None = None
+    ) -> None:
         row = copies[0][1]
+        self._more = more
         self._copies, self._answer, self._lost = copies, answer, False
         self.t, self.node, self.seq, self.name = row.t, row.node, row.seq, row.name
         self.received, self.size, self.conn = row.received, row.size, row.conn
@@ -75,7 +85,8 @@ class FleetRow:
         problem: CassandraRosError | None = None
         away = ""
         # What was read of a store that is away now can still be used: last.
-        for name, row in sorted(self._copies, key=lambda copy: copy[0] in missing):
+        copies = sorted(self._copies, key=lambda copy: copy[0] in missing)
+        for name, row in chain(copies, self._found_later()):
             try:
                 return work(row)
             except AWAY as exc:
@@ -90,6 +101,13 @@ class FleetRow:
             f"the message of topic {self.topic} at {self.t} is only in stores that do not answer "
             f"any more: {told(missing)}"
         )
+
+    def _found_later(self) -> Iterator[StoreRow]:
+        """Yield the copies in stores that were not read, because another store has the message."""
+        if self._more is not None:
+            more, self._more = self._more(self), None
+            self._copies = [*self._copies, *more]
+            yield from more
 
     @property
     def topic(self) -> str:
@@ -196,6 +214,7 @@ def merged_rows(
     order: Callable[[StoredRow], Order] = key_order,
     *,
     reverse: bool = False,
+    more: More | None = None,
 ) -> Iterator[FleetRow]:
     """Yield the messages of several stores in one order, each once.
 
@@ -206,6 +225,7 @@ def merged_rows(
         streams: Name of a store → function that begins to read its rows, in this order.
         order: Returns the place of a row.
         reverse: Whether they come from the last to the first.
+        more: Finds copies in stores that were not read for a message.
     """
 
     def place(pair: StoreRow) -> Order:
@@ -218,4 +238,58 @@ def merged_rows(
         for name, row in group:
             copies.setdefault((row.topic, row.name), []).append((name, row))
         for rows in copies.values():
-            yield FleetRow(rows, answer)
+            yield FleetRow(rows, answer, more)
+
+
+def read_once(
+    answer: FleetAnswer,
+    streams: Mapping[str, Callable[[Read], Iterator[StoredRow]]],
+    topics: Topics,
+    read: Read,
+    order: Callable[[StoredRow | FleetRow], Order] = key_order,
+) -> Iterator[FleetRow]:
+    """Yield the messages of a read in one order, each once.
+
+    A store is not read for what, by its books, a store before it has. If that one goes away, the
+    read goes on in the others, from the last message on.
+
+    Args:
+        streams: Name of a store → function that begins to read its rows.
+        topics: Name of a store → names of the topics that are read there.
+        order: Returns the place of a row; its first value is in the time range of the read.
+    """
+    given: set[tuple[str, str]] = set()
+    last: Order | None = None
+    while True:
+        # Few rows are read sooner than the books.
+        many = read.only is None and read.wanted is None and len(streams) > 1
+        skips = answer.books.skips(topics) if many else {}
+        targets = answer.books.targets(skips) if skips else set()
+        begins = {
+            name: partial(begin, replace(read, skip=skips.get(name)))
+            for name, begin in streams.items()
+        }
+        more = partial(answer.books.copies, topics) if skips else None
+        rows = merged_rows(answer, begins, order, reverse=read.reverse, more=more)
+        if not skips and last is None:
+            yield from rows
+            return
+        for row in rows:
+            if not targets.isdisjoint(answer.missing):
+                break
+            place, identity = order(row), (row.topic, row.name)
+            if place != last:
+                if last is not None and (place < last) != read.reverse:
+                    continue  # it was given before a store went away
+                given.clear()
+            elif identity in given:
+                continue
+            last = place
+            given.add(identity)
+            yield row
+        if targets.isdisjoint(answer.missing):
+            return
+        if last is not None:
+            low, high = read.time_range
+            rest = TimeRange(low, last[0]) if read.reverse else TimeRange(last[0], high)
+            read = replace(read, time_range=rest)

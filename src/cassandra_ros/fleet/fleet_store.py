@@ -98,6 +98,7 @@ class FleetStore:
     Attributes:
         name: Name by which the fleet calls it.
         closed: Whether the fleet was closed.
+        reads_quorum: Whether it finds all that a quorum has acknowledged.
     """
 
     def __init__(self, place: StoreAddress, consistency: str, answer_sec: float) -> None:
@@ -105,6 +106,7 @@ class FleetStore:
         self.closed = False
         self._place = place
         self._consistency = consistency
+        self.reads_quorum = "QUORUM" in consistency.upper() or consistency.upper() == "ALL"
         self._answer_sec = answer_sec
         self._opening: Future[RosCassandra] | None = None
         self._mutex = threading.Lock()

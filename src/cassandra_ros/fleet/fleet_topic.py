@@ -10,9 +10,9 @@ from typing import Callable, Iterator, Mapping, Sequence, TypeVar
 
 from cassandra_ros.errors import InvalidQuery, SchemaConflict, StoreUnavailable, TopicNotFound
 from cassandra_ros.fleet.fleet_answer import FleetAnswer, told
-from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, merged_rows, resumed
+from cassandra_ros.fleet.fleet_row import FleetRow, arrival_order, read_once, resumed
 from cassandra_ros.query.tree.syntax import Select
-from cassandra_ros.read import EVERYBODY, Read, Whose
+from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.row_finder import AnyKey, Finder
@@ -89,30 +89,69 @@ class FleetTopic:
         return resumed(read, self._read)
 
     def _read(self, read: Read) -> Iterator[FleetRow]:
-        streams = {name: partial(topic.read, read) for name, topic in self._topics.items()}
-        rows = merged_rows(self._answer, streams, reverse=read.reverse)
+        streams = {name: topic.read for name, topic in self._topics.items()}
+        rows = read_once(self._answer, streams, self._names_by_store(), read)
         return rows if self.key_format != "hash" else self._newest(rows)
 
     def received(self, read: Read) -> Iterator[FleetRow]:
         """Yield the messages received in the time range of a read, by receive time, each once."""
 
-        def begin(store: str) -> Iterator[StoredRow]:
+        def begin(store: str, read: Read) -> Iterator[StoredRow]:
             topic, keyspace = self._topics[store], self._answer.catalogs[store].keyspace
             return keyspace.rows.received(topic.tables, read)
 
         streams = {store: partial(begin, store) for store in self._topics}
-        rows = merged_rows(self._answer, streams, arrival_order)
+        rows = read_once(self._answer, streams, self._names_by_store(), read, arrival_order)
         return rows if self.key_format != "hash" else self._newest(rows)
 
     def count(self, read: Read) -> int:
         """Return the number of messages of a read, each counted once.
 
-        One store counts by its directory; of several the keys are read.
+        One store counts by its directory; where several have to be read, the keys are read.
         """
         if len(self._topics) == 1:
             return sum(self._answer.each(self._topics, lambda t: t.count(read)).values())
         bare = replace(read, columns=lambda table: (), chooser=None, wanted=None)
-        return sum(1 for _ in self.read(bare))
+
+        def count(store: str, part: TimeRange) -> int:
+            return self._topics[store].count(replace(read, time_range=part))
+
+        counts, shared = self.divided(read, count)
+        reads = (replace(bare, time_range=part) for part in shared)
+        return sum(counts) + sum(1 for part in reads for _ in self.read(part))
+
+    def divided(
+        self, read: Read, work: Callable[[str, TimeRange], _T]
+    ) -> tuple[list[_T], list[TimeRange]]:
+        """Call a function with the first store and each time range for which it alone is read.
+
+        Returns:
+            The results, and the time ranges of the read for which several stores must be read.
+        """
+        tables = self._answer.each(self._topics, lambda topic: list(topic.tables))
+        first = next(iter(self._topics))
+        own = tables.get(first, [])
+        named = any(table.named for every in tables.values() for table in every)
+        answering = self._answer.books.skips(self._names_by_store()) if not named else {}
+        if len(own) != 1 or not answering or read.only is not None:
+            return [], [read.time_range]
+        shared = self._answer.books.shared(tables, read)
+        if shared is None:
+            return [], [read.time_range]
+        alone, (low, high) = [], read.time_range
+        for part in (*shared, TimeRange(high + 1, high)):
+            if low < part.low:
+                alone.append(TimeRange(low, part.low - 1))
+            low = part.high + 1
+        results: list[_T] = []
+        for part in alone:
+            results += self._answer.each({first: part}, partial(work, first)).values()
+        if len(results) < len(alone):  # the store went away, and others have the messages, too
+            return [], [read.time_range]
+        return results, shared
+
+    def _names_by_store(self) -> dict[str, list[str]]:
+        return {store: [name] for store, name in self.names.items()}
 
     def countBuckets(self) -> int:
         """Return the number of partitions in all stores."""

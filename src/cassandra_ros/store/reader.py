@@ -480,6 +480,8 @@ def _pieces(table: RowTable, walk: BucketWalk, read: Read) -> Iterator[BucketPar
     for bucket, group in walk.groups():
         if group and not _may_hold(read, group):
             continue
+        if group and read.skip is not None and read.skip(table, group[0].node, bucket):
+            continue
         start = min((bucket + 1) * length, high + 1) if read.reverse else bucket * length
         yield BucketPart(start, table, group[0].node if group else "", bucket, group)
 

@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""cr_copy and cr_copied: the books of what was copied to other stores.
+"""cr_copy, cr_copied and cr_copied_beat: the books of what was copied to other stores.
 
 A row of cr_copy names, for a target and a table of ours, the table there that takes its rows, or
 why no table takes them. A row of cr_copied says what the target has acknowledged of the rows of one
 writer in one bucket. It is written after that acknowledgement, so the books may say less than what
-is true, and never more. A target is known by the id of its table of runs: a keyspace that was
-dropped and made again under the same name is another target, of which nothing is confirmed.
+is true, and never more. A row of cr_copied_beat has the heartbeat of the target's bucket when all
+rows of the writer were there: as long as it is the same, nothing was deleted there. A target is
+known by the id of its table of runs: a keyspace that was dropped and made again under the same name
+is another target, of which nothing is confirmed.
 """
 
 from __future__ import annotations
@@ -16,15 +18,16 @@ from datetime import datetime
 from typing import Iterable, NamedTuple
 from uuid import UUID
 
-from cassandra_ros.connection.cassandra import CqlRow
+from cassandra_ros.connection.cassandra import Cassandra, CqlRow
 from cassandra_ros.tables.directory import BucketRow, slot_of
 from cassandra_ros.tables.side_tables import SideTables
 
-_TABLES, _BUCKETS = "cr_copy", "cr_copied"
+_TABLES, _BUCKETS, _BEATS = "cr_copy", "cr_copied", "cr_copied_beat"
 _KEY = ("target", "tbl", "node", "slot", "bucket", "writer")
 _VALUES = ("there", "heartbeat", "seen", "final", "rule", "rows", "n", "bytes", "t_max")
+_SLOT = "target = ? AND tbl = ? AND node = ? AND slot = ?"
 _READ = ", ".join(("node", "bucket", "writer", *_VALUES, "released"))
-_WHAT = "writing the books of copies"
+_WHAT, _READING = "writing the books of copies", "reading the books of copies"
 _GONE = "another keyspace was made in its place"
 
 
@@ -85,6 +88,12 @@ class CopiedBucket(NamedTuple):
         return same and self.there in tables and self.rule in ("", rule)
 
 
+def target_id(cassandra: Cassandra, keyspace: str) -> UUID | None:
+    """Return the id by which books know a keyspace; None if it has no table of runs yet."""
+    rows = cassandra.system_schema("tables", "id", keyspace, "cr_run")
+    return UUID(str(rows[0][0])) if rows else None
+
+
 class CopyBooks:
     """Reads and writes the books of one keyspace."""
 
@@ -93,7 +102,7 @@ class CopyBooks:
 
     def make(self) -> None:
         """Make the tables of the books if they are missing."""
-        self._tables.make(_TABLES, _BUCKETS)
+        self._tables.make(_TABLES, _BUCKETS, _BEATS)
 
     def put_table(self, entry: CopiedTable) -> None:
         """Write the entry of a table."""
@@ -109,36 +118,53 @@ class CopyBooks:
 
     def tables(self, target: UUID | None = None) -> list[CopiedTable]:
         """Return the entries of all tables of a target; None = of all targets (a full scan)."""
-        names, what = "target, tbl, place, topic, there, refused", "reading the books of copies"
+        names = "target, tbl, place, topic, there, refused"
         if target is None:
-            rows = self._tables.select(_TABLES, names, what=what)
+            rows = self._tables.select(_TABLES, names, what=_READING)
         else:
-            rows = self._tables.select(_TABLES, names, "target = ?", (target,), what=what)
+            rows = self._tables.select(_TABLES, names, "target = ?", (target,), what=_READING)
         return [CopiedTable(*row[:2], *(text or "" for text in row[2:])) for row in rows]
 
     def put_bucket(self, target: UUID, table: str, entry: CopiedBucket) -> None:
         """Write what is confirmed of the rows of a writer in a bucket, but not ``released``."""
         self._write(target, table, entry, {name: getattr(entry, name) for name in _VALUES})
 
+    def put_beat(
+        self, target: UUID, table: str, entry: CopiedBucket, heartbeat: datetime | None
+    ) -> None:
+        """Write the heartbeat of a bucket when all rows were in the target; None = unknown."""
+        self._write(target, table, entry, {"heartbeat": heartbeat}, _BEATS)
+
     def release(self, target: UUID, table: str, entry: CopiedBucket) -> None:
         """Note that rows of a bucket are deleted here because they are there."""
         self._write(target, table, entry, {"released": True})
 
     def _write(
-        self, target: UUID, table: str, entry: CopiedBucket, values: dict[str, object]
+        self,
+        target: UUID,
+        table: str,
+        entry: CopiedBucket,
+        values: dict[str, object],
+        books: str = _BUCKETS,
     ) -> None:
         key = (target, table, entry.node, slot_of(entry.bucket), entry.bucket, entry.writer)
-        self._tables.insert(_BUCKETS, {**dict(zip(_KEY, key)), **values}, _WHAT)
+        self._tables.insert(books, {**dict(zip(_KEY, key)), **values}, _WHAT)
 
     def buckets(
         self, target: UUID, table: str, slots: Iterable[tuple[int, str]]
     ) -> list[CopiedBucket]:
         """Return what is confirmed of a table, in some slots of its nodes."""
         params = [(target, table, node, slot) for slot, node in slots]
-        where = "target = ? AND tbl = ? AND node = ? AND slot = ?"
-        what = "reading the books of copies"
-        found = self._tables.select_many(_BUCKETS, _READ, where, params, what)
+        found = self._tables.select_many(_BUCKETS, _READ, _SLOT, params, _READING)
         return [_bucket(row) for rows in found for row in rows]
+
+    def beats(
+        self, target: UUID, table: str, slot: int, node: str
+    ) -> dict[tuple[int, int], datetime]:
+        """Return heartbeats by bucket and writer, as put_beat wrote them."""
+        names, place = "bucket, writer, heartbeat", (target, table, node, slot)
+        rows = self._tables.select(_BEATS, names, _SLOT, place, what=_READING)
+        return {(bucket, writer): beat for bucket, writer, beat in rows if beat is not None}
 
     def slots(self, target: UUID, table: str) -> list[tuple[int, str]]:
         """Return the (slot, node) pairs of a table in the books of a target (a scan of keys)."""
@@ -160,7 +186,8 @@ class CopyBooks:
         """Delete the entries of a table that is no longer here."""
         keys = [(target, table, node, slot) for slot, node in self.slots(target, table)]
         what = "clearing the books of copies"
-        self._tables.delete(_BUCKETS, ("target", "tbl", "node", "slot"), keys, what)
+        for books in (_BUCKETS, _BEATS):
+            self._tables.delete(books, ("target", "tbl", "node", "slot"), keys, what)
         self._tables.delete(_TABLES, ("target", "tbl"), [(target, table)], what)
 
 

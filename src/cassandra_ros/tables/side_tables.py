@@ -129,6 +129,11 @@ LATER_TABLES = {
         "rows bigint, n bigint, bytes bigint, t_max bigint, "
         "PRIMARY KEY ((target, tbl, node, slot), bucket, writer)"
     ),
+    # Heartbeats of the target's buckets when all rows of a writer were there.
+    "cr_copied_beat": (
+        "target uuid, tbl text, node text, slot bigint, bucket bigint, writer bigint, "
+        "heartbeat timestamp, PRIMARY KEY ((target, tbl, node, slot), bucket, writer)"
+    ),
 }
 _COMMENT = "cassandra_ros side table, schema version 1"
 _COLUMN = re.compile(r"(?:^|, )([a-z0-9_]+) (?:frozen<|[a-z]+)")

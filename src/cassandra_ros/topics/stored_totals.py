@@ -11,7 +11,7 @@ from typing import Sequence
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.printable import shown
-from cassandra_ros.read import EVERYBODY, Read, Whose
+from cassandra_ros.read import ALWAYS, EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.store.row_counts import count_part, settle
 from cassandra_ros.tables.directory import BucketRow, BucketTotals, Directory
@@ -143,16 +143,22 @@ def describe(
     tables: Sequence[TopicTable],
     whose: Whose = EVERYBODY,
     losses: Sequence[Loss] = (),
+    time_range: TimeRange = ALWAYS,
 ) -> list[TopicInfo]:
     """Describe what is stored, by table and node; counts come from the directory.
 
-    With a run or node only the tables in which it has messages are listed.
+    With a run or node only the tables in which it has messages are listed. A time range, which must
+    not cut a bucket, does not matter to messages with names.
     """
-    return followed(tables, lambda now: _described(directory, now, whose, losses))
+    return followed(tables, lambda now: _described(directory, now, whose, losses, time_range))
 
 
 def _described(
-    directory: Directory, tables: Sequence[TopicTable], whose: Whose, losses: Sequence[Loss]
+    directory: Directory,
+    tables: Sequence[TopicTable],
+    whose: Whose,
+    losses: Sequence[Loss],
+    time_range: TimeRange,
 ) -> list[TopicInfo]:
     infos: list[TopicInfo] = []
     lost: Counter[tuple[str, str]] = Counter()
@@ -162,7 +168,8 @@ def _described(
         if table.named:
             rows = _names_as_buckets(table, whose)
         else:
-            rows = settle(directory, table, buckets_of(directory, table, whose))
+            ends = table.bucket_of(time_range.low), table.bucket_of(time_range.high)
+            rows = settle(directory, table, buckets_of(directory, table, whose, ends))
         groups: dict[str, list[BucketRow]] = {}
         for row in rows:
             groups.setdefault(row.node, []).append(row)

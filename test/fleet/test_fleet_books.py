@@ -1,0 +1,277 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""A store of a fleet is read only for what a store before it lacks, and no answer differs by it."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+
+import pytest
+from fleet.test_fleet import SEC, T0, place, plain, twist, write
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from proxy import Proxy
+from sensor_msgs.msg import Image
+
+from cassandra_ros import Fleet
+from cassandra_ros.copying.replicator import Replicator
+from cassandra_ros.copying.rules import CopyRule, CopyRules
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection
+from cassandra_ros.messages.definition import definition_of
+
+WRITERS = {"husky": 3, "jackal": 5}
+THINNED = CopyRules([CopyRule(where="linear.x > 3")])
+NUMBERS = itertools.count()
+
+
+@pytest.fixture
+def stores(fresh):
+    with contextlib.ExitStack() as stack:
+        yield {n: stack.enter_context(fresh()) for n in ("home", "husky", "jackal")}
+
+
+@pytest.fixture(scope="module")
+def lasting(fresh):
+    """Three stores, a fleet that believes their books, and one that reads every store."""
+    with contextlib.ExitStack() as stack:
+        three = {n: stack.enter_context(fresh()) for n in ("home", "husky", "jackal")}
+        places = list(map(place, three.values()))
+        both = (stack.enter_context(Fleet(places, consistency=c)) for c in ("LOCAL_QUORUM", "ONE"))
+        yield (three, *both)
+
+
+def numbered(robot, numbers):
+    """Messages of a robot, four in a second."""
+    return [(T0 + n * SEC // 4, robot, WRITERS[robot], n, twist(n)) for n in numbers]
+
+
+def copy(source, target, topic, rules=None):
+    return Replicator(source, target, [topic], rules=rules).copy()
+
+
+PARTS = st.tuples(st.integers(0, 39), st.integers(1, 40)).map(lambda p: range(p[0], sum(p)))
+ROBOT = st.sampled_from(["husky", "jackal"])
+STORE = st.sampled_from(["home", "husky", "jackal"])
+COPIES = st.sampled_from([("husky", "home"), ("jackal", "home"), ("husky", "jackal")])
+ACTIONS = st.one_of(
+    st.tuples(st.just("write"), ROBOT, PARTS),
+    st.tuples(st.just("import"), ROBOT, PARTS),
+    st.tuples(st.just("copy"), COPIES),
+    st.tuples(st.just("copy"), COPIES),
+    st.tuples(st.just("thin"), COPIES),
+    st.tuples(st.just("delete"), STORE, PARTS),
+    st.tuples(st.just("count"), STORE),
+)
+PACKING = st.sampled_from(["ros", "packed"])
+
+
+def act(stores, topic, formats, written, action, *said):
+    if action == "write":
+        robot, numbers = said
+        # Blocks that begin at other messages would have some of them twice.
+        rows = numbered(robot, [n for n in numbers if n not in written[robot]])
+        written[robot].update(numbers)
+        write(stores[robot], topic, formats[robot], rows)
+    elif action == "import":
+        write(stores["home"], topic, "ros", numbered(*said))
+    elif action in ("copy", "thin"):
+        source, target = (stores[name] for name in said[0])
+        if source.existTopic(topic):
+            copy(source, target, topic, THINNED if action == "thin" else None)
+    elif stores[said[0]].existTopic(topic):
+        casTopic = stores[said[0]].getTopic(topic)
+        if action == "delete":
+            low, *_, high = (T0 + n * SEC // 4 for n in (said[1][0], said[1][-1]))
+            casTopic.removeData(low, high)
+        else:
+            casTopic.countTopicData()
+
+
+@contextlib.contextmanager
+def recording(store, topic, format, rows):
+    """Writes messages into buckets that stay open."""
+    node, writer_id = rows[0][1:3] if rows else ("husky", 3)
+    with store.messageWriter(writer_id=writer_id, nodeID=node, format=format) as writer:
+        connection = api_connection(topic, definition_of(twist(0).__class__), f"/{node}")
+        handle = writer.connect(connection, bucket_ns=SEC)
+        for t, _, _, number, msg in rows:
+            writer.write(handle, t, number, serialize(msg))
+        writer.flush()
+        yield
+
+
+def facts(fleet, topic):
+    names = ("topic", "type", "node", "count", "bytes", "first_ns", "last_ns", "stores", "formats")
+    return [[getattr(info, name) for name in names] for info in fleet.info([topic])]
+
+
+@pytest.mark.campaign
+@settings(max_examples=25)
+@given(
+    formats=st.fixed_dictionaries({"husky": PACKING, "jackal": PACKING}),
+    actions=st.lists(ACTIONS, min_size=3, max_size=9),
+    still=st.none() | st.tuples(ROBOT, PARTS),
+    low=st.integers(-1, 60),
+    length=st.integers(0, 60),
+    robot=st.sampled_from([None, "husky", "jackal"]),
+)
+def test_no_answer_differs_because_the_books_are_believed(
+    lasting, formats, actions, still, low, length, robot
+):
+    stores, fleet, whole = lasting
+    topic = f"/x{next(NUMBERS)}"
+    written = {"husky": set(), "jackal": set()}
+    begin = [("write", "husky", range(24)), ("copy", ("husky", "home"))]
+    for action in (*begin, *actions):
+        act(stores, topic, formats, written, *action)
+    low, high = T0 + low * SEC // 4, T0 + (low + length) * SEC // 4
+    with contextlib.ExitStack() as stack:
+        if still is not None:
+            name, numbers = still
+            rows = numbered(name, [n for n in numbers if n not in written[name]])
+            stack.enter_context(recording(stores[name], topic, formats[name], rows))
+        for times in ((), (low, high)):
+            for where in (None, "linear.x > 3", "RUN = '3'"):
+                for reverse in (False, True):
+                    asked = {"nodeID": robot, "where": where, "reverse": reverse}
+                    found = plain(fleet.rows(topic, *times, **asked))
+                    assert found == plain(whole.rows(topic, *times, **asked))
+            for received in (False, True):
+                asked = {"nodeID": robot, "received": received}
+                found = plain(fleet.readMessages([topic], *times, **asked))
+                assert found == plain(whole.readMessages([topic], *times, **asked))
+        for statement in (
+            f"SELECT count(*) FROM {topic}",
+            f"SELECT count(*) FROM {topic} WHERE KEY >= {low} AND KEY <= {high}",
+            f"SELECT NODE, count(*), sum(linear.y) FROM {topic} GROUP BY NODE",
+            f"SELECT KEY, NODE, linear.x FROM {topic} WHERE KEY > {low} ORDER BY KEY DESC LIMIT 9",
+        ):
+            found = fleet.executeCQL(statement, nodeID=robot)
+            assert found == whole.executeCQL(statement, nodeID=robot)
+        assert fleet.getData(topic, low, high) == whole.getData(topic, low, high)
+        for nearest in ("before", "after", "either"):
+            found, expected = (f.getRow(topic, low, nearest=nearest) for f in (fleet, whole))
+            assert (found and found.place) == (expected and expected.place)
+        assert facts(fleet, topic) == facts(whole, topic)
+
+
+def given_by(fleet, robot, topic="/s", **asked):
+    """Return the number of messages, and of those that a robot's store gave."""
+    rows = list(fleet.rows(topic, **asked))
+    assert not fleet.rows(topic).partial
+    return len(rows), sum(place(robot) in row.stores for row in rows)
+
+
+@pytest.mark.parametrize("format", ["ros", "packed"])
+def test_only_what_home_lacks_or_may_lack_is_read_from_the_robot(stores, format):
+    home, husky, _ = stores.values()
+    write(husky, "/s", format, numbered("husky", range(40)))
+    with Fleet([place(home), place(husky)]) as fleet, Fleet([place(husky), place(home)]) as turned:
+        assert given_by(fleet, husky) == (40, 40)
+        copy(husky, home, "/s")
+        assert given_by(fleet, husky) == (40, 0)
+        assert given_by(fleet, husky, reverse=True, where="linear.x > 0") == (34, 0)
+        assert given_by(turned, husky) == (40, 40)  # the robot's store comes first
+        write(husky, "/s", format, numbered("husky", range(40, 46)))
+        assert given_by(fleet, husky) == (46, 6)
+        copy(husky, home, "/s")
+        assert given_by(fleet, husky) == (46, 0)
+        home.getTopic("/s").removeData(T0 + SEC, T0 + SEC)
+        assert given_by(fleet, husky) == (46, 4)  # the bucket of the message that home deleted
+        husky.getTopic("/s").removeData(T0 + 3 * SEC, T0 + 3 * SEC)
+        assert given_by(fleet, husky) == (46, 4 + 3)
+        with recording(husky, "/s", format, numbered("husky", range(46, 50))):
+            copy(husky, home, "/s")
+            assert given_by(fleet, husky)[1] >= 4
+        home.removeTopic("/s")
+        assert given_by(fleet, husky) == (49, 49)
+
+
+def test_a_home_that_was_made_again_has_nothing(stores, cql):
+    home, husky, _ = stores.values()
+    write(husky, "/s", "ros", numbered("husky", range(40)))
+    copy(husky, home, "/s")
+    cql.execute(f"DROP KEYSPACE {home.keyspace}")
+    cql.execute(
+        f"CREATE KEYSPACE {home.keyspace} WITH replication = "
+        "{'class': 'SimpleStrategy', 'replication_factor': 1}"
+    )
+    with Fleet([place(home), place(husky)]) as fleet:
+        assert given_by(fleet, husky) == (40, 40)
+
+
+@pytest.fixture
+def proxied(cassandra):
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        yield proxy
+
+
+@pytest.mark.parametrize("door", ["info", "count", "rows"])
+def test_the_robot_sends_no_message_for_what_home_has(stores, proxied, door):
+    home, husky, _ = stores.values()
+    write(
+        husky, "/s", "ros", [(T0 + n * SEC // 1000, "husky", 3, n, twist(n)) for n in range(9000)]
+    )
+    copy(husky, home, "/s")
+    name = f"{proxied.host}:{proxied.port}/{husky.keyspace}"
+    sent = {}
+    for consistency in ("LOCAL_QUORUM", "ONE"):
+        with Fleet([place(home), name], consistency=consistency) as fleet:
+            assert fleet.topics() == ["/s"]
+            before = proxied.answered_bytes
+            if door == "info":
+                (info,) = fleet.info()
+                assert (info.count, info.stores) == (9000, {place(home): 9000, name: 9000})
+            elif door == "count":
+                assert fleet.executeCQL("SELECT count(*) FROM s") == [(9000,)]
+            else:
+                assert len(list(fleet.rows("s"))) == 9000
+            sent[consistency] = proxied.answered_bytes - before
+    assert sent["LOCAL_QUORUM"] < sent["ONE"] / 5, sent
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("reverse", [False, True])
+def test_if_home_goes_away_in_the_middle_the_robot_gives_the_rest(stores, proxied, reverse):
+    home, husky, jackal = stores.values()
+    rows = [(T0 + n * SEC // 1000, "husky", 3, n, twist(n)) for n in range(30_000)]
+    write(husky, "/s", "ros", rows)
+    copy(husky, home, "/s")
+    write(jackal, "/s", "ros", [(T0 + SEC // 9, "jackal", 5, 1, twist(1))])
+    name = f"{proxied.host}:{proxied.port}/{home.keyspace}"
+    with Fleet([name, place(husky), place(jackal)], answer_sec=2.0) as fleet:
+        found = fleet.rows("s", reverse=reverse)
+        begin = [next(found) for _ in range(1000)]
+        assert all(row.stores in ([name], [place(jackal)]) for row in begin)
+        proxied.cut()
+        rest = list(found)
+        numbers = [row.seq for row in (*begin, *rest) if row.node == "husky"]
+        assert [n & 0xFFFFFFFF for n in numbers] == sorted(range(30_000), reverse=reverse)
+        assert len(begin) + len(rest) == 30_001
+        assert list(found.missing) == [name]
+        assert rest[-2].stores == [place(husky)]
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("fault", ["away", "damaged"])
+def test_bytes_that_home_does_not_give_any_more_come_from_the_robot(stores, proxied, cql, fault):
+    home, husky, _ = stores.values()
+    casTopic = husky.addTopic("/image", format="binary")
+    for n in range(4):
+        casTopic.addData(Image(height=n, data=bytes([n]) * (1 << 20)), key=T0 + n * SEC)
+    husky.catalog.adder.close()
+    copy(husky, home, "/image")
+    name = f"{proxied.host}:{proxied.port}/{home.keyspace}"
+    with Fleet([name, place(husky)], answer_sec=2.0) as fleet:
+        rows = list(fleet.rows("image"))
+        assert [row.stores for row in rows] == [[name]] * 4
+        if fault == "away":
+            proxied.cut()
+        else:
+            (table,) = home.getTopic("/image").tables
+            cql.execute(f'TRUNCATE {home.keyspace}."{table.name}_c"')
+        found = [(row.message().height, row.message().data[0]) for row in rows]
+        assert found == [(n, n) for n in range(4)]
+        assert "left out" not in str(rows[0].missing)
