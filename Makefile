@@ -75,9 +75,12 @@ test-python: PYTHON = python3.8
 test-python: setup
 	@.venv/bin/python test/other_python.py $(PYTHON) -n 3 $(ARGS)
 
+# A search takes longer than pytest waits before it prints the stacks of running threads, which may
+# crash the interpreter.
 campaign: LENGTH ?= long
+campaign: NO_STACKS = $(if $(filter long,$(LENGTH)),-o faulthandler_timeout=0)
 campaign: setup
-	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=$(LENGTH) $(PYTHON) -m pytest -n 3 $(ARGS)
+	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=$(LENGTH) $(PYTHON) -m pytest -n 3 $(NO_STACKS) $(ARGS)
 
 faults: setup
 	@$(IN_WORKSPACE) $(PYTHON) -m faults $(ARGS)

@@ -309,8 +309,14 @@ class Trial:
         return "" if not status else program.output.strip()[-2000:] or f"exit status {status}"
 
     def drop(self, keyspace: str, server: Server | None = None) -> None:
-        """Drop a keyspace; server None = the one of the trial."""
+        """Drop a keyspace of a server of one node; server None = the one of the trial.
+
+        Several nodes keep it: a drop fails in the middle where a node that was away still gets
+        writes for it from the others, and its schema is another one then until it starts anew.
+        """
         server = server or self.server
+        if len(server.hosts) > 1:
+            return
         store = Store(server.hosts, server.port, keyspace)
         with contextlib.suppress(DriverException), store:
             list(store.select(f"DROP KEYSPACE IF EXISTS {keyspace}"))

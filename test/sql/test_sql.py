@@ -31,9 +31,10 @@ from cassandra_ros.errors import (
     TopicNotFound,
 )
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
-from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.messages.stamps import Stamp, to_ns
 from cassandra_ros.sql import duck_database
 from cassandra_ros.sql.sql_result import SqlResult
 from cassandra_ros.topics import event_finder
@@ -420,6 +421,29 @@ def test_a_statement_that_is_stopped_while_it_begins_ends(robot):
     for _ in range(10):
         with pytest.raises(Cancelled):
             SqlResult(robot.catalog, text, watch=watch).fetchall()
+
+
+def test_a_statement_that_is_stopped_reads_no_further(fresh):
+    total = 400_000
+    with fresh() as store:
+        with store.messageWriter(format="packed") as writer:
+            definition = installed_definition("std_msgs/UInt64")
+            handle = writer.connect(api_connection("/many", definition, "/x"))
+            for n in range(total):
+                writer.write(handle, to_ns(at(n, 10**6)), n, n.to_bytes(8, "little"))
+        result = SqlResult(store.catalog, "SELECT data FROM many")
+        (source,) = result._ready.sources.values()
+        rows = iter(result)
+        assert next(rows) == (0,)
+        rows.close()
+        assert 0 < source.messages < total / 2
+
+
+def test_a_topic_called_like_a_table_needs_its_slash(fresh):
+    with fresh() as store:
+        store.addTopic("/runs", msg_type="std_msgs/String").addData(String("x"), key=at(0))
+        assert store.sql('SELECT data FROM "/runs"').fetchall() == [("x",)]
+        assert "kind" in store.sql("SELECT * FROM runs").columns
 
 
 def test_ctrl_c_stops_a_statement(robot):

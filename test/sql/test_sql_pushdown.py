@@ -208,6 +208,8 @@ JOINS = [
     "ASOF LEFT JOIN {b} y ON x.NODE = y.NODE AND x.KEY >= y.KEY",
     "ASOF JOIN {b} y ON x.NODE = y.NODE AND y.KEY > x.KEY",
     "ASOF LEFT JOIN {b} y ON x.NODE = y.NODE AND x.KEY <= y.KEY",
+    "ASOF RIGHT JOIN {b} y ON x.NODE = y.NODE AND x.KEY >= y.KEY",
+    "ASOF FULL JOIN {b} y ON x.NODE = y.NODE AND x.KEY >= y.KEY",
     "RIGHT JOIN {b} y ON x.RUN = y.RUN AND x.KEY >= y.KEY AND x.i = y.i",
     "LEFT JOIN {b} y ON x.KEY = y.KEY ASOF LEFT JOIN b z ON y.KEY >= z.KEY AND z.NODE = x.NODE",
     "FULL JOIN {b} z ON z.KEY = x.KEY AND x.NODE = z.NODE FULL JOIN a y ON z.KEY = y.KEY",
@@ -217,8 +219,39 @@ JOINS = [
 ]
 
 
+GROUPS = ["NODE", "RUN", "b", "i % 3", "s", "time_bucket(INTERVAL 1 SECOND, KEY)"]
+WINDOWS = [
+    "row_number() OVER (PARTITION BY NODE ORDER BY KEY)",
+    "lag(i) OVER (PARTITION BY NODE ORDER BY KEY)",
+    "max(l) OVER (PARTITION BY b ORDER BY KEY, NODE ROWS 3 PRECEDING)",
+    "count(*) OVER (PARTITION BY RUN ORDER BY KEY RANGE BETWEEN INTERVAL 1 SECOND PRECEDING"
+    " AND CURRENT ROW)",
+]
+
+
+def summary(rng, one):
+    """Rows that depend on others: of groups, of windows, or the first ones of an order."""
+    where = condition(rng, "")
+    kind = rng.random()
+    if kind < 0.4:
+        group = rng.choice(GROUPS)
+        found = f"count(*) AS n, min({rng.choice(NUMBERS)}), max(KEY)"
+        having = rng.choice(["", f" HAVING n > {rng.randint(0, 40)}"])
+        return f"SELECT {group} AS g, {found} FROM {one} WHERE {where} GROUP BY g{having}"
+    if kind < 0.75:
+        window = f"SELECT KEY, NODE, {rng.choice(WINDOWS)} AS v FROM {one} WHERE {where}"
+        outer = rng.choice(["v > 5", "NODE = 'r1'", f"KEY > {moment(rng)}", "v IS NULL"])
+        return rng.choice([window, f"SELECT * FROM ({window}) WHERE {outer}"])
+    order = rng.choice(["KEY, NODE", "KEY DESC, NODE", "i, KEY DESC, NODE"])
+    limit = f"LIMIT {rng.randint(0, 30)} OFFSET {rng.choice([0, 0, 5])}"
+    inner = f"SELECT * FROM {one} WHERE {where} ORDER BY {order} {limit}"
+    return rng.choice([inner, f"SELECT KEY, d FROM ({inner}) x WHERE {condition(rng, 'x.')}"])
+
+
 def statement(rng):
     one = rng.choice(["a", '"/a"', "b", "c"])
+    if rng.random() < 0.25:
+        return summary(rng, one)
     if rng.random() < 0.5:
         shown = rng.choice(["*", "KEY, NODE, d, sub.f", "count(*), min(f), max(d)", "sub, s"])
         alias = rng.choice(["", "", f"{one}."])
@@ -333,6 +366,8 @@ UNUSUAL = [
     "SELECT x.k FROM (SELECT KEY AS k, d FROM a WHERE i > 5) x WHERE x.d > 50",
     "SELECT y.a.i FROM (SELECT a FROM a) y",
     "SELECT main.a.i FROM a",
+    "SELECT x.KEY, y.i FROM a x ASOF RIGHT JOIN b y ON x.KEY >= y.KEY WHERE y.i > 7",
+    "SELECT x.KEY, y.i FROM a x ASOF FULL JOIN b y ON x.KEY >= y.KEY WHERE x.i > 7",
     "SELECT x.KEY FROM a x LEFT JOIN b y ON x.KEY = y.KEY AND y.d > 5 WHERE y.KEY IS NULL",
     "SELECT x.KEY FROM a x LEFT JOIN b y ON x.i = y.i WHERE y.d IS NULL OR y.d > 5",
     "WITH RECURSIVE r AS (SELECT 0 AS n UNION ALL SELECT n + 1 FROM r, a WHERE a.i = 3 AND n < 2)"

@@ -605,10 +605,12 @@ class RosCassandra:
         """Prepare a SELECT statement in DuckDB's SQL over any topics, see doc/sql.md.
 
         A topic is a table, named with or without its leading slash (with it in double quotes); its
-        columns are those of CassandraTopic.toArrow. Further tables are topics, runs and losses. The
-        statement runs when you ask the result for rows: ``.df() .arrow() .fetchall()``, iteration,
-        ``print``; each runs it anew. Only the columns are read that it names, and only the times,
-        robots, runs and values to which its WHERE bounds each topic: ``.explain()`` tells.
+        columns are those of CassandraTopic.toArrow, and EVENT. Further tables are topics, runs,
+        losses, events, constants and ``tf('map', 'base_link')``; a topic of such a name needs its
+        slash. The statement runs when you ask the result for rows: ``.df() .arrow() .fetchall()``,
+        iteration, ``print``; each runs it anew. Only the columns are read that it names, and only
+        the times, robots, runs and values to which its WHERE bounds each topic: ``.explain()``
+        tells.
 
         Args:
             statement: One SELECT.

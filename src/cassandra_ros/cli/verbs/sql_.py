@@ -9,9 +9,10 @@
   cassandra_bag sql 'SELECT * FROM runs' --explain
 
 The SQL is DuckDB's (requirements-tables.txt; Python 3.11 or later). A topic is a table, with the
-columns KEY, NODE, RUN and the fields of its messages; topics, runs and losses are tables too. Put
-names with slashes in double quotes, and the statement in single ones. Values for ? and the outputs
-are as in 'cassandra_bag query'; there messages in a cell are JSON objects, in Parquet structs.
+columns KEY, NODE, RUN, EVENT and the fields of its messages. Further tables are topics, runs,
+losses, events, constants and tf('map', 'base_link'). Put names with slashes in double quotes, and
+the statement in single ones. Values for ? and the outputs are as in 'cassandra_bag query'; there
+messages in a cell are JSON objects, in Parquet structs.
 
 The statement only reads; to delete messages or to make an index, use 'cassandra_bag query'.
 """
