@@ -17,6 +17,7 @@ from sensor_msgs.msg import Image
 from cassandra_ros import Fleet
 from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.copying.rules import CopyRule, CopyRules
+from cassandra_ros.copying.target_buckets import TargetBuckets
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
@@ -187,6 +188,75 @@ def test_only_what_home_lacks_or_may_lack_is_read_from_the_robot(stores, format)
             assert given_by(fleet, husky)[1] >= 4
         home.removeTopic("/s")
         assert given_by(fleet, husky) == (49, 49)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+def test_what_is_copied_while_it_is_read_is_given_once(stores, reverse):
+    """Home was read to its end before the copy: the robot gives what home has not given."""
+    home, husky, jackal = stores.values()
+    write(husky, "/s", "ros", numbered("husky", range(16)))
+    copy(husky, home, "/s")
+    rows = [(T0 + n * SEC // 200, "husky", 3, n, twist(n)) for n in range(4 * 200, 40 * 200)]
+    write(husky, "/s", "ros", rows)
+    with Fleet([place(home), place(husky), place(jackal)]) as fleet:
+        found = fleet.rows("s", reverse=reverse)
+        begin = [next(found) for _ in range(10)]
+        copy(husky, home, "/s")
+        rest = list(found)
+        assert len({row.place for row in (*begin, *rest)}) == len(begin) + len(rest)
+        assert len(begin) + len(rest) == 16 + 36 * 200 and not found.missing
+
+
+@pytest.mark.fault
+@pytest.mark.parametrize("door", ["rows", "count", "info"])
+@pytest.mark.parametrize("gone", ["home", "husky"])
+def test_a_robot_whose_messages_are_in_two_stores_of_which_one_goes_away(
+    stores, proxied, door, gone
+):
+    """Of /s jackal has copies at home, of /x at husky; husky's own /x is not at home."""
+    home, husky, jackal = stores.values()
+    for topic in ("/s", "/x"):
+        write(jackal, topic, "ros", numbered("jackal", range(16)))
+    write(husky, "/x", "ros", numbered("husky", range(16)))
+    copy(jackal, home, "/s")
+    copy(jackal, husky, "/x")
+    home.addTopic("/x", msg_type="geometry_msgs/Twist")
+    names = {name: place(store) for name, store in stores.items()}
+    names[gone] = f"{proxied.host}:{proxied.port}/{stores[gone].keyspace}"
+    with Fleet(list(names.values()), answer_sec=2.0) as fleet:
+        assert len(list(fleet.rows("x"))) == 32
+        proxied.cut()
+        left = 16 if gone == "husky" else 32
+        if door == "rows":
+            answer = fleet.rows("x")
+            assert len(list(answer)) == left
+        elif door == "count":
+            answer = fleet.executeCQL("SELECT count(*) FROM x")
+            assert answer == [(left,)]
+        else:
+            answer = fleet.info(["/x"])
+            assert sum(info.count for info in answer) == left
+        assert list(answer.missing) == [names[gone]]
+
+
+def test_a_deletion_at_home_during_a_copy_is_not_forgotten(stores, monkeypatch):
+    """The copier has not closed the bucket yet, so it must not close it with its own count."""
+    home, husky, _ = stores.values()
+    write(husky, "/s", "ros", numbered("husky", range(4)))
+    close = TargetBuckets.close
+
+    def delete_and_close(self, *words):
+        home.getTopic("/s").removeData(T0 + SEC // 4, T0 + SEC // 4)
+        self._marked.clear()  # as if the heartbeat was old
+        self.open("husky", T0 // SEC, 3)
+        close(self, *words)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TargetBuckets, "close", delete_and_close)
+        copy(husky, home, "/s")
+    with Fleet([place(home), place(husky)]) as fleet:
+        assert given_by(fleet, husky) == (4, 4)
+    assert home.getTopic("/s").countTopicData() == 3
 
 
 def test_a_home_that_was_made_again_has_nothing(stores, cql):

@@ -108,7 +108,8 @@ class _PublishTimes:
 
     def of(self, row: FleetRow) -> tuple[int, int]:
         """Return publish_time minus receive time, ns, and sequence number; 0 and 0 = unknown."""
-        for store in row.stores:
+        # A store that was not read for the message may have its publish time already.
+        for store in dict.fromkeys([*row.stores, *self._finders]):
             finder = {store: self._finders[store]} if store in self._finders else {}
             for found in self._answer.each(
                 finder, lambda each: each.of(row, row.received)

@@ -568,6 +568,11 @@ class Cassandra:
             f"{'' if level in _LEAST else _READ_ANYWAY}"
         )
 
+    @property
+    def finds_all_written(self) -> bool:
+        """Whether it finds all that it, or another client of its consistency level, has written."""
+        return is_quorum(ConsistencyLevel.value_to_name[self.consistency])
+
     def live_nodes(self) -> int:
         """Return the number of nodes in the local data centre that the driver knows."""
         return max(1, sum(1 for _ in self._cluster.metadata.all_hosts()))
@@ -608,6 +613,11 @@ class Cassandra:
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
+
+
+def is_quorum(level: str) -> bool:
+    """Return whether what is written at a consistency level is found by all reads at it."""
+    return "QUORUM" in level.upper() or level.upper() == "ALL"
 
 
 def _consistency_level(name: str) -> int:

@@ -299,7 +299,7 @@ class PieceCopy:
     def _beat_there(self, row: BucketRow) -> datetime | None:
         """Return the heartbeat of the target's entry that stands for all rows of a bucket."""
         source, target = self._pair.source, self._pair.target
-        if source.bucket_ns != target.bucket_ns:
+        if source.bucket_ns != target.bucket_ns or not self._pair.there.cassandra.finds_all_written:
             return None
         found = self._pair.there.directory.find(target.name, row.node, row.bucket)
         entries = [r for r in found if r.writer == row.writer and r.closed and r.rows >= row.rows]
@@ -326,7 +326,7 @@ class PieceCopy:
             t_max=max(row.t_max, 0),
         )
         self._books.put_bucket(self._id, self._pair.source.name, entry)
-        if final:
+        if final and not entry.rule:
             beat = self._beat_there(row)
             self._books.put_beat(self._id, self._pair.source.name, entry, beat)
 

@@ -4,8 +4,8 @@
 
 A bucket is marked as open before its first row is written. It is closed when its rows are
 acknowledged, if no client was writing the bucket here, and only if its entry is still the one that
-this object wrote. If another copy or a deletion has changed the entry meanwhile, the bucket stays
-open, and a reader counts it.
+this object wrote. If another copy or a deletion has changed the entry, the bucket stays open, and a
+reader counts it.
 """
 
 from __future__ import annotations
@@ -103,6 +103,8 @@ class TargetBuckets:
         directory, table = self._pair.there.directory, self._pair.target
         counted: Mapping[int, BucketTotals] | None = None
         for key, row in entries:
+            if row.cut:
+                continue  # its counts may lack a deletion that goes on: a reader counts it later
             counts = totals.get(key) if key in self._new else None
             if counts is None:
                 counted = recount(table, *place) if counted is None else counted

@@ -131,7 +131,8 @@ class Fleet:
     ) -> FleetList[FleetTopicInfo]:
         """Describe what is stored, by topic, type and robot; each message is counted once.
 
-        If several stores have messages of a robot in a topic, the keys of all of them are read.
+        If several stores have messages of a robot in a topic, the keys of all of them are read,
+        except where the first store has all of them by the books of the others.
 
         Args:
             topics, nodeID, run: As in RosCassandra.info.

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
 from itertools import chain, islice
 from typing import Callable, Dict, Generic, Iterable, Iterator, List, Mapping, Sequence, TypeVar
 
@@ -63,6 +62,7 @@ class FleetAnswer:
         self.reasons: Missing = dict(self.missing)
         self._left_out: dict[str, int] = {}
         self._mutex = threading.Lock()
+        self._books: FleetBooks | None = None
         self.catalogs: dict[str, Catalog] = self.each(self._stores, _catalog)
         if not self.catalogs:
             raise StoreUnavailable(f"no store of the fleet answers: {told(self.missing)}")
@@ -72,10 +72,13 @@ class FleetAnswer:
         """Whether a store did not answer, so that its messages may be missing."""
         return bool(self.missing)
 
-    @cached_property
+    @property
     def books(self) -> FleetBooks:
-        """What the books of the stores say, read when they are needed first."""
-        return FleetBooks(self, believed=all(s.reads_quorum for s in self._stores.values()))
+        """The books of the stores; which tables they tell of is read when it is needed first."""
+        if self._books is None:
+            believed = all(store.reads_quorum for store in self._stores.values())
+            self._books = FleetBooks(self, believed=believed)
+        return self._books
 
     def each(self, values: Mapping[str, _S], work: Callable[[_S], _T]) -> dict[str, _T]:
         """Call a function with a value of each store, at the same time.

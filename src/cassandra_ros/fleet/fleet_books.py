@@ -6,22 +6,18 @@ The books of a store say what another store has acknowledged (``tables/copy_book
 believed of a bucket only while nothing has changed on either side since: both directories list it
 as closed, with the heartbeats that the books noted. So a message that was deleted in the other
 store still comes from this one. In all other cases both stores are read.
+
+Books and directories are read before any message is: what is copied while an answer is read may
+lie behind the place up to which the other store was read.
 """
 
 from __future__ import annotations
 
 import logging
-import time
-from functools import lru_cache, partial
-from typing import (
-    Callable,
-    Collection,
-    Mapping,
-    NamedTuple,
-    Protocol,
-    Sequence,
-    TypeVar,
-)
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import partial
+from typing import Callable, Collection, Iterable, Mapping, NamedTuple, Protocol, Sequence, TypeVar
 from uuid import UUID
 
 from cassandra_ros.errors import AccessDenied
@@ -40,13 +36,9 @@ _S = TypeVar("_S")
 
 Topics = Mapping[str, Collection[str]]
 """Name of a store → names of the topics that are read there."""
-_THERE, _HERE = 1, 2
-"""State of a bucket: its messages are in the other store; it has to be read here."""
-SLOTS_HELD = 256
-"""Number of slots whose states are kept in memory, 4 KiB each."""
-FRESH_SEC = 10.0
-"""Maximum age of a state, s. What is deleted in the other store later than that, while an answer is
-read, may be left out."""
+MOST_SLOTS = 64
+"""Maximum number of slots of a table, each of one robot, whose books are read; with more, all
+stores are read."""
 MOST_RANGES = 64
 """Maximum number of time ranges that are read between those that the directory counts."""
 
@@ -61,6 +53,10 @@ class StoredPlace(Protocol):
     @property
     def topic(self) -> str:
         """Name of the topic."""
+
+    @property
+    def stores(self) -> list[str]:
+        """Names of the stores that gave it."""
 
 
 class Stores(Protocol):
@@ -81,6 +77,17 @@ class _Copy(NamedTuple):
     table: str
 
 
+@dataclass
+class _Buckets:
+    """The buckets of one table and robot, in the time range of a read."""
+
+    copy: _Copy
+    there: set[int] = field(default_factory=set)
+    """Those that the other store has whole."""
+    here: set[int] = field(default_factory=set)
+    """Those that have to be read here."""
+
+
 class FleetBooks:
     """The books of the stores of one question, as far as they concern stores named before.
 
@@ -92,8 +99,8 @@ class FleetBooks:
 
     def __init__(self, stores: Stores, *, believed: bool) -> None:
         self._stores = stores
-        self._copies: dict[tuple[str, str], _Copy] = {}
-        self._states = lru_cache(SLOTS_HELD)(self._read_states)
+        self._copies: dict[str, dict[str, _Copy]] = {}
+        """Store → name of a table → its copy."""
         names = list(stores.catalogs) if believed else []
         books = stores.each({name: stores.catalogs[name] for name in names[1:]}, _entries)
         if not any(books.values()):
@@ -107,60 +114,103 @@ class FleetBooks:
                     theirs = tables.get(store, {}).get(entry.there)
                     if entry.target == ids.get(store) and _are_alike(mine, theirs):
                         copy = _Copy(store, entry.target, entry.there)
-                        self._copies.setdefault((name, entry.table), copy)
+                        self._copies.setdefault(name, {}).setdefault(entry.table, copy)
 
-    def skips(self, topics: Topics) -> dict[str, Skip]:
-        """Return which buckets need not be read, for each store of which some perhaps need not."""
-        stores = {name for (name, _), copy in self._copies.items() if self._is_asked(copy)}
-        return {name: partial(self._is_there, topics, name) for name in topics if name in stores}
-
-    def targets(self, stores: Collection[str]) -> set[str]:
-        """Return the stores that have, by the books of some stores, messages of these."""
-        return {copy.store for (name, _), copy in self._copies.items() if name in stores}
+    def spared(self, topics: Topics, read: Read) -> Spared:
+        """Return which buckets need not be read, as books and directories are now."""
+        asked = {
+            name: partial(self._read, topics, name, read)
+            for name in topics
+            if any(self._is_asked(copy) for copy in self._copies.get(name, {}).values())
+        }
+        return Spared(self._stores, topics, self._stores.each(asked, lambda work: work()))
 
     def _is_asked(self, copy: _Copy) -> bool:
         return copy.store not in self._stores.missing
 
-    def _is_there(
-        self, topics: Topics, store: str, table: TopicTable, node: str, bucket: int
-    ) -> bool:
-        copy = self._copies.get((store, table.name))
-        if copy is None or not self._is_asked(copy):
-            return False
-        if table.metadata.topic not in topics.get(copy.store, ()):
-            return False
-        slot = slot_of(bucket)
-        states = self._states(store, table.name, node, slot, _now())
-        return states[bucket - slot * SLOT_BUCKETS] == _THERE and self._is_asked(copy)
+    def _read(self, topics: Topics, store: str, read: Read) -> dict[tuple[str, str], _Buckets]:
+        """Return the buckets of a store by table and robot."""
+        catalog = self._stores.catalogs[store]
+        found: dict[tuple[str, str], _Buckets] = {}
+        for table in catalog.tables(list(topics[store])):
+            copy = self._copies[store].get(table.name)
+            if copy is None or not self._is_asked(copy) or table.named:
+                continue
+            if table.metadata.topic not in topics.get(copy.store, ()):
+                continue
+            ends = (slot_of(table.bucket_of(min(t, MAX_NS))) for t in read.time_range)
+            nodes = read.whose.nodes
+            slots = [
+                (slot, node)
+                for slot, node in catalog.keyspace.directory.nodes(table.name, *ends)
+                if nodes is None or node in nodes
+            ]
+            if len(slots) <= MOST_SLOTS:
+                for slot, node in slots:
+                    buckets = found.setdefault((table.name, node), _Buckets(copy))
+                    self._compare(catalog, table.name, (slot, node), buckets)
+        return found
 
-    def _read_states(self, store: str, table: str, node: str, slot: int, _now: int) -> bytes:
-        """Return the states of the buckets of a slot; 0 = there is no such bucket."""
-        here, copy = self._stores.catalogs[store].keyspace, self._copies.get((store, table))
-        first, states = slot * SLOT_BUCKETS, bytearray(SLOT_BUCKETS)
-        rows = _entries_of(self._stores.catalogs[store], table, node, slot)
-        beats: dict[tuple[int, int], object] = {}
-        known: dict[tuple[int, int], object] = {}
-        if copy is not None:
-            books = CopyBooks(here.side_tables)
-            noted = books.beats(copy.target, table, slot, node)
-            entries = books.buckets(copy.target, table, [(slot, node)]) if noted else []
-            sure = {(b.bucket, b.writer): b for b in entries if (b.bucket, b.writer) in noted}
-            for row in rows:
-                place = row.bucket, row.writer
-                if place in sure and row.closed and sure[place].confirms(row, [copy.table]):
-                    known[place] = noted[place]
-        if copy is not None and known:
-            asked = {copy.store: self._stores.catalogs[copy.store]}
-            found = self._stores.each(asked, lambda c: _entries_of(c, copy.table, node, slot))
-            theirs = [row for answer in found.values() for row in answer]
-            beats = {(row.bucket, row.writer): row.heartbeat for row in theirs if row.closed}
+    def _compare(
+        self, catalog: Catalog, table: str, place: tuple[int, str], buckets: _Buckets
+    ) -> None:
+        """Add the buckets of a slot and robot of a table."""
+        copy = buckets.copy
+        rows = _entries_of(catalog, table, place)
+        sure = _confirmed(catalog, copy, table, place, rows)
+        asked = {copy.store: self._stores.catalogs[copy.store]} if sure else {}
+        found = self._stores.each(asked, lambda c: _entries_of(c, copy.table, place))
+        theirs = [row for answer in found.values() for row in answer]
+        beats = {(row.bucket, row.writer): row.heartbeat for row in theirs if row.closed}
         for row in rows:
-            place, index = (row.bucket, row.writer), row.bucket - first
-            same = place in known and beats.get(place) == known[place]
-            states[index] = max(states[index], _THERE if same else _HERE)
-        return bytes(states)
+            key = row.bucket, row.writer
+            same = key in sure and beats.get(key) == sure[key]
+            (buckets.there if same else buckets.here).add(row.bucket)
+        buckets.there -= buckets.here  # of another writer
 
-    def copies(self, topics: Topics, row: StoredPlace) -> list[tuple[str, StoredRow]]:
+
+class Spared:
+    """The buckets that need not be read for one read.
+
+    Args:
+        stores: The stores that are asked.
+        topics: The topics that are read.
+        buckets: Name of a store → its buckets by table and robot.
+    """
+
+    def __init__(
+        self,
+        stores: Stores,
+        topics: Topics,
+        buckets: Mapping[str, Mapping[tuple[str, str], _Buckets]],
+    ) -> None:
+        self._stores, self._topics = stores, topics
+        self._buckets = {
+            store: found
+            for store, found in buckets.items()
+            if any(each.there for each in found.values())
+        }
+        self.targets = {
+            each.copy.store for found in self._buckets.values() for each in found.values()
+        }
+        """The stores that are read instead."""
+
+    def __bool__(self) -> bool:
+        return bool(self._buckets)
+
+    def skip(self, store: str) -> Skip | None:
+        """Return which buckets of a store are left out; None = none."""
+        return partial(self._is_there, store) if store in self._buckets else None
+
+    def _is_there(self, store: str, table: TopicTable, node: str, bucket: int) -> bool:
+        buckets = self._buckets.get(store, {}).get((table.name, node))
+        return (
+            buckets is not None
+            and bucket in buckets.there
+            and buckets.copy.store not in self._stores.missing
+        )
+
+    def copies(self, row: StoredPlace) -> list[tuple[str, StoredRow]]:
         """Return the rows of a message in the stores that were not read for it."""
         writers = frozenset([writer_of(row.seq)])
         read = Read(TimeRange(row.t, row.t), Whose((row.node,), writers))
@@ -170,9 +220,9 @@ class FleetBooks:
             rows = catalog.keyspace.rows.read(catalog.tables([row.topic]), read)
             return [each for each in rows if each.seq == row.seq]
 
-        copied = {name for name, _ in self._copies}
-        spared = [name for name in topics if name in copied and row.topic in topics[name]]
-        found = self._stores.each({name: name for name in spared}, find)
+        left = [name for name in self._buckets if row.topic in self._topics[name]]
+        asked = {name: name for name in left if name not in row.stores}
+        found = self._stores.each(asked, find)
         return [(name, each) for name, rows in found.items() for each in rows]
 
     def shared(
@@ -189,7 +239,7 @@ class FleetBooks:
         (own,), *_ = tables.values()
         length, (low, high) = own.bucket_ns, read.time_range
         others = {name: partial(self._busy, name, tables[name], read) for name in list(tables)[1:]}
-        found = self._stores.each(others, lambda busy: busy())
+        found = self._stores.each(others, lambda busy: list(busy()))
         merged: list[TimeRange] = []
         for begin, end in sorted(each for ranges in found.values() for each in ranges):
             first, last = begin // length * length, (end // length + 1) * length - 1
@@ -198,30 +248,19 @@ class FleetBooks:
             merged.append(TimeRange(max(low, first), min(high, last)))
         return merged if len(merged) <= MOST_RANGES else None
 
-    def _busy(self, store: str, tables: Sequence[TopicTable], read: Read) -> list[TimeRange]:
-        """Return the time ranges of the buckets of a store that have to be read there."""
-        directory = self._stores.catalogs[store].keyspace.directory
-        low, high = read.time_range
-        nodes, found = read.whose.nodes, []
+    def _busy(self, store: str, tables: Sequence[TopicTable], read: Read) -> Iterable[TimeRange]:
+        """Yield the time ranges of the buckets of a store that have to be read there."""
+        catalog, nodes = self._stores.catalogs[store], read.whose.nodes
         for table in tables:
             length = table.bucket_ns
-            ends = table.bucket_of(low), table.bucket_of(min(high, MAX_NS))
-            for slot, node in directory.nodes(table.name, *map(slot_of, ends)):
+            first, last = (table.bucket_of(min(t, MAX_NS)) for t in read.time_range)
+            slots = catalog.keyspace.directory.nodes(table.name, slot_of(first), slot_of(last))
+            for slot, node in slots:
                 if nodes is None or node in nodes:
-                    states = self._states(store, table.name, node, slot, _now())
-                    places = [n for n, state in enumerate(states) if state == _HERE]
-                    buckets = (slot * SLOT_BUCKETS + n for n in places)
-                    found += [
-                        TimeRange(bucket * length, (bucket + 1) * length - 1)
-                        for bucket in buckets
-                        if ends[0] <= bucket <= ends[1]
-                    ]
-        return found
-
-
-def _now() -> int:
-    """Return a number that changes when states have to be read again."""
-    return int(time.monotonic() / FRESH_SEC)
+                    for row in _entries_of(catalog, table.name, (slot, node)):
+                        there = self._is_there(store, table, node, row.bucket)
+                        if first <= row.bucket <= last and not there:
+                            yield TimeRange(row.bucket * length, (row.bucket + 1) * length - 1)
 
 
 def _identity(catalog: Catalog) -> UUID | None:
@@ -245,9 +284,32 @@ def _are_alike(mine: TopicMetadata | None, theirs: TopicMetadata | None) -> bool
     return mine.topic == theirs.topic and not theirs.ttl
 
 
-def _entries_of(catalog: Catalog, table: str, node: str, slot: int) -> list[BucketRow]:
-    """Return the entries of cr_bucket of a slot; the books have its heartbeats."""
+def _entries_of(catalog: Catalog, table: str, place: tuple[int, str]) -> list[BucketRow]:
+    """Return the entries of cr_bucket of a slot and robot; the books have its heartbeats."""
+    slot, node = place
     first = slot * SLOT_BUCKETS
-    place = (table, node, slot, first, first + SLOT_BUCKETS - 1)
-    asked = catalog.keyspace.directory.begin_buckets([place])
+    entries = (table, node, slot, first, first + SLOT_BUCKETS - 1)
+    asked = catalog.keyspace.directory.begin_buckets([entries])
     return [row for answer in asked for row in answer()]
+
+
+def _confirmed(
+    catalog: Catalog, copy: _Copy, table: str, place: tuple[int, str], rows: Sequence[BucketRow]
+) -> dict[tuple[int, int], datetime]:
+    """Return the heartbeats that the books noted, by bucket and writer, of what they confirm."""
+    books = CopyBooks(catalog.keyspace.side_tables)
+    try:
+        noted = books.beats(copy.target, table, *place)
+        entries = books.buckets(copy.target, table, [place]) if noted else []
+    except AccessDenied as exc:
+        _log.info("the books of copies are not used: %s", exc)
+        return {}
+    known = {(book.bucket, book.writer): book for book in entries}
+    return {
+        key: noted[key]
+        for row in rows
+        if (key := (row.bucket, row.writer)) in noted
+        and key in known
+        and row.closed
+        and known[key].confirms(row, [copy.table])
+    }

@@ -263,15 +263,15 @@ def read_once(
     while True:
         # Few rows are read sooner than the books.
         many = read.only is None and read.wanted is None and len(streams) > 1
-        skips = answer.books.skips(topics) if many else {}
-        targets = answer.books.targets(skips) if skips else set()
+        spared = answer.books.spared(topics, read) if many else None
+        targets: set[str] = spared.targets if spared else set()
         begins = {
-            name: partial(begin, replace(read, skip=skips.get(name)))
+            name: partial(begin, replace(read, skip=spared.skip(name) if spared else None))
             for name, begin in streams.items()
         }
-        more = partial(answer.books.copies, topics) if skips else None
+        more = spared.copies if spared else None
         rows = merged_rows(answer, begins, order, reverse=read.reverse, more=more)
-        if not skips and last is None:
+        if not spared and last is None:
             yield from rows
             return
         for row in rows:

@@ -21,6 +21,7 @@ from typing import Sequence
 from cassandra_ros.arguments import check_list
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.connection.address import DEFAULT_KEYSPACE, read_place
+from cassandra_ros.connection.cassandra import is_quorum
 from cassandra_ros.connection.login import read_sections
 from cassandra_ros.errors import ConnectionFailed, InvalidOption
 from cassandra_ros.topics.catalog import Catalog
@@ -106,7 +107,7 @@ class FleetStore:
         self.closed = False
         self._place = place
         self._consistency = consistency
-        self.reads_quorum = "QUORUM" in consistency.upper() or consistency.upper() == "ALL"
+        self.reads_quorum = is_quorum(consistency)
         self._answer_sec = answer_sec
         self._opening: Future[RosCassandra] | None = None
         self._mutex = threading.Lock()

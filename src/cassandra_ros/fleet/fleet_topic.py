@@ -132,10 +132,10 @@ class FleetTopic:
         first = next(iter(self._topics))
         own = tables.get(first, [])
         named = any(table.named for every in tables.values() for table in every)
-        answering = self._answer.books.skips(self._names_by_store()) if not named else {}
-        if len(own) != 1 or not answering or read.only is not None:
+        if len(own) != 1 or named or read.only is not None:
             return [], [read.time_range]
-        shared = self._answer.books.shared(tables, read)
+        spared = self._answer.books.spared(self._names_by_store(), read)
+        shared = spared.shared(tables, read) if spared else None
         if shared is None:
             return [], [read.time_range]
         alone, (low, high) = [], read.time_range
