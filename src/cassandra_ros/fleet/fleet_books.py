@@ -234,12 +234,15 @@ class Spared:
             tables: The tables of a topic in each store, the first of which has one.
 
         Returns:
-            Ranges in order that begin and end with buckets of the first store; None = too many.
+            Ranges in order that begin and end with buckets of the first store; None = too many, or
+            a store that should be read instead of another does not answer any more.
         """
         (own,), *_ = tables.values()
         length, (low, high) = own.bucket_ns, read.time_range
         others = {name: partial(self._busy, name, tables[name], read) for name in list(tables)[1:]}
         found = self._stores.each(others, lambda busy: list(busy()))
+        if not self.targets.isdisjoint(self._stores.missing):
+            return None
         merged: list[TimeRange] = []
         for begin, end in sorted(each for ranges in found.values() for each in ranges):
             first, last = begin // length * length, (end // length + 1) * length - 1
