@@ -7,6 +7,8 @@ from __future__ import annotations
 import fcntl
 import os
 import sys
+import sysconfig
+from pathlib import Path
 
 import pytest
 from conftest import ROOT, WORKSPACE
@@ -26,8 +28,8 @@ def pyspark_folder():
             if missing:
                 pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "-q"]
                 run([*pip, "--prefix", FOLDER, "-r", REQUIREMENTS])
-    [packages] = FOLDER.glob("lib/python3.*/site-packages")
-    return packages
+    # make bench-spark installs it into .venv: then nothing is missing.
+    return next(FOLDER.glob("lib/python3.*/site-packages"), Path(sysconfig.get_path("purelib")))
 
 
 @pytest.fixture(scope="session")
