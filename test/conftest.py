@@ -389,7 +389,10 @@ def bags():
 
 @pytest.fixture
 def make_certificate(tmp_path):
-    """Return a function that makes a PEM file with a new key and its certificate."""
+    """Return a function that makes a PEM file with a new key and its certificate.
+
+    A certificate of 0 days has expired: OpenSSL 3.5 takes no negative number.
+    """
 
     def make(name, days=2):
         key, request, made = (tmp_path / f"{name}.{kind}" for kind in ("key", "csr", "pem"))
@@ -399,6 +402,8 @@ def make_certificate(tmp_path):
         )
         _openssl("x509", "-req", "-in", request, "-signkey", key, "-days", days, "-out", made)
         made.write_text(made.read_text() + key.read_text())
+        if not days:
+            time.sleep(2)  # it is valid in the second in which it was made
         return made
 
     return make

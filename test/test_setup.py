@@ -38,14 +38,16 @@ def test_a_second_set_up_skips_every_step():
     done = set_up(ROOT)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert [line.split(":")[1].strip() for line in lines[:-1]] == [
+    # The Java of PyPI, which takes no archive of classes, is told each time.
+    steps = [line for line in lines[:-1] if "without an archive of classes" not in line]
+    assert [line.split(":")[1].strip() for line in steps] == [
         "packages",
         "python",
         "cassandra",
         "studio",
         "workspace",
     ]
-    assert all("skipped" in line or "was already" in line for line in lines[:-1])
+    assert all("skipped" in line or "was already" in line for line in steps)
     assert "source .ws/devel/setup.bash" in lines[-1]
 
 

@@ -185,7 +185,7 @@ def refusal(port):
 
 
 def test_certificates_that_are_refused(home, make_certificate):
-    expired, valid = make_certificate("expired", days=-1), make_certificate("valid")
+    expired, valid = make_certificate("expired", days=0), make_certificate("valid")
     trusting = "[connection]\nssl = true\n[ssl]\ncertfile = {}\n"
     home(trusting.format(expired))
     with server(expired) as port:
