@@ -157,7 +157,7 @@ class Trial:
         if not ends:
             messages, options = self.messages, {"until": self._enough, **options}
         given = {"log": log, "first": first, "count": messages, "rate": self.rate, **options}
-        given |= {"topics": self.topics, "step": self.step}
+        given.update(topics=self.topics, step=self.step)
         words = [word for name, value in given.items() for word in (f"--{name}", value)]
         program = self.run(sys.executable, "-m", "faults.publisher", *words)
         return Publisher(program, log, messages, ends)
