@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from io import BytesIO
 
@@ -104,4 +105,9 @@ def test_service_requests(give, rosCas):
             raise Refused("genpy") from exc
         handler(request).serialize(BytesIO())
 
-    give("service requests", 400, attempt)
+    @contextlib.contextmanager
+    def adding():
+        yield
+        rosCas.catalog.adder.close()  # its thread lives as long as the client
+
+    give("service requests", 400, attempt, within=adding)
