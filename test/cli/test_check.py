@@ -77,6 +77,10 @@ def test_check(store, call, cql, connect):
     row = space.getTopic("/p").getRow(T0)
     key = '"_node" = %s AND "_bucket" = %s AND "_t" = %s AND "_seq" = %s'
     block = ("husky", tables["/p"].bucket_of(T0), T0, row.block[0].seq)
+    number = f'UPDATE {tables["/p"].qualified} SET "_n" = %s WHERE {key}'
+    cql.execute(number, (0, *block))
+    assert damages(call, "/p") == {("count", "/p", False)}
+    cql.execute(number, (5, *block))
     cql.execute(f'UPDATE {tables["/p"].qualified} SET "_crc" = 1 WHERE {key}', block)
     big = space.getTopic("/big").getRow(T0)
     large = ("", tables["/big"].bucket_of(T0), T0, big.seq)

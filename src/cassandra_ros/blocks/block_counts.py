@@ -89,7 +89,7 @@ class RemainingMessages:
     def __init__(self, row: BlockRow, block: Block | None = None) -> None:
         self.count, self.bytes = row.left, row.size
         self.t_min, self.t_max = row.t, row.last
-        self.largest = 0 if row.nchunks else -(-row.size // row.messages)
+        self.largest = 0 if row.nchunks else -(-row.size // max(row.messages, 1))
         if block is None:
             return
         places = block.between(*ALL)
