@@ -71,7 +71,8 @@ def test_pages_of_other_sites_ask_for_nothing(open_viewer):
     own = {"Origin": open_viewer.url, "Host": f"127.0.0.1:{open_viewer.port}"}
     assert open_viewer.ask("/api/one", **own).status == 200
     assert open_viewer.ask("/api/one", method="POST", body="{}", **own).status == 405
-    for origin in ("https://evil.example", "null", "http://127.0.0.1:1"):
+    strange = ("http://\xb5.example", "http://[x")  # bytes that are not UTF-8; no address
+    for origin in ("https://evil.example", "null", "http://127.0.0.1:1", *strange):
         found = open_viewer.ask("/api/one", Origin=origin)
         assert found.status == 403
         assert "--allow-origin" in found.json()["text"]

@@ -18,6 +18,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from cassandra_ros.errors import InvalidOption
+from cassandra_ros.printable import shown
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
 PAGE_POLICY = (
@@ -165,11 +166,11 @@ class Guard:
         """
         headers = request.headers
         origin = headers.get("Origin", "")
-        foreign = bool(origin) and urlsplit(origin).netloc != request.host
+        foreign = bool(origin) and origin.partition("://")[2] != request.host
         cross = headers.get("Sec-Fetch-Site") in ("cross-site", "same-site")
         if request.method == "POST" and (foreign or cross):
             raise web.HTTPForbidden(
-                text=f"a page of {origin or 'another site'} may not change what is stored: "
+                text=f"a page of {shown(origin) or 'another site'} may not change what is stored: "
                 "--allow-origin only lets it read\n"
             )
         navigates = request.method == "GET" and headers.get("Sec-Fetch-Mode") == "navigate"
@@ -178,7 +179,7 @@ class Guard:
             return
         if not self._allowed(request) and not (navigates and self._may_lead_here(request)):
             raise web.HTTPForbidden(
-                text=f"a page of {origin or 'another site'} may not read this viewer: start it "
+                text=f"a page of {shown(origin) or 'another site'} may not read this viewer: start it "
                 "with --allow-origin and the origin of that page to let it\n"
             )
 
