@@ -179,8 +179,8 @@ class Guard:
             return
         if not self._allowed(request) and not (navigates and self._may_lead_here(request)):
             raise web.HTTPForbidden(
-                text=f"a page of {shown(origin) or 'another site'} may not read this viewer: start it "
-                "with --allow-origin and the origin of that page to let it\n"
+                text=f"a page of {shown(origin) or 'another site'} may not read this viewer: "
+                "start it with --allow-origin and the origin of that page to let it\n"
             )
 
     def _knows_token(self, request: web.Request) -> bool:
