@@ -140,7 +140,12 @@ def test_the_copy_of_a_copy_is_the_original(rosCas, home, fresh, cql):
 
 
 def test_large_messages_come_with_their_chunks(rosCas, home, cql):
-    image = Image(height=1, width=1, encoding="x", data=random.Random(1).randbytes(1_300_000))
+    image = Image(
+        height=1,
+        width=1,
+        encoding="x",
+        data=random.Random(1).getrandbits(10_400_000).to_bytes(1_300_000, "little"),
+    )
     for fmt in ("ros", "binary", "packed"):
         topic = rosCas.addTopic(f"/{fmt}", fmt)
         for n in range(3):

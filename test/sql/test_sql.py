@@ -441,6 +441,14 @@ def test_a_statement_that_is_stopped_reads_no_further(fresh):
         assert 0 < source.messages < total
 
 
+def test_topics_with_names_and_without_a_type(rosCas):
+    named = rosCas.addTopic("/map", key_format="manual", msg_type="std_msgs/String")
+    named.addData(String("x"), key="kitchen")
+    assert rosCas.sql("SELECT data FROM map WHERE KEY = 'kitchen'").fetchall() == [("x",)]
+    rosCas.addTopic("/new")
+    assert rosCas.sql("SELECT count(*) FROM new").fetchall() == [(0,)]
+
+
 def test_a_topic_called_like_a_table_needs_its_slash(fresh):
     with fresh() as store:
         store.addTopic("/runs", msg_type="std_msgs/String").addData(String("x"), key=at(0))

@@ -102,13 +102,11 @@ def test_messages_with_names_have_these_as_keys(rosCas):
     topic.addData(String("x"), key="kitchen")
     table = topic.toArrow().read_all()
     assert table["KEY"].to_pylist() == ["kitchen"]
-    assert rosCas.sql("SELECT data FROM map WHERE KEY = 'kitchen'").fetchall() == [("x",)]
 
 
 def test_a_topic_without_a_type_has_no_rows(rosCas):
     topic = rosCas.addTopic("/new")
     assert topic.toArrow().read_all().num_rows == 0
-    assert rosCas.sql("SELECT count(*) FROM new").fetchall() == [(0,)]
 
 
 def test_batches_are_read_when_they_are_taken(rosCas, monkeypatch):
@@ -139,7 +137,8 @@ def value(rng, kind):
         return struct.pack("<Ii" if kind == "time" else "<ii", first, nanoseconds)
     if kind == "bool":
         return bytes([rng.choice([0, 1, 1, 0, 2])])
-    return rng.randbytes(struct.calcsize(NUMBERS[kind]))
+    size = struct.calcsize(NUMBERS[kind])
+    return rng.getrandbits(8 * size).to_bytes(size, "little")
 
 
 def everything(n):
