@@ -105,4 +105,22 @@ def test_a_run_that_is_recorded_is_left_alone(leave, spool, tmp_path):
     status, _, err = spool("drop", "7", "--yes")
     assert status == 1
     assert "run 7 is being recorded" in err
+    leave(8)
+    assert spool("drop", "--yes")[:2] == (0, "run run8 is deleted from the spool\n")
+    assert spool("drop", "--yes")[:2] == (0, "")
     held.release()
+    assert [each["id"] for each in json.loads(spool("list", "--json")[1])] == ["7"]
+
+
+def test_a_drain_that_leaves_something_is_no_success(leave, spool, rosCas, cql):
+    leave(7)
+    comment = '{"cassandra_ros": {"version": 99}}'
+    table = f"{rosCas.keyspace}.newer"
+    cql.execute(f"CREATE TABLE {table} (a int PRIMARY KEY) WITH comment = '{comment}'")
+    status, out, _ = spool("drain")
+    assert status == 1
+    assert "run run7: messages of topic /text stay in the spool: " in out
+    (told,) = json.loads(spool("drain", "--json")[1])
+    assert (told["messages"], told["complete"]) == (0, False)
+    cql.execute(f"DROP TABLE {table}")
+    assert spool("drain")[:2] == (0, "run run7: 10 messages of the spool are stored\n")

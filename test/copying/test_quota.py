@@ -6,16 +6,18 @@ from __future__ import annotations
 
 import pytest
 from copying.test_replicator import SEC, T0, home, messages  # noqa: F401
-from std_msgs.msg import Int64
+from std_msgs.msg import Int64, String
 
 from cassandra_ros.copying import quota
 from cassandra_ros.copying.copy_status import copy_status
 from cassandra_ros.copying.quota import keep_under
 from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.copying.rules import CopyRule, CopyRules
+from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.tables.registry import LossKind
 
 
@@ -107,6 +109,27 @@ def test_a_topic_that_was_removed_there_is_not_deleted_here(rosCas, home):  # no
     Replicator(rosCas, home).copy()
     home.removeTopic("/a")
     copy_nothing_more(rosCas, home)
+    (status,) = copy_status(rosCas.catalog)
+    assert (status.copied, status.waiting, status.waiting_bytes) == (0, 100, 800)
+    assert keep_under(rosCas.catalog, 0).uncopied_bytes == 800
+    assert rosCas.getTopic("/a").countTopicData() == 100
+
+
+@pytest.mark.parametrize("how", ["refused", "no rule"])
+def test_a_topic_that_was_removed_there_and_is_not_copied_again_stays_here(
+    rosCas,
+    home,  # noqa: F811
+    how,
+):
+    store(rosCas, "/a", 0)
+    Replicator(rosCas, home).copy()
+    home.removeTopic("/a")
+    if how == "refused":
+        home.addTopic("/a").addData(String("another type"))
+        home.catalog.adder.close()
+        assert not Replicator(rosCas, home).copy().complete
+    else:
+        Replicator(rosCas, home, rules=CopyRules([CopyRule("/b")])).copy()
     assert keep_under(rosCas.catalog, 0).uncopied_bytes == 800
     assert rosCas.getTopic("/a").countTopicData() == 100
 
@@ -147,6 +170,41 @@ def test_a_topic_that_is_removed_leaves_there_what_was_deleted_for_room(rosCas, 
     rosCas.removeTopic("/a")
     Replicator(rosCas, home, with_deletions=True).copy()
     assert times(home, "/a") == [n // 10 for n in range(50)]
+
+
+def test_what_a_rule_took_stays_there_when_the_rest_is_deleted_for_room(
+    rosCas,
+    home,  # noqa: F811
+    fresh,
+):
+    """The only copies of thinned messages; and a second store that has a part of them."""
+    rules = CopyRules([CopyRule(every_ns=5 * SEC)])
+    store(rosCas, "/a", 0)
+    with fresh() as other:
+        Replicator(rosCas, home, rules=rules).copy()
+        Replicator(rosCas, other, to_key=Stamp.from_ns(T0 + 7 * SEC // 2)).copy()
+        every, part = messages(home, "/a"), messages(other, "/a")
+        assert (len(every), 30 < len(part) < 40) == (2, True)
+        keep_under(rosCas.catalog, 0, uncopied=True)
+        assert rosCas.getTopic("/a").countTopicData() == 0
+        add(rosCas, "/a", 2, 1000)
+        for _ in range(2):
+            Replicator(rosCas, home, rules=rules, with_deletions=True).copy()
+            Replicator(rosCas, other, with_deletions=True).copy()
+        assert set(every) <= set(messages(home, "/a"))
+        assert set(part) < set(messages(other, "/a"))
+
+
+def test_what_is_read_from_too_few_copies_confirms_nothing(rosCas, home, connect):  # noqa: F811
+    store(rosCas, "/a", 0)
+    with connect(keyspace=rosCas.keyspace, consistency="ONE") as few:
+        assert Replicator(few, home).copy().messages == 100
+        assert keep_under(rosCas.catalog, 0).uncopied_bytes == 800
+        with pytest.raises(InvalidOption, match="needs a consistency level of a quorum"):
+            Replicator(few, home, with_deletions=True)
+    Replicator(rosCas, home).copy()
+    assert keep_under(rosCas.catalog, 0).bytes == 0
+    assert len(messages(home, "/a")) == 100
 
 
 def test_what_comes_while_room_is_made_stays(rosCas, home, monkeypatch):  # noqa: F811

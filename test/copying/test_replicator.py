@@ -107,6 +107,19 @@ def test_nothing_is_decoded(rosCas, home, monkeypatch, cql):
     assert rows_of(cql, home) == rows_of(cql, rosCas)
 
 
+def test_a_block_that_grew_under_its_key_is_copied_again(rosCas, home):
+    """An import that was broken off is copied, repeated whole, and copied again."""
+    for count in (5, 40):
+        with rosCas.messageWriter(writer_id=7, format="packed") as writer:
+            handle = writer.connect(api_connection("/t", definition_of(Int64), "/n"))
+            for n in range(count):
+                writer.write(handle, T0 + n, n, serialize(Int64(n)))
+        assert Replicator(rosCas, home).copy().complete
+        assert messages(home) == messages(rosCas)
+        assert len(messages(home)) == count
+    assert Replicator(rosCas, home).compare().equal
+
+
 def test_a_repeated_copy_sends_nothing_and_a_lost_book_changes_nothing(rosCas, home, cql):
     fill(rosCas, "ros")
     fill(rosCas, "packed", topic="/p")

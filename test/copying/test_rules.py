@@ -18,6 +18,7 @@ from cassandra_ros.errors import InvalidOption
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.tables.registry import Run
 
 
@@ -132,6 +133,22 @@ def test_messages_are_chosen_by_condition_and_thinned(rosCas, home, fmt):  # noq
     copy(rosCas, home, "topics: [{pattern: .*}]")
     assert messages(home) == messages(rosCas)
     assert states(rosCas) == {"/t": (101, 0, 0)}
+
+
+@pytest.mark.parametrize("fmt", ["ros", "packed"])
+def test_a_period_goes_on_in_the_next_bucket(rosCas, home, fmt):  # noqa: F811
+    with rosCas.messageWriter(writer_id=1, format=fmt) as writer:
+        handle = writer.connect(api_connection("/t", definition_of(Int64), "/n"), bucket_ns=SEC)
+        for n in range(60):
+            writer.write(handle, T0 + n * SEC // 2, n, serialize(Int64(n)))
+    rules = "topics: [{pattern: .*, every: 10s}]"
+    copy(rosCas, home, rules)
+    assert [row.message().data for row in home.getTopic("/t").rows()] == [0, 20, 40]
+    assert copy(rosCas, home, rules).messages == 0
+    home.removeTopic("/t")
+    later = Replicator(rosCas, home, key=Stamp.from_ns(T0 + 5 * SEC), rules=read_rules(rules))
+    later.copy()
+    assert [row.message().data for row in home.getTopic("/t").rows()] == [10, 20, 40]
 
 
 @pytest.mark.parametrize("fmt", ["ros", "packed"])

@@ -34,9 +34,14 @@ from cassandra_ros.errors import (
     StoreUnavailable,
     TopicNotFound,
 )
+from cassandra_ros.fleet.fleet_answer import FleetAnswer
+from cassandra_ros.fleet.fleet_info import describe_topic
+from cassandra_ros.fleet.fleet_topic import find_topic
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.read import EVERYBODY, Read
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -523,3 +528,47 @@ def test_a_closed_fleet_says_so(stores):
     fleet.close()
     with pytest.raises(ConnectionFailed, match="closed"):
         fleet.topics()
+
+
+def test_an_event_that_has_ended_in_one_store_has_ended(stores):
+    """The copy at home still lasts; a statement takes the end, as events() does."""
+    home, robot, _ = stores
+    fill(robot, "/s", range(6))
+    event = robot.addEvent("bump", Stamp.from_ns(T0 + SEC))
+    Replicator(robot, home).copy()
+    robot.endEvent(event, Stamp.from_ns(T0 + 3 * SEC))
+    for order in ((home, robot), (robot, home)):
+        with fleet_of(*order) as fleet:
+            (found,) = fleet.events()
+            assert found.end_ns == T0 + 3 * SEC
+            rows = fleet.executeCQL("SELECT data FROM s WHERE EVENT 'bump'")
+            assert [data for (data,) in rows] == ["1", "2", "3"]
+            rows = fleet.executeCQL("SELECT data FROM s WHERE EVENT LIKE 'b%' ORDER BY KEY DESC")
+            assert [data for (data,) in rows] == ["3", "2", "1"]
+            assert len(list(fleet.readMessages(event="bump"))) == 3
+
+
+def test_who_does_not_wait_any_more_ends_the_counting(stores):
+    class Gone(Exception):
+        pass
+
+    read = []
+
+    def watch():
+        read.append(1)
+        if len(read) > 20:
+            raise Gone
+
+    for number, store in enumerate(stores[:2]):
+        write(store, "/t", "ros", messages(number))
+    with fleet_of(*stores[:2]) as fleet:
+        answer = FleetAnswer(fleet.stores, watch=watch)
+        topic = find_topic(answer, "/t")
+        for work in (
+            lambda: topic.count(Read()),
+            lambda: list(describe_topic(answer, topic, EVERYBODY)),
+        ):
+            read.clear()
+            with pytest.raises(Gone):
+                work()
+            assert len(read) < 40

@@ -8,18 +8,24 @@ import contextlib
 import json
 import struct
 import subprocess
+import time
 
 import pytest
 from fleet.test_fleet import SEC, T0, fill, messages, place, proxied, write  # noqa: F401
-from nodes.children import PROGRAMS, Child
+from geometry_msgs.msg import TransformStamped
+from nodes.children import PROGRAMS, Child, await_true
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
 from viewers import running_viewer
 
 from cassandra_ros import Fleet
 from cassandra_ros.copying.replicator import Replicator
+from cassandra_ros.fleet.fleet_answer import FleetAnswer
+from cassandra_ros.tables.registry import Loss, LossKind
 from cassandra_ros.viewing.fleet_routes import FLEET_ROUTES
 from cassandra_ros.viewing.routes import ROUTES
+from cassandra_ros.viewing.viewed_fleet import ViewedFleet
 
 REFUSED = {
     "/api/explain": {"q": "SELECT * FROM t"},
@@ -250,6 +256,8 @@ def test_a_store_that_does_not_answer_is_in_each_answer(fresh, proxied):  # noqa
     with fresh() as first, fresh() as second:
         fill(first, "/s", range(5))
         fill(second, "/s", range(3, 9))
+        fill(second, "/only", range(3))
+        run = str(second.getTopic("/only").first().seq >> 32)
         name = f"{proxied.host}:{proxied.port}/{second.keyspace}"
         asked = {
             **{f"/api/{path}": {} for path in ("keyspace", "topics", "runs", "marks", "events")},
@@ -270,8 +278,97 @@ def test_a_store_that_does_not_answer_is_in_each_answer(fresh, proxied):  # noqa
                 for path in ("/api/messages", "/api/latest"):
                     found, told = frames_of(viewer.ask(path))
                     assert list(told[-1]["end"]["missing"]) == [name]
+                # What only that store has is left out, and the rest is given.
+                both = {"topics": "/s,/only"}
+                for path in ("/api/topics", "/api/connections"):
+                    found = viewer.get(path, **both)
+                    assert [topic["topic"] for topic in found["topics"]] == ["/s"], path
+                    assert [each["topic"] for each in found["problems"]] == ["/only"], path
+                lanes = viewer.get("/api/timeline", **both)["lanes"]
+                assert [(lane["topic"], lane["messages"]) for lane in lanes] == [("/s", 5)]
+                for path, count in (("/api/messages", 5), ("/api/latest", 1)):
+                    assert len(frames_of(viewer.ask(path, both))[0]) == count
+                    assert frames_of(viewer.ask(path, {"topics": "/only"}))[0] == []
+                    assert frames_of(viewer.ask(path, {"runs": run}))[0] == []
                 status, told = viewer.fail("/api/message", topic="/s", key=str(T0 + 8 * SEC))
                 assert (status, name in told["text"]) == (404, True)
+
+
+def test_a_store_that_answers_again_is_asked_again(fresh, proxied):  # noqa: F811
+    """Though requests end meanwhile that began while it was away, or lost it long ago."""
+    with fresh() as first, fresh() as second:
+        fill(first, "/s", range(5))
+        name = f"{proxied.host}:{proxied.port}/{second.keyspace}"
+        with Fleet([place(first), name], answer_sec=2.0) as fleet:
+            viewed = ViewedFleet(fleet, 600.0)
+            lost = viewed.begin()
+            proxied.cut()
+            lost.each(lost.catalogs, lambda catalog: catalog.keyspace.schema.tables(fresh=True))
+            assert list(lost.missing) == [name]
+            viewed.note(lost)
+            unasked = viewed.begin()
+            assert list(unasked.missing) == [name]
+            proxied.mend()
+            await_true(lambda: not FleetAnswer(fleet.stores).missing, 60)
+            time.sleep(0.1)
+            for request, pause_sec in ((unasked, 600.0), (lost, 0.1)):
+                viewed = ViewedFleet(fleet, pause_sec)
+                viewed.note(request)
+                assert viewed.begin().missing == {}
+
+
+@pytest.mark.parametrize("first_made", ["robot", "home"])
+def test_pages_go_on_in_copies(fresh, first_made):
+    """A replicator copies while a user looks at a result page by page, backwards."""
+    with fresh() as robot, fresh() as home:
+        for store in (robot, home) if first_made == "robot" else (home, robot):
+            write(store, "/t", "packed", messages(9, 1) if store is home else messages(2, 50))
+        with Fleet([place(home), place(robot)]) as fleet, running_viewer(fleet) as viewer:
+            asked = "SELECT KEY, linear.y FROM /t ORDER BY KEY DESC"
+            wanted = viewer.get("/api/query", q=asked, limit=999)["rows"]
+            found, after = [], ""
+            for number in range(len(wanted)):
+                page = viewer.get("/api/query", q=asked, limit=7, after=after)
+                found, after = found + page["rows"], page["after"]
+                if number == 2:
+                    Replicator(robot, home).copy()
+                if not after:
+                    break
+            assert found == wanted
+            assert len(wanted) == 51
+
+
+def test_a_moment_is_that_of_one_store_with_all(fresh):
+    """Versions of a named message that came later, and transforms of another drive."""
+    with fresh() as first, fresh() as second, fresh() as whole:
+        for number, store in enumerate((first, second)):
+            for at in (store, whole):
+                moved = TransformStamped(child_frame_id=f"base{number}")
+                start = T0 + number * 100 * SEC
+                for n in range(5):
+                    at.addTopic("/tf").addData(TFMessage([moved]), key=start + n * SEC // 5)
+                at.addTopic("/map", key_format="manual").addData(String(f"v{number}"), key="m")
+                at.catalog.adder.close()
+            between = time.time_ns()
+        with Fleet([place(first), place(second)]) as fleet, running_viewer(fleet) as viewer:
+            with running_viewer(whole) as one:
+                for t in (T0 + SEC, T0 + 50 * SEC, T0 + 101 * SEC, T0 + 999 * SEC, 1, between):
+                    latest = [
+                        frames_of(v.ask("/api/latest", {"time": str(t)}))[0] for v in (viewer, one)
+                    ]
+                    assert [w for _, w in latest[0]] == [w for _, w in latest[1]], t
+
+
+def test_a_loss_that_has_grown_is_shown_once(fresh):
+    with fresh() as first, fresh() as second:
+        for store, count in ((first, 5), (second, 9)):
+            fill(store, "/s", [1])
+            store.catalog.keyspace.registry.put_loss(
+                Loss("/s", "", 7, LossKind.BUFFER_FULL, T0, T0 + count * SEC, count)
+            )
+        with Fleet([place(first), place(second)]) as fleet, running_viewer(fleet) as viewer:
+            marks = [m for m in viewer.get("/api/marks")["marks"] if m["kind"] == "loss"]
+            assert [mark["count"] for mark in marks] == [9]
 
 
 def test_the_program_names_who_does_not_answer_and_refuses_what_asks_one_store(fresh, ros_env):

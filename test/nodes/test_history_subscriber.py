@@ -95,27 +95,36 @@ def stage(roscore, cassandra, keyspace, rosCas):
             pass
 
 
-def goes_over(stage, count, rate_hz, **options):
-    """Half is stored when the subscriber comes; publishing goes on all the time."""
+def goes_over(stage, count, rate_hz, pause=False, **options):
+    """Half is stored when the subscriber comes; publishing goes on all the time, or with ``pause``
+    waits for the subscriber, which a busy machine may start late."""
     topic = "/numbers"
     stage.recorder(topic)
     publisher = stage.publisher(topic).await_subscribers()
-    due = threading.Event()
+    due, subscribed = threading.Event(), threading.Event()
 
-    def publish():
-        begin, sent = time.monotonic(), 0
-        while sent < count:
-            upto = min(count, int((time.monotonic() - begin) * rate_hz) + 1)
+    def publish(first, last):
+        begin, sent = time.monotonic(), first
+        while sent < last:
+            upto = min(last, first + int((time.monotonic() - begin) * rate_hz) + 1)
             publisher.publish(*map(numbered, range(sent, upto)))
             sent = upto
-            if sent >= count // 2:
-                due.set()
             time.sleep(0.005)
 
-    thread = threading.Thread(target=publish)
+    def work():
+        publish(0, count // 2)
+        due.set()
+        if pause:
+            subscribed.wait()
+        publish(count // 2, count)
+
+    thread = threading.Thread(target=work)
     thread.start()
     due.wait()
-    listener = stage.listener(topic, type="std_msgs/UInt32", **options)
+    try:
+        listener = stage.listener(topic, type="std_msgs/UInt32", **options)
+    finally:
+        subscribed.set()
     thread.join()
     answer = listener.await_count(count)
     assert [wire for _, wire in answer["got"]] == [numbered(n).hex() for n in range(count)]
@@ -139,7 +148,7 @@ def test_a_hundred_thousand_messages_each_once_and_in_order(stage, run):
 @pytest.mark.long
 def test_a_buffer_that_is_too_small_for_the_time_that_the_past_takes(stage):
     # Slow enough that many live messages wait while the past is read, also if publishing is slow.
-    listener = goes_over(stage, 20_000, 3000, buff_size=200_000, slow=0.001)
+    listener = goes_over(stage, 20_000, 3000, pause=True, buff_size=200_000, slow=0.001)
     assert "will be read from the store" in listener.output
 
 

@@ -12,13 +12,16 @@ from concurrent.futures import Future
 
 import pytest
 from campaign import sparing
+from cassandra import Unauthorized
 from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
 from proxy import Proxy
 from std_msgs.msg import String
 
 from cassandra_ros import RosCassandra
+from cassandra_ros.errors import WriteFailed
 from cassandra_ros.recording.backlog import SpoolPlan
+from cassandra_ros.recording.left_runs import lines_of
 from cassandra_ros.recording.recording import Recording
 from cassandra_ros.recording.spool_drain import Drain, read_left
 from cassandra_ros.spool.segment_writer import SegmentWriter
@@ -182,6 +185,37 @@ def test_what_is_drained_twice_ends_in_the_same_rows(
     assert rosCas.getTopic("/text").countTopicData() == 2000
     (run,) = rosCas.runs()
     assert run.stored == {"/text": 2000}
+
+
+def test_what_a_newer_table_keeps_from_being_stored_stays(proxy, store, rosCas, folder, cql):
+    """An upgraded robot made a table in the shared keyspace, which this release cannot read."""
+    left_behind(proxy, store, folder, range(1, 500))
+    newer = f"{rosCas.keyspace}.newer"
+    comment = '{"cassandra_ros": {"version": 99}}'
+    cql.execute(f"CREATE TABLE {newer} (a int PRIMARY KEY) WITH comment = '{comment}'")
+    (done,) = drain(rosCas, folder)
+    assert (done.complete, done.lost, done.messages) == (False, {}, 0)
+    assert "version 99" in done.stays["/text"]
+    assert any("stay in the spool" in line for line in lines_of(done))
+    cql.execute(f"DROP TABLE {newer}")
+    (done,) = drain(rosCas, folder)
+    assert (done.complete, done.stays) == (True, {})
+    assert rows_of(rosCas) == [text(n) for n in range(500)]
+    assert rosCas.losses() == []
+
+
+def test_a_right_that_is_taken_away_in_the_middle_keeps_the_files(
+    proxy, store, rosCas, folder, monkeypatch
+):
+    left_behind(proxy, store, folder, range(1, 500))
+    refused = WriteFailed("topic /text: 5 messages were refused")
+    refused.__cause__ = Unauthorized("User ann has no MODIFY permission on <table ros.t>")
+    (left,) = folder.left()
+    drained = Drain(rosCas.catalog, read_left(left))
+    drained._refused("/text", 5, refused)
+    assert drained._silent
+    assert not drained._losses
+    left.release()
 
 
 def test_the_end_that_is_missing_is_told_before_the_files_go(
@@ -361,13 +395,17 @@ def test_the_end_does_not_wait_for_a_silent_store_that_has_everything(
     assert rosCas.getTopic("/text").countTopicData() == 100
 
 
-def test_a_spool_that_others_fill_leaves_the_memory(proxy, store, rosCas, tmp_path):
+@pytest.mark.parametrize("journal", [False, True])
+def test_a_spool_that_others_fill_leaves_the_memory(
+    proxy, store, rosCas, tmp_path, caplog, journal
+):
     folder = SpoolFolder(tmp_path / "spool", 100_000)
     (folder.path / "12345").mkdir(parents=True)
     (folder.path / "12345" / "000001.mcap").write_bytes(bytes(200_000))
-    recorder = Recording(store.catalog, spool=SpoolPlan(folder))
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder, journal=journal))
     send(recorder, [0])
     await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    assert ("the journal ends here" in caplog.text) == journal
     proxy.cut()
     send(recorder, range(1, 100))
     await_true(lambda: recorder.is_held_up)

@@ -138,6 +138,15 @@ def test_only_what_has_changed_is_written(lake, rosCas):
     assert not Lake(rosCas.catalog, lake).verify().differences
 
 
+def test_a_bucket_that_a_deletion_left_open_is_written_once(lake, rosCas, monkeypatch):
+    for module in ("sql.lake", "store.row_counts"):
+        monkeypatch.setattr(f"cassandra_ros.{module}.STALE_SEC", -1.0)
+    rosCas.getTopic("/imu/data").removeData(T0, T0, nodeID="r1")
+    assert Lake(rosCas.catalog, lake).write().files == 1
+    assert Lake(rosCas.catalog, lake).write().files == 0
+    assert not Lake(rosCas.catalog, lake).verify().differences
+
+
 def test_other_columns_are_written_to_all_files(lake, rosCas):
     with rosCas.messageWriter(nodeID="r1", format="packed") as writer:
         connection = api_connection("/imu/data", definition_of(Header), "/y")

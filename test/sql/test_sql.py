@@ -380,6 +380,35 @@ def test_names_that_differ_by_case_are_refused_together(rosCas):
         rosCas.sql('SELECT * FROM "/a", "/A"')
 
 
+def test_frames_with_odd_names(rosCas):
+    topic = rosCas.addTopic("/tf", msg_type="tf2_msgs/TFMessage")
+    for child, x in (("robot.base", 1.0), ('a"b', 2.0), ("A", 3.0), ("a", 4.0)):
+        moved = TransformStamped()
+        moved.header.frame_id, moved.child_frame_id = "map", child
+        moved.transform.translation.x, moved.transform.rotation.w = x, 1.0
+        moved.header.stamp.secs = T0 // SECOND_NS
+        topic.addData(TFMessage([moved]), key=T0)
+    for child, x in (("robot.base", 1.0), ('a"b', 2.0), ("A", 3.0)):
+        asked = f"SELECT translation.x FROM tf('map', '{child}')"
+        assert rosCas.sql(asked).fetchall() == [(x,)]
+    with pytest.raises(InvalidQuery, match="case only"):
+        rosCas.sql("SELECT * FROM tf('map', 'A') UNION ALL SELECT * FROM tf('map', 'a')")
+
+
+def test_a_topic_called_map_and_fields_called_like_types(rosCas):
+    definition = parse_definition("t/Lists", "int32[] list\nint32[] time\nint32 map\n", None)
+    wire = struct.pack("<IiiIii", 2, 1, 2, 1, 3, 7)
+    with rosCas.messageWriter() as writer:
+        writer.write(writer.connect(api_connection("/map", definition, "/x")), T0, 1, wire)
+    for asked, found in (
+        ("SELECT map.map, m.map FROM map JOIN map m ON map.KEY = m.KEY", (7, 7)),
+        ("SELECT map FROM map WHERE MAP.map > 5", (7,)),
+        ("SELECT list[1], m.list[2], time[1] FROM map m", (1, 2, 3)),
+        ("SELECT MAP {'a': 1}['a'], map(['b'], [2])['b'] FROM map", (1, 2)),
+    ):
+        assert rosCas.sql(asked).fetchall() == [found], asked
+
+
 def test_a_table_of_with_hides_a_topic(robot):
     inner = "SELECT voltage + 1 AS v FROM battery WHERE voltage > 11.7"
     text = f"WITH battery AS ({inner}) SELECT count(v) FROM battery"

@@ -150,6 +150,10 @@ def number(rng):
     )()
 
 
+INTERVALS = ["1 second", "2 s", "0 days 00:00:03", "1 day 23:59:58", "-1 day -23:59:58", "1"]
+"""Texts of intervals, some of which sqlglot reads only in part."""
+
+
 def moment(rng):
     ns = T0 + rng.randint(-2, 210) * SECOND_NS // 20 + rng.randint(-2, 2)
     iso = str(np.datetime64(ns, "ns")).replace("T", " ")
@@ -159,6 +163,8 @@ def moment(rng):
             f"TIMESTAMP_NS '{iso}'",
             f"TIMESTAMP '{iso[:26]}'",
             f"(TIMESTAMP_NS '{iso}' - INTERVAL 1 SECOND)",
+            f"(TIMESTAMP_NS '{iso}' - INTERVAL '{rng.choice(INTERVALS)}')",
+            f"TIMESTAMPTZ '{iso[:26]}{rng.choice(['+00:01', '-00:01', '+00'])}'::TIMESTAMP",
             "DATE '2020-09-13'",
         ]
     )
@@ -348,6 +354,14 @@ UNUSUAL = [
     "SELECT arg_max(KEY, i), NODE FROM a GROUP BY ALL",
     "SELECT * FROM a PIVOT (max(i) FOR NODE IN ('r1', 'r2'))",
     "SELECT * FROM (UNPIVOT a ON i, w)",
+    "SELECT KEY, what, i FROM a UNPIVOT (d FOR what IN (d, l)) WHERE d > 50",
+    "SELECT count(*) FROM a WHERE i IN (" + ", ".join(map(str, range(2, 1002))) + ")",
+    "SELECT count(*) FROM a WHERE " + " OR ".join(f"i = {n}" for n in range(2, 202)),
+    "SELECT count(*) FROM a WHERE KEY >="
+    " TIMESTAMP '2020-09-14 13:56:44' - INTERVAL '1 day 01:30:00'",
+    "SELECT count(*) FROM a WHERE KEY <= TIMESTAMP '2020-09-12 10:56:43' + INTERVAL '1 day 01:30'",
+    "SELECT count(*) FROM a WHERE KEY >= TIMESTAMPTZ '2020-09-13 17:26:43+05'::TIMESTAMP",
+    "SELECT count(*) FROM a WHERE KEY >= '2020-09-13 17:26:43+05'::TIMESTAMPTZ::TIMESTAMP",
     "SELECT i FROM a POSITIONAL JOIN (SELECT 1 AS one) WHERE i > 20",
     "SELECT x.i FROM a x POSITIONAL JOIN b y WHERE x.i > 5 AND y.i > 7",
     "SELECT x.KEY, y.i FROM (a x ASOF JOIN b y ON x.KEY >= y.KEY) WHERE y.i > 7",
@@ -491,4 +505,6 @@ def test_a_time_as_parameter_has_all_digits(stored):
     found = store.sql("SELECT KEY FROM a WHERE KEY = ?", [key]).fetchall()
     assert found == [(key,)]
     assert store.sql("SELECT KEY FROM a WHERE KEY = $t", {"t": key}).fetchall() == [(key,)]
+    asked = "SELECT KEY FROM a WHERE KEY >= ? - INTERVAL 1 HOUR AND KEY <= ? ORDER BY KEY"
+    assert store.sql(asked, [key, key]).fetchall() == [(key,)]
     assert SqlResult(store.catalog, "SELECT 1", (), EVERYBODY).fetchall() == [(1,)]

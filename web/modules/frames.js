@@ -23,6 +23,15 @@ const TEXT = new TextDecoder();
  */
 
 /**
+ * @param {string} store Name of a store that did not answer.
+ * @param {unknown} reason
+ * @returns {Problem}
+ */
+export function missingStore(store, reason) {
+  return { topic: `store ${store}`, text: `store ${store} did not answer, what only it has is left out: ${reason}` };
+}
+
+/**
  * Read a stream while it comes; only the present frame is held in memory.
  * @param {Response} response Response; it is cancelled if reading ends early.
  * @param {(problem: Problem) => void} onProblem Called for each message that cannot be read, and
@@ -45,7 +54,7 @@ export async function* messages(response, onProblem) {
         const told = JSON.parse(TEXT.decode(data));
         if (told.end) {
           for (const [store, reason] of Object.entries(told.end.missing ?? {})) {
-            onProblem({ topic: `store ${store}`, text: `store ${store} did not answer, what only it has is left out: ${reason}` });
+            onProblem(missingStore(store, reason));
           }
           return told.end.next;
         }

@@ -7,7 +7,7 @@
  */
 
 import { ApiError, ask, get, isAbort } from "./api.js";
-import { messages } from "./frames.js";
+import { messages, missingStore } from "./frames.js";
 import * as times from "./times.js";
 
 const PAGE_BYTES = 4 * 1024 * 1024;
@@ -56,6 +56,9 @@ export class StoreSource {
     this.start = BigInt(this.found.start);
     this.end = BigInt(this.found.end);
     for (const problem of this.found.problems) this.tell(problem);
+    for (const [store, reason] of Object.entries(this.found.missing ?? {})) {
+      this.tell(missingStore(store, reason));
+    }
     return this.found;
   }
 

@@ -109,6 +109,11 @@ def is_passing(exc: BaseException) -> bool:
     return isinstance(exc, _PASSING)
 
 
+def is_denied(exc: BaseException | None) -> bool:
+    """Return whether a server refused a statement because the user lacks a right."""
+    return isinstance(exc, (AccessDenied, Unauthorized))
+
+
 def is_table_gone(exc: BaseException) -> bool:
     """Return whether a statement failed because its table or keyspace was dropped."""
     text = str(exc).lower()

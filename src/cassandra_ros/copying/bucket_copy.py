@@ -128,7 +128,9 @@ class PieceCopy:
         after = self._transfer(piece, before, rows, known, count, taken)
         for row in [] if count.damaged else rows:
             if self._is_covered(row):
-                final = is_settled(row) and _is_same(row, after)
+                # With fewer copies than a quorum some rows may not have been seen.
+                all_seen = here.cassandra.finds_all_written
+                final = all_seen and is_settled(row) and _is_same(row, after)
                 key = (row.bucket, row.writer)
                 numbers = taken.get(key, (0, 0)) if self._choose else (row.rows, row.bytes)
                 self._note(row, seen, final, numbers)
@@ -261,11 +263,11 @@ class PieceCopy:
         if len(booked) < len(rows) or self._choose is not None or decoded:
             yield part  # a copy that decodes messages compares their keys itself
             return
+        since_us = max(0, min(book.seen for book in booked) - SEEN_MARGIN_US)
+        keys = row_keys(source, node, bucket, writers, since_us)  # also of blocks that grew
         if settled:
-            keys = row_keys(source, node, bucket, writers) - self._keys_there(node, bucket, writers)
-        else:
-            since_us = max(0, min(book.seen for book in booked) - SEEN_MARGIN_US)
-            keys = row_keys(source, node, bucket, writers, since_us)
+            mine = row_keys(source, node, bucket, writers)
+            keys |= mine - self._keys_there(node, bucket, writers)
         if keys:
             first, last = max(min(keys), ends[0]), min(max(keys), ends[1])
             yield part._replace(ends=(first, last), keys=frozenset(keys))

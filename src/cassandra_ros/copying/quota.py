@@ -78,6 +78,8 @@ class _Entry(NamedTuple):
     row: BucketRow
     books: list[tuple[UUID, CopiedBucket]]
     """Books that confirm all its messages."""
+    others: list[tuple[UUID, CopiedBucket]]
+    """Books of the other targets of the table, which have some of its messages or none."""
 
 
 def keep_under(
@@ -92,7 +94,7 @@ def keep_under(
     catalog.adder.close()
     books = CopyBooks(catalog.keyspace.side_tables)
     report, entries = QuotaReport(max_bytes), _entries(catalog, books)
-    for table, row, _ in entries:
+    for table, row, *_ in entries:
         topic = table.metadata.topic
         report.topics.setdefault(topic, Retained(topic)).messages += row.rows
     report.bytes = sum(entry.row.bytes for entry in entries)
@@ -132,9 +134,14 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
                 key = (book.node, book.bucket, book.writer)
                 known.setdefault(key, []).append((target, book))
         for row in rows:
-            mine = known.get((row.node, row.bucket, row.writer), [])
-            confirming = [(t, book) for t, book in mine if book.confirms(row, [book.there])]
-            found.append(_Entry(table, row, confirming))
+            place = (row.node, row.bucket, row.writer)
+            mine = dict.fromkeys(targets.get(table.name, ()), CopiedBucket(*place))
+            mine.update(known.get(place, []))
+            listed_row = _Entry(table, row, [], [])
+            for target, book in mine.items():
+                confirms = book.confirms(row, [book.there])
+                (listed_row.books if confirms else listed_row.others).append((target, book))
+            found.append(listed_row)
     return found
 
 
@@ -144,15 +151,15 @@ def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
     Returns:
         False: Messages were added since the entry was listed, and nothing was deleted.
     """
-    table, row, confirming = entry
+    table, row, confirming, others = entry
     found = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
     now = next((each for each in found if each.writer == row.writer), row)
     if not is_settled(now) or now.rows > row.rows:
         return False
     if confirming and not any(book.confirms(now, [book.there]) for _, book in confirming):
         return False
-    for target, book in confirming:
-        # Before the deletion, which must not be repeated there.
+    for target, book in (*confirming, *others):
+        # Before the deletion, which must not be repeated there, also of a part or what a rule took.
         books.release(target, table.name, book)
     low = row.bucket * table.bucket_ns
     time_range = TimeRange(low, low + table.bucket_ns - 1)

@@ -111,7 +111,8 @@ class Replicator:
         rate: Maximum number of bytes that are sent in a second; None = that of the rules.
 
     Raises:
-        InvalidOption: Source and target are the same keyspace.
+        InvalidOption: Source and target are the same keyspace, or with_deletions and a source that
+            is read from fewer copies than a quorum.
         UnsupportedSchema: Another release made the tables of the target.
         TopicNotFound, RunNotFound, InvalidName, InvalidKey: As readMessages.
     """
@@ -151,6 +152,11 @@ class Replicator:
         """Tables of which all connections were copied."""
         check_schema(self._there)
         there = target_id(self._there.cassandra, self._there.name)
+        if with_deletions and not self._here.cassandra.finds_all_written:
+            raise InvalidOption(
+                "with_deletions needs a consistency level of a quorum in the source: with fewer "
+                "copies, messages that are only missed would be deleted in the target"
+            )
         if there is not None and there == target_id(self._here.cassandra, self._here.name):
             raise InvalidOption(f"{self.place} is the store itself: give another one")
 
@@ -212,8 +218,11 @@ class Replicator:
 
     def _leave_out(self, table: TopicTable, known: dict[str, CopiedTable]) -> None:
         """Note in the books that no rule takes a table."""
+        before = known.get(table.name)
         entry = CopiedTable(self._id, table.name, self.place, table.metadata.topic)
-        if known.get(table.name) != entry:
+        if before is not None:
+            self._doubt_removed(table, before.there)
+        if before != entry:
             self._books.put_table(entry)
 
     def compare(self, progress: Progress = None, *, repair: bool = False) -> StoreComparison:
@@ -278,6 +287,7 @@ class Replicator:
         except _OF_ALL:
             raise
         except CassandraRosError as exc:
+            self._doubt_removed(table, there)
             self._refuse(table, there, result, str(exc))
             return None
         result.format = pair.target.metadata.format
@@ -287,6 +297,12 @@ class Replicator:
         if new != entry:
             self._books.put_table(new)
         return pair
+
+    def _doubt_removed(self, table: TopicTable, there: str) -> None:
+        """Confirm nothing of a table whose counterpart there was removed; '' = it has none."""
+        listing = self._there.schema.listing()
+        if there and listing.heirs.get(there, there) not in listing.visible:
+            self._books.doubt(self._id, table.name, ())
 
     def _refuse(self, table: TopicTable, there: str, result: TopicCopy, reason: str) -> None:
         result.refused = result.refused or reason
@@ -394,7 +410,19 @@ class Replicator:
 
         if not rule.every_ns:
             return taken
-        return lambda read: _first_of_periods(taken(read), rule.every_ns)
+        begin = work.selection.time_range.low
+
+        def thinned(read: Read) -> Iterator[StoredRow]:
+            low, period = read.time_range.low, rule.every_ns
+            start = max(begin, low // period * period)
+            # A period may have begun in an earlier bucket.
+            early = replace(read, time_range=TimeRange(start, low - 1))
+            if not rule.where:
+                early = replace(early, columns=lambda table: ())
+            given = {row.conn for row in taken(early)} if start < low else set()
+            return _first_of_periods(taken(read), period, dict.fromkeys(given, low // period))
+
+        return thinned
 
     def _copy_table(
         self, work: _Work, report: CopyReport, tell: _Tell, again: bool, ends: float
@@ -534,9 +562,14 @@ class _Tell:
             self._progress(self._done, max(self._done, self._total))
 
 
-def _first_of_periods(rows: Iterable[StoredRow], period_ns: int) -> Iterator[StoredRow]:
-    """Yield the first message of each period, for each connection."""
-    last: dict[int, int] = {}
+def _first_of_periods(
+    rows: Iterable[StoredRow], period_ns: int, last: dict[int, int]
+) -> Iterator[StoredRow]:
+    """Yield the first message of each period, for each connection.
+
+    Args:
+        last: Connection → period of its last message before these rows.
+    """
     for row in rows:
         period = row.t // period_ns
         if last.get(row.conn) != period:

@@ -9,6 +9,7 @@ A store that was noted is asked nothing more for this answer; the next question 
 from __future__ import annotations
 
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain, islice
 from typing import Callable, Dict, Generic, Iterable, Iterator, List, Mapping, Sequence, TypeVar
@@ -24,6 +25,7 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.fleet.fleet_books import FleetBooks
 from cassandra_ros.fleet.fleet_store import FleetStore
+from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.topics.catalog import Catalog
 
 _T = TypeVar("_T")
@@ -46,20 +48,29 @@ class FleetAnswer:
     Args:
         stores: All stores of the fleet.
         away: Stores that are not asked, because they did not answer a moment ago → why.
+        watch: Called for each row that is read, in any thread; what it raises ends the reading.
 
     Attributes:
         missing: The stores that did not answer, or not to the end.
         reasons: The same without the messages that were left out.
+        lost_at: The stores that were asked and did not answer → when, time.monotonic(), s.
         catalogs: The topics of each other store, by its name, in the order of the fleet.
 
     Raises:
         StoreUnavailable: No store answers.
     """
 
-    def __init__(self, stores: Sequence[FleetStore], away: Mapping[str, str] | None = None) -> None:
+    def __init__(
+        self,
+        stores: Sequence[FleetStore],
+        away: Mapping[str, str] | None = None,
+        watch: Watch = unwatched,
+    ) -> None:
         self._stores = {store.name: store for store in stores}
+        self._watch = watch
         self.missing: Missing = dict(away or {})
         self.reasons: Missing = dict(self.missing)
+        self.lost_at: dict[str, float] = {}
         self._left_out: dict[str, int] = {}
         self._mutex = threading.Lock()
         self._books: FleetBooks | None = None
@@ -118,6 +129,7 @@ class FleetAnswer:
             for row in begin():
                 if name in self.missing:
                     return
+                self._watch()
                 yield row
         except AWAY as exc:
             self.lose(name, exc)
@@ -127,6 +139,7 @@ class FleetAnswer:
         if self._stores[name].closed:
             raise exc
         with self._mutex:
+            self.lost_at.setdefault(name, time.monotonic())
             self.reasons.setdefault(name, " ".join(str(exc).split()))
             self.missing.setdefault(name, self.reasons[name])
 

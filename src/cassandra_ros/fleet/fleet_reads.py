@@ -7,7 +7,7 @@ from __future__ import annotations
 import heapq
 import logging
 from functools import partial
-from itertools import groupby, islice
+from itertools import islice
 from typing import Iterator, Mapping, Sequence
 
 from cassandra_ros.arguments import check_nodes
@@ -24,7 +24,7 @@ from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.event_table import Event
 from cassandra_ros.topics.catalog import Conditions
 from cassandra_ros.topics.event_finder import MOST_EVENTS, EventChoice
-from cassandra_ros.topics.event_times import EventTimes
+from cassandra_ros.topics.event_times import EventTimes, merged_events
 from cassandra_ros.topics.query_result import Condition
 from cassandra_ros.topics.row_finder import Where, checked_where
 from cassandra_ros.topics.run_finder import RunName
@@ -64,10 +64,7 @@ def events_of(
     """Yield the events of all stores in order of their starts, each once."""
     finders = {store: c.keyspace.events.find for store, c in answer.catalogs.items()}
     begins = {store: partial(find, name, like, within, whose) for store, find in finders.items()}
-    merged = heapq.merge(*answer.rows(begins).values(), key=Event.order)
-    copies = (list(group) for _, group in groupby(merged, key=Event.order))
-    # It may have ended in one store and last in a copy.
-    return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
+    return merged_events(answer.rows(begins).values())
 
 
 def times_of_events(answer: FleetAnswer, choice: EventChoice, read: Read) -> EventTimes:

@@ -121,8 +121,8 @@ class FleetRow:
 
     @property
     def position(self) -> Position:
-        """Position of the row in the first store."""
-        return self._copies[0][1].position
+        """Position of the row in all stores, whose tables have other names: without a table."""
+        return self._copies[0][1].position._replace(table="")
 
     @property
     def place(self) -> MessageIdentity:

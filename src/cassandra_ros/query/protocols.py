@@ -13,7 +13,7 @@ from cassandra_ros.keys import Position, RowName
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.read import Read
+from cassandra_ros.read import Read, TimeRange
 
 
 class Runs(Protocol):
@@ -75,16 +75,40 @@ class Places(Protocol):
         """
 
 
+class NamedTime(Protocol):
+    """A named time range of a robot."""
+
+    @property
+    def end_ns(self) -> int | None:
+        """Last time, ns, included; None = it lasts."""
+
+    @property
+    def node(self) -> str:
+        """NodeID of the robot; '' = of all robots."""
+
+    def order(self) -> tuple[int, str, str, str]:
+        """Return its place among all, which a copy shares."""
+
+    @property
+    def time_range(self) -> TimeRange:
+        """The time range; one that lasts reaches to the end of all time."""
+
+
 class Events(Protocol):
     """Events of a keyspace: named time ranges of robots."""
 
-    def times(self, name: str, like: bool, read: Read) -> Stays:
+    def called(self, name: str, like: bool, read: Read) -> Iterator[NamedTime]:
+        """Yield the events that ``times`` uses, by their places; its arguments."""
+
+    def times(self, name: str, like: bool, read: Read, others: Sequence[Events] = ()) -> Stays:
         """Return when robots had events of a name.
 
         Args:
             name: The name, or (like) a pattern of LIKE.
             like: Whether the name is a pattern.
             read: The messages that are checked; other times and robots may be left out.
+            others: Events of other keyspaces that count, too. Of copies of an event the one counts
+                that knows its end.
 
         Raises:
             InvalidName, InvalidOption: The name is empty, or there are too many events.

@@ -399,11 +399,17 @@ class Backlog:
     def _do_without(self, items: Sequence[BufferedMessage], handed: bool) -> None:
         """Go on with messages that cannot be written."""
         if handed:
+            if not self._gaps:
+                _log.error(
+                    "the journal ends here: the spool is full or cannot be written, so messages "
+                    "are stored without it, and a kill -9 loses more than 1 s; make room by "
+                    "'cassandra_bag spool drain' or 'spool drop', or give a larger --spool-size"
+                )
             self._gaps = True
             self._hand_over(items)
         elif self._retry_at > time.monotonic():  # the disk fails: memory is what is left
             self._buffer.put_back(items)
-        elif not (self._plan.drops_newest or self._journal or self._buffer.is_half_full):
+        elif not (self._plan.drops_newest or self._buffer.is_half_full):
             # Other runs fill the spool, and there is no older message of this one to drop.
             self._buffer.put_back(items)
             self._retry_at = time.monotonic() + SYNC_SEC

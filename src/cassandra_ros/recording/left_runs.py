@@ -72,7 +72,7 @@ class LeftRuns:
     def _take_up(self, folder: RunFolder) -> None:
         if folder.path in self._told:
             return
-        if not folder.files():
+        if folder.is_empty():
             folder.remove()  # killed before its first message
             return
         left = read_left(folder)
@@ -88,8 +88,11 @@ class LeftRuns:
                 return
             try:
                 drain = self._drain = Drain(self._store.result(), left)
-                for text in lines_of(drain.run()):
+                done = drain.run()
+                for text in lines_of(done):
                     self._say(text)
+                if done.stays:  # the next recorder tries again
+                    self._told.add(folder.path)
                 return
             except CassandraRosError as exc:
                 _log.warning("run %s stays in the spool for now: %s", left.name, exc)
@@ -113,6 +116,8 @@ def lines_of(done: Drained) -> list[str]:
     lost = sum(done.lost.values())
     if lost or done.lost:
         lines.append(f"run {done.run}: {lost or 'some'} messages of the spool are lost")
-    if not done.complete:
+    for topic, reason in done.stays.items():
+        lines.append(f"run {done.run}: messages of topic {topic} stay in the spool: {reason}")
+    if not (done.complete or done.stays):
         lines.append(f"run {done.run}: the rest stays in the spool")
     return lines

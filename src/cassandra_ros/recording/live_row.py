@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Mapping
+from typing import Iterator, Mapping, Sequence
 
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.formats.table import FALLBACK_FORMAT
@@ -14,7 +14,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
-from cassandra_ros.query.protocols import Disk, Stays
+from cassandra_ros.query.protocols import Disk, Events, NamedTime, Stays
 from cassandra_ros.read import Read
 from cassandra_ros.topics.message_writer import usable_definition
 
@@ -43,9 +43,16 @@ class _NoPlaces:
 class _NoEvents:
     """A source of events that refuses, as that of places does."""
 
-    def times(self, name: str, like: bool, read: Read) -> Stays:
+    def called(self, name: str, like: bool, read: Read) -> Iterator[NamedTime]:
         """Raise InvalidOption."""
-        raise InvalidOption(
+        raise self._refused()
+
+    def times(self, name: str, like: bool, read: Read, others: Sequence[Events] = ()) -> Stays:
+        """Raise InvalidOption."""
+        raise self._refused()
+
+    def _refused(self) -> InvalidOption:
+        return InvalidOption(
             "EVENT asks for events of a robot, which are known for stored messages only: record "
             "the messages, then query them with EVENT"
         )

@@ -19,12 +19,19 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Callable, Mapping
 
+from cassandra_ros.connection.driver_errors import is_denied
 from cassandra_ros.errors import (
     AccessDenied,
     CassandraRosError,
+    CorruptMessage,
+    DefinitionError,
+    InvalidKey,
+    InvalidName,
+    InvalidOption,
     SchemaConflict,
     SpoolError,
     StoreUnavailable,
+    UnknownFormat,
     WriteFailed,
 )
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, SECOND_NS
@@ -50,6 +57,9 @@ GAP_NS = SECOND_NS
 POLL_SEC = 0.1
 """Interval at which a drain that waits for the store checks whether it is to end, s."""
 
+_NEVER = (DefinitionError, CorruptMessage, InvalidKey, InvalidName, InvalidOption, UnknownFormat)
+"""Errors for which messages are never stored. Other reasons may pass, as a table of a newer release
+or a lock that is held."""
 Progress = Callable[[int], object]
 """Called with the number of messages that were stored since the last call."""
 
@@ -106,6 +116,8 @@ class Drained:
     """Number of messages that are stored now."""
     lost: Counter[str] = field(default_factory=Counter)
     """Number of messages by topic that could not be read or stored."""
+    stays: dict[str, str] = field(default_factory=dict)
+    """Topics whose messages stay in the spool, and why: the reason may pass."""
     complete: bool = False
     """Whether nothing of the run is left in the spool."""
 
@@ -129,6 +141,8 @@ class Drain:
         self._losses: list[Loss] = []
         self._done = Drained(left.name)
         self._silent = False
+        self._refusals = 0
+        """Number of messages of the present file that the store refused."""
         self._stopped = threading.Event()
         self._last_counter = -1
 
@@ -154,16 +168,19 @@ class Drain:
                 self._store(path, progress)
                 if self._silent or self._stopped.is_set():
                     return self._done
-                if path != files[-1]:  # the last file tells how the run ended
+                # The last file tells how the run ended.
+                if path != files[-1] and not self._done.stays:
                     with suppress(OSError):
                         path.unlink()
-            self._end()
+            if not self._done.stays:
+                self._end()
         finally:
             for writer in self._writers.values():
                 with suppress(StoreUnavailable):
                     writer.close()
-        self._left.folder.remove()
-        self._done.complete = True
+        if not self._done.stays:
+            self._left.folder.remove()
+            self._done.complete = True
         return self._done
 
     def _begin(self) -> None:
@@ -190,7 +207,7 @@ class Drain:
         writer = self._writer((reader.label() or self._label).writer)
         totals, known = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
         handles: dict[int, Handle | None] = {}
-        number = 0
+        number, self._refusals = 0, 0
         for part in reader.parts():
             for each in part.missing:
                 self._miss(each.topic, each.messages, each.first_ns, each.last_ns, part.damage)
@@ -200,19 +217,22 @@ class Drain:
                 if id(connection) not in handles:
                     handles[id(connection)] = self._handle(writer, connection, reader, totals, wire)
                 handle = handles[id(connection)]
+                if handle is None and connection.topic in self._done.stays:
+                    continue
                 self._totals.setdefault(connection.topic, TopicTotal()).add(1, t_ns, t_ns)
                 self._last_counter = max(self._last_counter, counter)
-                number += 1
                 if handle is None:
                     self._miss(connection.topic, 1, t_ns, t_ns, "", LossKind.NO_TABLE)
-                elif not known.has(handle, t_ns, counter, totals):
+                    continue
+                number += 1
+                if not known.has(handle, t_ns, counter, totals):
                     writer.write(handle, t_ns, counter, wire)
             if self._silent or self._stopped.is_set():
                 return
             progress(len(part.messages))
         writer.flush()
         if not self._silent:
-            self._done.messages += number
+            self._done.messages += number - self._refusals
             self._remember()
 
     def _writer(self, number: int) -> MessageWriter:
@@ -230,11 +250,10 @@ class Drain:
         return writer
 
     def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
-        if self._stopped.is_set() or any(
-            isinstance(exc, StoreUnavailable) for exc in (error, error.__cause__)
-        ):
+        if self._stopped.is_set() or any(map(_may_pass, (error, error.__cause__))):
             self._silent = True
             return
+        self._refusals += messages
         first = getattr(error, "first_ns", 0) or self._label.begun_ns
         last = getattr(error, "last_ns", 0) or first
         self._miss(topic, messages, first, last, str(error), LossKind.REFUSED)
@@ -247,6 +266,8 @@ class Drain:
         totals: Mapping[int, TopicTotal],
         wire: bytes,
     ) -> Handle | None:
+        if connection.topic in self._done.stays:
+            return None
         key = (writer.writer_id, connection)
         if key not in self._handles:
             mine = [n for n, each in reader.connections.items() if each == connection]
@@ -256,9 +277,12 @@ class Drain:
             try:
                 self._handles[key] = self._connect(writer, connection, lengths)
             except (StoreUnavailable, AccessDenied):
-                raise  # it may be stored later
-            except CassandraRosError as exc:
+                raise  # nothing is stored now
+            except _NEVER as exc:
                 _log.error("topic %s cannot be stored: %s", connection.topic, exc)
+                return None
+            except CassandraRosError as exc:
+                self._done.stays[connection.topic] = str(exc)
                 return None
         return self._handles[key]
 
@@ -365,6 +389,11 @@ class _StoredBlocks:
         asked = TimeRange() if own else TimeRange(first, last)
         read = Read(asked, whose, columns=lambda table: ())
         return {row.position.seq for row in self._space.rows.read([handle.table], read)}
+
+
+def _may_pass(exc: BaseException | None) -> bool:
+    """Return whether a message that was refused for this reason may be stored later."""
+    return isinstance(exc, StoreUnavailable) or is_denied(exc)
 
 
 def _joined(losses: list[Loss]) -> list[Loss]:

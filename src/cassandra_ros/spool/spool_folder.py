@@ -45,6 +45,13 @@ class RunFolder:
         """Return the files with messages, in the order in which they were written."""
         return run_files(self.path)
 
+    def is_empty(self) -> bool:
+        """Return whether it has no file with messages; False if it cannot be read."""
+        try:
+            return not any(each.suffix == _SUFFIX for each in self.path.iterdir())
+        except OSError:
+            return False
+
     def new_file(self) -> Path:
         """Return the path of the next file."""
         self._next += 1

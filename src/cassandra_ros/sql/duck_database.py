@@ -26,7 +26,10 @@ _OLDEST = (3, 11)
 """Oldest Python for which there is a DuckDB 2; older releases of DuckDB push conditions into what
 they scan, and compare NaN and joined keys wrongly there."""
 
-_TF = "CREATE MACRO tf(target, source) AS TABLE FROM query_table('tf ' || target || ' ' || source)"
+_TF = (
+    "CREATE MACRO tf(target, source) AS TABLE FROM "
+    """query_table('"tf ' || replace(target || ' ' || source, '"', '""') || '"')"""
+)
 CONSTANT = (
     "CREATE MACRO constant(msg_type, named) AS "
     "(SELECT c.value::HUGEINT FROM constants c WHERE c.TYPE = msg_type AND c.NAME = named)"

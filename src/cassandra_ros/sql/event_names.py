@@ -92,7 +92,11 @@ class EventNames:
             ranges = [
                 (low, high, code)
                 for code, name in enumerate(self._names)
-                for low, high in EventTimes(sorted(by_name.get(name, ()), key=Event.order)).ranges
+                for low, high in EventTimes(_in_order(by_name.get(name, ()))).ranges
             ]
             self._ranges[node] = _Ranges(*np.array(ranges, np.int64).reshape(-1, 3).T)
         return self._ranges[node]
+
+
+def _in_order(events: Iterable[Event]) -> list[Event]:
+    return sorted(events, key=Event.order)

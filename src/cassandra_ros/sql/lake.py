@@ -33,6 +33,8 @@ from cassandra_ros.read import EVERYBODY, TimeRange
 from cassandra_ros.sql.duck_database import DuckDatabase
 from cassandra_ros.sql.pushed_conditions import PushedRead
 from cassandra_ros.sql.table_sources import TopicSource
+from cassandra_ros.store.row_counts import settle
+from cassandra_ros.tables.directory import STALE_SEC
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.topics.stored_totals import buckets_of
@@ -188,8 +190,14 @@ class Lake:
         states: dict[DayPart, list[Any]] = {}
         unfinished: set[DayPart] = set()
         for table in tables:
-            for row in buckets_of(self._catalog.keyspace.directory, table):
-                if row.closed and not row.rows:
+            directory = self._catalog.keyspace.directory
+            rows = buckets_of(directory, table)
+            # What a killed recorder or a deletion has left open is counted, or it would be written
+            # each time. With a TTL messages go one by one, and the lake keeps them.
+            counts_hold = not table.metadata.ttl
+            for row in settle(directory, table, rows) if counts_hold else rows:
+                finished = row.closed or (counts_hold and row.age_sec > STALE_SEC)
+                if finished and not row.rows:
                     continue
                 low = row.bucket * table.metadata.bucket_ns
                 high = low + table.metadata.bucket_ns - 1
@@ -198,7 +206,7 @@ class Lake:
                     run = self._catalog.keyspace.runs.text(row.writer)  # column RUN
                     counts = (row.rows, row.bytes, row.t_min, row.t_max, row.odd, run)
                     states.setdefault(part, []).append((table.name, row.bucket, row.writer, counts))
-                    if not row.closed:
+                    if not finished:
                         unfinished.add(part)
         return [
             (part, OPEN if part in unfinished else _digest(sorted(rows)))

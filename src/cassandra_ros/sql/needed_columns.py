@@ -44,6 +44,10 @@ def _reads_all(exp: Any, tree: Any) -> bool:
         return True  # names for the columns in their order
     if any(join.method == "NATURAL" for join in tree.find_all(exp.Join)):
         return True
+    if any(kind.args.get("values") for kind in tree.find_all(exp.DataType)):
+        return True  # an element of a column whose name is that of a type, as in time[1]
+    if tree.find(exp.List) is not None:
+        return True
     return any(not isinstance(star.parent, exp.Count) for star in tree.find_all(exp.Star))
 
 

@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import reduce
+from itertools import chain
 from typing import AbstractSet, Any, Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -41,6 +42,9 @@ WIDER_NS = 2000
 _EXACT_FLOAT = 2**23
 """Integers below it stay exact where DuckDB compares them as float32."""
 _MIRRORED = {"GT": "LT", "GTE": "LTE", "LT": "GT", "LTE": "GTE", "EQ": "EQ"}
+_ZONED = ("TIMESTAMPTZ", "TIMESTAMPLTZ", "TIMETZ")
+UNSURE = "unsure"
+"""Mark of an interval of a tree whose text sqlglot may not have read whole."""
 _BELOW, _ABOVE = ("LT", "LTE"), ("GT", "GTE")
 
 
@@ -95,13 +99,13 @@ class PushedRead:
         """Return what is read if one of both holds."""
         low = min(self.time_range.low, other.time_range.low)
         high = max(self.time_range.high, other.time_range.high)
-        one, two = self.condition, other.condition
+        conditions = [_alternatives(each.condition) for each in (self, other)]
         return PushedRead(
             TimeRange(low, high),
             None if self.nodes is None or other.nodes is None else self.nodes | other.nodes,
             None if self.runs is None or other.runs is None else self.runs | other.runs,
             None if self.events is None or other.events is None else self.events | other.events,
-            None if one is None or two is None else Either((one, two)),
+            Either(tuple(chain.from_iterable(conditions))) if all(conditions) else None,
             self.floats | other.floats,
         )
 
@@ -109,6 +113,13 @@ class PushedRead:
     def empty(self) -> bool:
         """Whether no row can satisfy it."""
         return self.time_range.low > self.time_range.high
+
+
+def _alternatives(condition: Expression | None) -> tuple[Expression, ...]:
+    """Return what one of must hold: not nested, because a list of IN may have thousands."""
+    if condition is None:
+        return ()
+    return condition.items if isinstance(condition, Either) else (condition,)
 
 
 def _common(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset[str] | None:
@@ -202,6 +213,8 @@ class _ConditionFinder:
             return True
         if any(table.args.get("alias") and table.args["alias"].columns for table in tables):
             return True  # the columns have other names
+        if any(table.args.get("pivots") for table in tables):
+            return True  # WHERE tests what is made of the rows
         # In parentheses: of these joins WHERE does not tell what may be left out.
         inner = (join for join in select.find_all(exp.Join) if id(join) not in own)
         methods = {(j.method or "").upper() for j in inner if j.parent_select is select}
@@ -327,10 +340,18 @@ class _ConditionFinder:
             *(exp.Add, exp.Sub, exp.Mul, exp.Var, exp.Placeholder, exp.Identifier),
         )
         return all(
-            isinstance(each, simple)
+            (isinstance(each, simple) and not self._is_read_otherwise(each))
             or (isinstance(each, exp.Anonymous) and each.name.lower() in calls)
             for each in node.walk()
         )
+
+    def _is_read_otherwise(self, node: Any) -> bool:
+        """Return whether sqlglot may read a constant otherwise than DuckDB does."""
+        if isinstance(node, self.exp.Interval):
+            return bool(node.meta.get(UNSURE))
+        # Of TIMESTAMPTZ '…'::TIMESTAMP it takes the casts in the wrong order.
+        casts = isinstance(node, self.exp.Cast) and isinstance(node.this, self.exp.Cast)
+        return casts and str(node.to.this.value).upper() in _ZONED
 
 
 class _Names:

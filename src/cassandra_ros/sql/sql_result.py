@@ -225,8 +225,13 @@ class _Run:
             constants = listed_source(load_arrow("sql"), self._catalog, "constants")
             self.sources.setdefault("constants", constants)
         for target, frame in statement.frames():
+            name = f"tf {target} {frame}"
+            for other in self.sources:
+                if other != name and other.lower() == name.lower():
+                    reason = f"{other} and {name} differ by case only, which SQL ignores"
+                    raise InvalidQuery(statement.text, 0, reason)
             poses = FrameSource(self._catalog, self._whose, target, frame, self._look)
-            self.sources[f"tf {target} {frame}"] = poses
+            self.sources[name] = poses
         for name, source in self.sources.items():
             connection.register(name, source)
         if statement.calls("constant"):

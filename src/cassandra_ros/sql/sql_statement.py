@@ -5,12 +5,14 @@
 from __future__ import annotations
 
 import logging
+import re
 from dataclasses import dataclass
 from typing import Any, Iterator, Mapping, Sequence, Union
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
+from cassandra_ros.sql.pushed_conditions import UNSURE
 
 Params = Union[Sequence[Any], Mapping[str, Any]]
 """Values for ``?`` in order, or for ``$name`` by name."""
@@ -19,6 +21,8 @@ MAX_TEXT = 64 * 1024
 """Maximum length of a statement, characters."""
 TABLE_FUNCTIONS = {"range", "generate_series", "unnest", "tf"}
 """Functions that may stand in FROM. All others could read files."""
+_ONE_UNIT = re.compile(r"\s*-?\d+\s*[A-Za-z]*\s*")
+"""Texts of intervals that sqlglot reads as DuckDB does; of others it drops the time of day."""
 _READ_ONLY = (
     "sql reads topics and changes nothing: it takes a SELECT. To delete messages or to make an "
     "index, use CQL (executeCQL, cassandra_bag query)"
@@ -48,8 +52,7 @@ class SqlStatement:
 
     Attributes:
         text: Its text, in which each ``?`` has a number.
-        params: Values of its parameters; times are texts in ISO 8601, which DuckDB compares with
-            all digits.
+        params: Values of its parameters; times are DuckDB's, with all digits.
         tree: Its syntax tree, of sqlglot.
 
     Raises:
@@ -69,15 +72,25 @@ class SqlStatement:
         self._check()
 
     def _numbered(self, text: str) -> str:
-        """Return the text with $1, $2, … for each ?, so that the tree tells them apart."""
-        glot = self._glot
+        """Return the text with $1, $2, … for each ?, so that the tree tells them apart.
+
+        The name map gets quotes, without which sqlglot takes it for the type.
+        """
+        glot, kinds = self._glot, self._glot.TokenType
         try:
             tokens = glot.tokenize(text, read="duckdb")
         except glot.errors.TokenError as exc:
             raise InvalidQuery(text, len(text.rstrip()), f"a text is not closed: {exc}") from exc
-        marks = [t for t in tokens if t.token_type == glot.TokenType.PLACEHOLDER]
-        for number, token in reversed(list(enumerate(marks, 1))):
-            text = f"{text[: token.start]}${number}{text[token.end + 1 :]}"
+        number = sum(token.token_type == kinds.PLACEHOLDER for token in tokens)
+        following = [*(token.token_type for token in tokens[1:]), None]
+        for token, after in reversed(list(zip(tokens, following))):
+            if token.token_type == kinds.PLACEHOLDER:
+                changed, number = f"${number}", number - 1
+            elif token.token_type == kinds.MAP and after not in (kinds.L_PAREN, kinds.L_BRACE):
+                changed = f'"{token.text}"'
+            else:
+                continue
+            text = f"{text[: token.start]}{changed}{text[token.end + 1 :]}"
         return text
 
     def _parsed(self) -> Any:
@@ -95,7 +108,19 @@ class SqlStatement:
             raise InvalidQuery(self.text, 0, "the statement is nested too deeply") from exc
         if len(found) != 1:
             raise InvalidQuery(self.text, 0, "give one statement")
+        if not self._has_simple_intervals():
+            for interval in found[0].find_all(glot.exp.Interval):
+                interval.meta[UNSURE] = True
         return found[0]
+
+    def _has_simple_intervals(self) -> bool:
+        """Return whether each text after INTERVAL is a number with at most one unit."""
+        kinds, tokens = self._glot.TokenType, self._glot.tokenize(self.text, read="duckdb")
+        return all(
+            _ONE_UNIT.fullmatch(text.text)
+            for token, text in zip(tokens, tokens[1:])
+            if token.token_type == kinds.INTERVAL and text.token_type == kinds.STRING
+        )
 
     def _spot(self, line: int, column: int, error: Mapping[str, Any]) -> int:
         """Return the index of the character that a line and column mean."""
@@ -174,7 +199,7 @@ def _params(params: Params) -> Any:
 
 def _param(value: Any) -> Any:
     if is_time(value) and not isinstance(value, (int, float, str)):
-        return ns_text(to_ns(value))
+        return optional_module("duckdb", "sql").Value(ns_text(to_ns(value)), "TIMESTAMP_NS")
     return value
 
 

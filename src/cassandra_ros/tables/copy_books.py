@@ -52,31 +52,31 @@ class CopiedTable:
 
 
 class CopiedBucket(NamedTuple):
-    """What a target has acknowledged of the rows of one writer in one bucket."""
+    """What a target has acknowledged of the rows of one writer in one bucket: nothing at first."""
 
     node: str
     bucket: int
     writer: int
-    there: str
+    there: str = ""
     """Name of the table there that took the rows."""
-    heartbeat: datetime | None
+    heartbeat: datetime | None = None
     """Heartbeat of the bucket in our directory when its rows were read."""
-    seen: int
+    seen: int = 0
     """Server time before the rows were read, us: all rows written before it are there."""
-    final: bool
+    final: bool = False
     """Whether no writer had the bucket open: if the heartbeat is still the same, all is there."""
-    rule: str
+    rule: str = ""
     """What left out some of the messages; '' = all were copied."""
-    rows: int
+    rows: int = 0
     """Number of messages that the bucket had here at least when it was copied."""
-    n: int
+    n: int = 0
     """Number of these messages that are there; fewer if a rule left some out."""
-    bytes: int
-    t_max: int
+    bytes: int = 0
+    t_max: int = 0
     """Last key time of these messages, ns."""
     released: bool = False
-    """Whether rows were deleted here because they are there: not a deletion to repeat there. Only
-    ``release`` writes it, and it stays."""
+    """Whether rows were deleted here for room: not a deletion to repeat there. Only ``release``
+    writes it, and it stays."""
 
     def confirms(self, row: BucketRow, tables: Iterable[str], rule: str = "") -> bool:
         """Return whether one of tables has all rows of a bucket as the directory lists it now.
@@ -136,7 +136,7 @@ class CopyBooks:
         self._write(target, table, entry, {"heartbeat": heartbeat}, _BEATS)
 
     def release(self, target: UUID, table: str, entry: CopiedBucket) -> None:
-        """Note that rows of a bucket are deleted here because they are there."""
+        """Note that rows of a bucket are deleted here for room, and not to be deleted there."""
         self._write(target, table, entry, {"released": True})
 
     def _write(
@@ -179,8 +179,9 @@ class CopyBooks:
     def doubt(self, target: UUID, table: str, names: Iterable[str]) -> None:
         """Confirm no rows of a table that the target took into other tables than these."""
         for book in self.buckets(target, table, self.slots(target, table)):
-            if book.final and book.there not in names:
-                self.put_bucket(target, table, book._replace(final=False))
+            if book.there not in names and (book.final or book.rows):
+                nothing = book._replace(final=False, rows=0, n=0, bytes=0)
+                self.put_bucket(target, table, nothing)
 
     def forget_table(self, target: UUID, table: str) -> None:
         """Delete the entries of a table that is no longer here."""

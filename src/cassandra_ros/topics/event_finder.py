@@ -8,7 +8,7 @@ import difflib
 from dataclasses import replace
 from itertools import islice
 from numbers import Integral
-from typing import Any, Iterator, Mapping, NamedTuple, Tuple, Union
+from typing import Any, Iterator, Mapping, NamedTuple, Sequence, Tuple, TypeVar, Union
 
 from cassandra_ros.arguments import (
     check_event_name,
@@ -19,11 +19,14 @@ from cassandra_ros.arguments import (
 )
 from cassandra_ros.errors import EventNotFound, InvalidKey, InvalidName, InvalidOption
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Length, Time, duration_ns, iso_time, to_ns
+from cassandra_ros.query import protocols
 from cassandra_ros.query.rows.name_resolution import like_test
 from cassandra_ros.read import ALWAYS, EVERYBODY, LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.tables.event_table import ALL_NAMES, Event, EventTable, Names
-from cassandra_ros.topics.event_times import EventTimes
+from cassandra_ros.topics.event_times import EventTimes, merged_events
 from cassandra_ros.topics.run_finder import RunName, Runs
+
+_E = TypeVar("_E")
 
 EventRule = Union[None, str, Tuple[str, Length, Length]]
 """Messages during the events of a name: the name, or (name, before, after) with the time before
@@ -151,10 +154,17 @@ class Events:
         mine = (event for event in events if _counts(event, whose))
         return mine if test is None else (event for event in mine if test(event.name))
 
-    def times(self, name: str, like: bool, read: Read) -> EventTimes:
-        """Return the times of the events of a name, for EVENT; see query.protocols.Events."""
+    def called(self, name: str, like: bool, read: Read) -> Iterator[Event]:
+        """Yield the events of a name that meet a read; see query.protocols.Events."""
         within = read.time_range
-        found = self.find(like=name, within=within) if like else self.find(name, within=within)
+        return self.find(like=name, within=within) if like else self.find(name, within=within)
+
+    def times(
+        self, name: str, like: bool, read: Read, others: Sequence[protocols.Events] = ()
+    ) -> EventTimes:
+        """Return the times of the events of a name, for EVENT; see query.protocols.Events."""
+        sources: list[protocols.Events] = [self, *others]
+        found = merged_events([source.called(name, like, read) for source in sources])
         return EventTimes(_bounded(found, repr(name)))
 
     def within(self, time_range: TimeRange) -> list[Event]:
@@ -194,7 +204,7 @@ class Events:
         return f"there is no event {name!r:.80} in keyspace {self._keyspace}; {hint}"
 
 
-def _bounded(events: Iterator[Event], names: str) -> Iterator[Event]:
+def _bounded(events: Iterator[_E], names: str) -> Iterator[_E]:
     yield from islice(events, MOST_EVENTS)
     if next(events, None) is not None:
         raise InvalidOption(

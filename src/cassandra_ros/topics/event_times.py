@@ -4,12 +4,24 @@
 
 from __future__ import annotations
 
+import heapq
 from bisect import bisect_right
 from dataclasses import replace
-from typing import Iterable, Iterator, NamedTuple, Sequence
+from itertools import groupby
+from typing import Iterable, Iterator, NamedTuple, Sequence, TypeVar
 
+from cassandra_ros.query.protocols import NamedTime
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
-from cassandra_ros.tables.event_table import Event
+
+_E = TypeVar("_E", bound=NamedTime)
+
+
+def merged_events(found: Iterable[Iterator[_E]]) -> Iterator[_E]:
+    """Yield the events of several stores, each once, by their places; they come by their places."""
+    merged = heapq.merge(*found, key=lambda event: event.order())
+    copies = (list(group) for _, group in groupby(merged, key=lambda event: event.order()))
+    # It may have ended in one store and last in a copy.
+    return (max(group, key=lambda event: event.end_ns is not None) for group in copies)
 
 
 class Reads(NamedTuple):
@@ -31,7 +43,7 @@ class EventTimes:
         before, after: Time that is added before and after each event, ns.
     """
 
-    def __init__(self, events: Iterable[Event], before: int = 0, after: int = 0) -> None:
+    def __init__(self, events: Iterable[NamedTime], before: int = 0, after: int = 0) -> None:
         self._by_node: dict[str, list[TimeRange]] = {}
         for event in events:
             low, high = event.time_range

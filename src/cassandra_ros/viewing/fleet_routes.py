@@ -12,10 +12,16 @@ import json
 from dataclasses import replace
 from functools import partial
 from itertools import chain
-from typing import Callable, Dict, Iterator, Mapping, Sequence, Union
+from typing import Callable, Dict, Iterable, Iterator, Mapping, Sequence, Union
 
 from cassandra_ros.arguments import check_node
-from cassandra_ros.errors import DefinitionError, MessageNotFound, SchemaConflict
+from cassandra_ros.errors import (
+    DefinitionError,
+    MessageNotFound,
+    RunNotFound,
+    SchemaConflict,
+    TopicNotFound,
+)
 from cassandra_ros.fleet.fleet import find_row
 from cassandra_ros.fleet.fleet_answer import FleetAnswer, settled, told
 from cassandra_ros.fleet.fleet_info import FleetTopicInfo, describe_topic
@@ -30,11 +36,16 @@ from cassandra_ros.fleet.fleet_row import FleetRow, merged_rows
 from cassandra_ros.fleet.fleet_topic import FleetTopic, find_topic, topic_of
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.overview.latched_messages import is_latched, publisher_of
-from cassandra_ros.overview.latest_messages import TRANSFORMS, Latest, sources_at
+from cassandra_ros.overview.latest_messages import (
+    TRANSFORMS,
+    TRANSFORMS_NS,
+    Latest,
+    sources_at,
+)
 from cassandra_ros.overview.plot_series import SeriesRequest, read_rows_series
 from cassandra_ros.query.tree.statement_completion import NameSource
 from cassandra_ros.read import EVERYBODY, Read, Whose
-from cassandra_ros.tables.registry import Run
+from cassandra_ros.tables.registry import Loss, Run
 from cassandra_ros.topics.query_result import QueryResult
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.viewing import (
@@ -60,7 +71,7 @@ _Work = Callable[[ApiCall, FleetAnswer], _Told]
 def _of_all(work: _Work, call: ApiCall) -> Answer:
     """Answer a call over all stores, and say which of them did not answer."""
     fleet = call.fleet
-    stores = fleet.begin()
+    stores = fleet.begin(ask_routes.watch_of(call))
     try:
         found = settled(stores, lambda: work(call, stores))
     finally:
@@ -83,26 +94,46 @@ def _refuse(call: ApiCall) -> Answer:
 
 
 def _whose(call: ApiCall, stores: FleetAnswer) -> Whose:
-    """Return the robots and runs of a call, see selection_parameters.whose_of."""
+    """Return the robots and runs of a call, see selection_parameters.whose_of.
+
+    A run that only a store has that does not answer has no messages.
+
+    Raises:
+        RunNotFound: No store has one of the runs, and all stores answer.
+    """
     nodes, runs = call.texts("nodes"), call.texts("runs")
-    writers = [writers_of(stores, run) for run in runs or ()]
+    writers: set[int] = set()
+    for run in runs or ():
+        try:
+            writers |= writers_of(stores, run)
+        except RunNotFound:
+            if not stores.partial:
+                raise
     return Whose(
-        tuple(map(check_node, nodes)) if nodes else None,
-        frozenset().union(*writers) if runs else None,
+        tuple(map(check_node, nodes)) if nodes else None, frozenset(writers) if runs else None
     )
 
 
 def _topics_of(call: ApiCall, stores: FleetAnswer) -> tuple[list[FleetTopic], list[Json]]:
-    """Return the topics of a call, and of all topics those that cannot be read, with reasons."""
+    """Return the topics of a call, and those that cannot be read, with reasons.
+
+    Raises:
+        TopicNotFound: No store has a topic that the call names, and all stores answer.
+        DefinitionError, SchemaConflict: A topic that the call names cannot be read.
+    """
     names = call.texts("topics")
-    if names:
-        return topics_of(stores, names), []
     topics: list[FleetTopic] = []
     problems: list[Json] = []
-    for name in topic_names(stores):
+    for name in names or topic_names(stores):
         try:
             topics += topics_of(stores, [name])
+        except TopicNotFound as exc:
+            if not stores.partial:
+                raise
+            problems.append({"topic": name, "text": str(exc)})
         except (DefinitionError, SchemaConflict) as exc:
+            if names:
+                raise
             problems.append({"topic": name, "text": str(exc)})
     return list({frozenset(topic.names.items()): topic for topic in topics}.values()), problems
 
@@ -165,8 +196,11 @@ def _marks(call: ApiCall, stores: FleetAnswer) -> _Told:
     topics = call.texts("topics") or None
     read = Read(event_routes.within(call), _whose(call, stores))
     found = stores.each(stores.catalogs, lambda c: c.keyspace.runs.losses(topics, read))
-    losses = dict.fromkeys(chain.from_iterable(found.values()))
-    return mark_routes.listed_marks(call, _all_runs(stores), losses, read)
+    losses: dict[tuple[object, ...], Loss] = {}
+    for loss in chain.from_iterable(found.values()):  # a copy may be older: a loss grows
+        key = loss.topic, loss.node, loss.writer, loss.kind, loss.first_ns
+        losses[key] = max(losses.get(key, loss), loss, key=lambda each: (each.last_ns, each.count))
+    return mark_routes.listed_marks(call, _all_runs(stores), losses.values(), read)
 
 
 def _events(call: ApiCall, stores: FleetAnswer) -> _Told:
@@ -292,21 +326,40 @@ def _latest(call: ApiCall, stores: FleetAnswer) -> _Told:
         return iter(finder.before(t, since, sources))
 
     rows = merged_rows(stores, {store: partial(begin, each) for store, each in finders.items()})
-    last = {_replaced_by_later(row): row for row in rows}
-    return _stream(call, stores, iter(sorted(last.values(), key=lambda row: row.place)))
+    return _stream(call, stores, iter(_held(rows, t, since)))
 
 
-def _replaced_by_later(row: FleetRow) -> tuple[object, ...]:
-    """Return a key that a message shares with the later ones after which it does not hold."""
-    if row.table.named:
-        return row.topic, row.node, row.name
-    if row.table.msg_type in TRANSFORMS:
-        return row.topic, row.place
+def _held(rows: Iterable[FleetRow], t: int, since: int) -> list[FleetRow]:
+    """Return which of the last messages of each store hold at t, as one store with all tells it.
+
+    Args:
+        rows: What ``Latest.before`` of each store gave, in order of time.
+    """
+    last: dict[tuple[object, ...], FleetRow] = {}
+    moving: set[str] = set()
+    """Topics of transforms with messages so late that all of them count."""
+    for row in rows:
+        key: tuple[object, ...] = (row.topic,)
+        if row.table.named:
+            key = row.topic, row.node, row.name
+            if row.t > t and key in last:
+                continue  # a store without an earlier version gives its first
+        elif row.table.msg_type in TRANSFORMS and row.t >= max(since, t - TRANSFORMS_NS):
+            moving.add(row.topic)
+            key = row.topic, row.place
+        elif _is_latched(row):
+            holds_alone = row.table.msg_type in TRANSFORMS
+            key = row.topic, row.place if holds_alone else publisher_of(row)
+        last[key] = row
+    found = (row for key, row in last.items() if len(key) > 1 or row.topic not in moving)
+    return sorted(found, key=lambda row: row.place)
+
+
+def _is_latched(row: FleetRow) -> bool:
     try:
-        latched = is_latched(row.connection)
+        return is_latched(row.connection)
     except MessageNotFound:  # its store went away
-        latched = False
-    return (row.topic, publisher_of(row)) if latched else (row.topic,)
+        return False
 
 
 def _row(call: ApiCall, stores: FleetAnswer) -> FleetRow:

@@ -15,6 +15,7 @@ from cassandra_ros.fleet.fleet_answer import FleetAnswer
 from cassandra_ros.fleet.fleet_topic import find_topic
 from cassandra_ros.overview.timeline.lanes import Picture, Timeline, View, window_of
 from cassandra_ros.overview.timeline.merged_pictures import merged_extent, merged_picture
+from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.topics.catalog import Catalog
 
 
@@ -41,8 +42,11 @@ class ViewedFleet:
         """Names of all stores."""
         return [store.name for store in self._fleet.stores]
 
-    def begin(self) -> FleetAnswer:
+    def begin(self, watch: Watch = unwatched) -> FleetAnswer:
         """Return the stores for one request.
+
+        Args:
+            watch: See FleetAnswer.
 
         Raises:
             StoreUnavailable: No store answers.
@@ -51,22 +55,25 @@ class ViewedFleet:
         with self._mutex:
             away = {name: reason for name, (until, reason) in self._away.items() if until > now}
         all_stores = self._fleet.stores
-        stores = FleetAnswer(all_stores, away if len(away) < len(all_stores) else None)
+        stores = FleetAnswer(all_stores, away if len(away) < len(all_stores) else None, watch)
         self.note(stores)
         return stores
 
     def note(self, stores: FleetAnswer) -> None:
-        """Note which stores did not answer a request."""
+        """Note which stores did not answer a request that asked them.
+
+        A request may end long after it lost a store, so the pause begins when it did.
+        """
         now = time.monotonic()
         with self._mutex:
+            for name, lost in stores.lost_at.items():
+                self._away.setdefault(name, (lost + self._pause_sec, stores.reasons[name]))
             self._away = {name: each for name, each in self._away.items() if each[0] > now}
-            for name, reason in stores.reasons.items():
-                self._away.setdefault(name, (now + self._pause_sec, reason))
 
     def picture(
         self, stores: FleetAnswer, view: View, gone: threading.Event | None = None
     ) -> Picture:
-        """Draw the timeline of all stores; raises TopicNotFound if no store has a topic."""
+        """Draw the timeline of all stores; raises like ``names_in``."""
         names = names_in(stores, view.topics)
 
         def drawn(part: View) -> list[Picture]:
@@ -95,7 +102,7 @@ def names_in(
     """Return for each store the names of those topics that it has; None = all topics.
 
     Raises:
-        TopicNotFound: No store has one of the topics.
+        TopicNotFound: No store has one of the topics, and all stores answer.
     """
     if topics is None:
         return dict.fromkeys(stores.catalogs)
@@ -103,7 +110,7 @@ def names_in(
     for store, names in stores.each(stores.catalogs, lambda c: c.names(fresh=False)).items():
         stored = (next(filter(names.__contains__, spellings(topic)), "") for topic in topics)
         found[store] = [name for name in stored if name]
-    for topic in topics:
+    for topic in () if stores.partial else topics:
         if not any(set(spellings(topic)).intersection(names) for names in found.values()):
             find_topic(stores, topic)  # its error names the stores
     return {store: names for store, names in found.items() if names}

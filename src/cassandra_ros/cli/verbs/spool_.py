@@ -123,11 +123,17 @@ def _listed(path: Path, state: str) -> _ListedRun:
     return _ListedRun(path.name, *named, total.count, run_bytes(path), first, total.last_ns, state)
 
 
-def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
-    left = set()
+def _left_names(folder: SpoolFolder) -> list[str]:
+    """Return the ids of the runs without a process."""
+    names = []
     for each in folder.left():
-        left.add(each.path.name)
+        names.append(each.path.name)
         each.release()
+    return names
+
+
+def _list(options: argparse.Namespace, folder: SpoolFolder) -> int:
+    left = _left_names(folder)
     paths = [p for p in folder.runs() if not options.runs or p.name in options.runs]
     runs = [_listed(p, "left" if p.name in left else "recording") for p in paths]
     if options.json:
@@ -173,8 +179,9 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
                 continue
             with MessageBar(f"storing {left.name}") as bar:
                 done = Drain(ros_cas.catalog, left).run(bar.add)
-            answer.append({"run": left.name, "messages": done.messages, "lost": dict(done.lost)})
-            failed = failed or bool(done.lost)
+            told = {"messages": done.messages, "lost": dict(done.lost), "complete": done.complete}
+            answer.append({"run": left.name, **told})
+            failed = failed or bool(done.lost) or not done.complete
             if not (options.quiet or options.json):
                 print("\n".join(map(shown, lines_of(done))))
     if options.json:
@@ -183,13 +190,13 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
 
 
 def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
-    chosen = options.runs or [path.name for path in folder.runs()]
+    chosen = options.runs or _left_names(folder)
     if not options.yes:
         listed = [_listed(folder.path / name, "left") for name in chosen]
         messages = sum(each.messages for each in listed)
         confirm(f"Delete {counted(messages, 'message')} of the spool?", "\n".join(chosen))
     dropped = []
-    for left in _chosen(folder, options.runs):
+    for left in _chosen(folder, chosen) if chosen else ():
         left.folder.remove()
         dropped.append(left.folder.path.name)
         if not (options.quiet or options.json):

@@ -246,28 +246,10 @@ def _events_of(leaf: InEvent, asked: _ReadScope) -> Callable[[Sequence[Table]], 
         raise StatementError(leaf.name.position, reason)
 
     def find(tables: Sequence[Table]) -> Stays:
-        keyspaces = _distinct(table.events for table in tables)
-        return _joined_stays([each.times(name, leaf.like, asked.read) for each in keyspaces])
+        first, *others = _distinct(table.events for table in tables)
+        return first.times(name, leaf.like, asked.read, others)
 
     return find
-
-
-class _JoinedStays(NamedTuple):
-    """The times of the events of several keyspaces, each with some of the events."""
-
-    every: Sequence[Stays]
-
-    def holds(self, node: str, run: str, t: int) -> bool:
-        """Return whether a keyspace has an event of the robot at a time."""
-        return any(stays.holds(node, run, t) for stays in self.every)
-
-    def spans(self, low: int, high: int, reverse: bool = False) -> Iterator[NsRange]:
-        """Yield the time ranges of the events of all keyspaces, as in Stays."""
-        return _united([stays.spans for stays in self.every])(low, high, reverse)
-
-
-def _joined_stays(every: Sequence[Stays]) -> Stays:
-    return every[0] if len(every) == 1 else _JoinedStays(every)
 
 
 _T = TypeVar("_T")
