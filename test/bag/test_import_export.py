@@ -15,6 +15,7 @@ from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
 from campaign import LENGTH, sparing
 from mcap.writer import Writer
+from nodes.raw_publisher import header_of
 from std_msgs.msg import String
 
 from cassandra_ros import metadata
@@ -37,6 +38,7 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import split_seq
+from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.tables.registry import Run
 
@@ -557,3 +559,25 @@ def test_messages_that_were_added_by_hand_are_exported(rosCas, tmp_path):
         ("/by_hand", 10**18 + i, "std_msgs/String") for i in range(5)
     ]
     assert [m.data for m in messages] == [string_wire(f"text {i}") for i in range(5)]
+
+
+@pytest.mark.parametrize("format", [None, "ros"])
+def test_one_of_two_publishers_without_a_definition(rosCas, cql, tmp_path, format):
+    """A repeated import finds the table of each publisher."""
+    definition = parse_definition("own_msgs/One", "string data\n", None)
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        for n, text in enumerate(("string data\n", "")):
+            fields = {"md5sum": definition.md5sum, "message_definition": text}
+            header = {**header_of(String, f"/n{n}"), "type": "own_msgs/One", **fields}
+            number = writer.connection(live_connection("/t", header))
+            for k in range(10):
+                writer.write(number, 1000 + 2 * k + n, string_wire(f"{n} {k}"))
+    for _ in range(2):
+        import_bag(rosCas, path, format=format)
+        assert counts_agree(rosCas, cql) == {"/t": 20}
+        assert [row.table.metadata.format for row in rosCas.getTopic("/t").rows()] == [
+            "ros",
+            "binary",
+        ] * 10
+        assert verify_bag(rosCas, path).equal

@@ -12,6 +12,7 @@ from cli.test_upkeep import Terminal
 from std_msgs.msg import Int64
 from topics.test_run_states import T0, add, begin
 
+from cassandra_ros.connection.cql_names import quote_text
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.tables.registry import Loss, LossKind, Run
@@ -121,3 +122,21 @@ def test_the_run_of_one_robot_goes_and_that_of_the_other_stays(store, call):
     listed = [(run.name, run.node) for run in store.runs()]
     assert sorted(listed) == [("corridor", "jackal"), ("yard", "husky")]
     assert [(loss.node, loss.count) for loss in store.losses()] == [("jackal", 2)]
+
+
+@pytest.mark.parametrize("words", [["--run", ""], ["--event", ""], ["--run="], ["--event="]])
+def test_an_empty_value_deletes_nothing(store, call, words):
+    """A variable of a script that is not set."""
+    for topic in (["/n"], []):
+        status, _, err = call("delete", *topic, *words, "--yes")
+        assert (status, err.startswith("cassandra_bag: ")) == (1, True)
+    assert counts(store) == {"/maps": 1, "/n": 10, "/p": 10}
+
+
+def test_a_topic_that_cannot_be_read_here_is_deleted(store, call, cql):
+    (table,) = store.getTopic("/n").tables
+    comment = quote_text(table.metadata.with_(definition="what is this").to_comment())
+    cql.execute(f'ALTER TABLE {store.keyspace}."{table.name}" WITH comment = {comment}')
+    assert call("info", "/n")[0] == 1
+    assert call("delete", "/n", "-y")[0] == 0
+    assert counts(store) == {"/maps": 1, "/p": 10}

@@ -8,6 +8,8 @@ import json
 
 import pytest
 
+from cassandra_ros.tables.registry import Run
+
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
 
@@ -78,3 +80,24 @@ def test_wrong_usage_says_so(rosCas, call, words, status, reason):
     assert (found, out) == (status, "")
     assert reason in err
     assert list(rosCas.events()) == []
+
+
+def test_a_robot_or_run_deletes_its_own_events_only(rosCas, call):
+    run = Run("husky", 9, "recording", name="monday")
+    rosCas.catalog.keyspace.side_tables.make()
+    rosCas.catalog.keyspace.registry.put_run(run)
+    for n, options in enumerate(
+        ({}, {"nodeID": "husky"}, {"nodeID": "husky", "run": "monday"}, {"nodeID": "jackal"})
+    ):
+        rosCas.addEvent("bump", T0 + n * SEC, T0 + n * SEC, **options)
+
+    def starts():
+        return [(event.start_ns - T0) // SEC for event in rosCas.events("bump")]
+
+    assert call("event", "delete", "bump", "--run", "monday", "-y")[0] == 0
+    assert starts() == [0, 1, 3]
+    assert call("event", "delete", "bump", "--node-id", "husky", "-y")[0] == 0
+    assert starts() == [0, 3]
+    status, _, err = call("event", "delete", "bump", "--node-id", "husky", "-y")
+    assert (status, "there is no event 'bump'" in err) == (1, True)
+    assert starts() == [0, 3]

@@ -14,6 +14,8 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Int64, String
 from upkeep.test_convert import fill, joint_state, seen
 
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import InvalidOption, UnsupportedSchema
 from cassandra_ros.formats.table import FORMATS
@@ -510,3 +512,28 @@ def test_a_target_of_another_schema_is_refused(rosCas, connect, new_keyspace, cq
         cql.execute(f"ALTER TABLE {new_keyspace}.cr_bucket DROP filled")
         with pytest.raises(UnsupportedSchema, match="cr_bucket of the target has no column filled"):
             Replicator(rosCas, home)
+
+
+@pytest.mark.parametrize("target_ns", [10 * SEC, 60 * SEC])
+def test_a_bag_that_is_imported_at_home_after_its_copy_is_there_once(
+    rosCas, home, tmp_path, target_ns
+):
+    """Home cuts blocks as its own table says, unlike the robot that has imported the bag."""
+    for store, writer_id, length in ((rosCas, 1, 10 * SEC), (home, 2, target_ns)):
+        with store.messageWriter(writer_id=writer_id, format="packed") as writer:
+            handle = writer.connect(
+                api_connection("/t", definition_of(Int64), "/n"), bucket_ns=length
+            )
+            writer.write(handle, T0, 0, serialize(Int64(-writer_id)))
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        number = bag.connection(api_connection("/t", definition_of(Int64), "/n"))
+        for n in range(5000):
+            bag.write(number, T0 + (n + 1) * SEC // 100, serialize(Int64(n)))
+    import_bag(rosCas, path, nodeID="husky")
+    Replicator(rosCas, home).copy()
+    assert home.getTopic("/t").countTopicData() == 5002
+    import_bag(home, path, nodeID="husky")
+    every = [row.message().data for row in home.getTopic("/t").rows()]
+    assert sorted(every) == [-2, -1, *range(5000)]
+    assert home.getTopic("/t").countTopicData() == 5002

@@ -21,11 +21,13 @@ import time
 import zlib
 from collections import Counter
 
+import psutil
 import pytest
 from cassandra import ConsistencyLevel
 from cassandra.cluster import EXEC_PROFILE_DEFAULT, Cluster, ExecutionProfile
 from cassandra.policies import WhiteListRoundRobinPolicy
 from cassandra.query import BatchStatement, BatchType, SimpleStatement
+from nodes.children import PROGRAMS, Child
 from std_msgs.msg import String
 from topics.by_index import await_built
 
@@ -543,6 +545,26 @@ def await_nodes(cluster, numbers):
     deadline = time.monotonic() + 180
     while not all(status.answers for status in cluster.status() if status.node.number in numbers):
         assert time.monotonic() < deadline, cluster.status()
+
+
+@pytest.mark.long
+def test_who_has_not_started_a_server_does_not_stop_it(tmp_path):
+    """Two launch files run it at once; one of them ends."""
+    command = [PROGRAMS / "local_cassandra", "run", "--dir", tmp_path, "--port", str(free_port())]
+    with Child(command, os.environ) as one, Child(command, os.environ) as other:
+        for child in (one, other):
+            child.await_line("Cassandra answers at", 300)
+        pid = make(tmp_path).status()[0].pid
+        owner, guest = one, other
+        if psutil.Process(pid).ppid() != one.process.pid:
+            owner, guest = other, one
+        assert psutil.Process(pid).ppid() == owner.process.pid
+        assert guest.end() == 0, guest.output
+        assert make(tmp_path).status()[0].pid == pid
+        assert "stopped" not in guest.output
+        assert owner.end() == 0, owner.output
+        assert "stopped" in owner.output
+    assert not make(tmp_path).status()[0].pid
 
 
 @pytest.mark.long

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import pty
+import signal
 import subprocess
 import sys
 import time
@@ -401,3 +402,31 @@ def test_every_option_of_rosbag_record_is_known():
     ours = {name for action in make_parser()._actions for name in action.option_strings}
     assert theirs
     assert theirs <= ours
+
+
+def test_a_terminal_that_is_gone_does_not_end_the_recording(roscore, cassandra, keyspace, rosCas):
+    """As after ``recorder -a | head``, or when ssh has lost its connection; then SIGHUP comes."""
+    where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
+    reads, writes = os.pipe()
+    command = [str(word) for word in (PROGRAMS / "recorder", "-e", "/gone/.*", *where)]
+    process = subprocess.Popen(command, env=roscore.env, stdout=writes, stderr=writes)
+    os.close(writes)
+    try:
+        with os.fdopen(reads) as output:
+            assert any("services under" in line for line in output)
+        for name in ("/gone/a", "/gone/b"):
+            with publisher(roscore, name, name=name) as source:
+                source.await_subscribers().publish(text(1), text(2))
+                await_true(
+                    lambda topic=name: (
+                        rosCas.existTopic(topic) and rosCas.getTopic(topic).countTopicData() == 2
+                    )
+                )
+        process.send_signal(signal.SIGHUP)
+        process.wait(120)
+    finally:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
+    (run,) = rosCas.runs()
+    assert (run.state, run.stored) == ("ended", {"/gone/a": 2, "/gone/b": 2})

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from bag.truth import string_connection, string_wire
 from playing.robots import SEC, T0, Robot, played, texts
-from std_msgs.msg import String
+from std_msgs.msg import Int64, String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import (
@@ -19,6 +19,9 @@ from cassandra_ros.errors import (
     MessageNotFound,
     TopicNotFound,
 )
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.overview.latched_messages import latched_before
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames
 from cassandra_ros.playing.play_stream import Stream
@@ -272,3 +275,26 @@ def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
         writer.write(other, T0 + 3 * SEC, 9, string_wire("t"))
     rows = before(rosCas, T0 + 3 * SEC)
     assert [row.message().frame_id for row in rows] == ["m2"]
+
+
+def test_topics_without_messages_in_the_time_that_is_played_have_no_channel(filled):
+    """But a latched one, which is published before the start."""
+    for options, topics in (
+        ({"start": 2, "end": 3}, ["/static", "/tick", "/tock"]),
+        ({"start": 86_000}, ["/static", "/tick"]),
+        ({"start": 86_402}, ["/static", "/tick"]),
+        ({"end": 8, "nodeID": "r1", "start": 7}, ["/static", "/tick", "/tock"]),
+    ):
+        stream = Stream(PlayedKeyspace(filled.catalog), PlaySelection(**options))
+        assert [channel.topic for channel in stream.channels()] == topics, options
+
+
+def test_the_type_that_is_played_is_that_of_the_time_that_is_played(rosCas):
+    for day, kind in enumerate((String, Int64)):
+        with rosCas.messageWriter(writer_id=day + 1) as writer:
+            connection = api_connection("/status", definition_of(kind), "/x")
+            handle = writer.connect(connection)
+            writer.write(handle, T0 + day * 86_400 * SEC, 0, serialize(kind()))
+    for options, kind in (({"end": 1}, String), ({"start": 86_399}, Int64)):
+        stream = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection(**options))
+        assert [channel.type for channel in stream.channels()] == [kind._type]

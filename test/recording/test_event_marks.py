@@ -139,6 +139,16 @@ def test_one_call_begins_and_the_next_ends():
     assert len(put) == 6
 
 
+def test_an_end_before_the_start_is_refused_where_events_are_stored_later():
+    put = []
+    marks = EventMarks(put.append)
+    marks.mark("door", 5 * SEC)
+    with pytest.raises(InvalidKey, match="the clock was set back"):
+        marks.mark("door", 4 * SEC)
+    assert len(put) == 1
+    assert marks.mark("door", 6 * SEC).end_ns == 6 * SEC
+
+
 def test_a_mark_that_cannot_be_stored_is_as_before(rosCas):
     marks = EventMarks(rosCas.catalog.keyspace.events.put)
     begun = marks.mark("door", 5 * SEC)

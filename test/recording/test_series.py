@@ -126,6 +126,23 @@ def test_a_run_that_cannot_begin_keeps_nothing_from_ending(cassandra, keyspace, 
             await_true(lambda: [run.state for run in store.runs()] == ["ended", "ended"])
 
 
+@pytest.mark.parametrize("bound", [{"size": 1000}, {"duration": 0.05}])
+def test_a_pause_does_not_push_out_earlier_runs(rosCas, bound):
+    """What is left out is not of the size of a run, and no run is empty."""
+    series, begun = series_of(rosCas, output_name="r", split=True, max_splits=2, **bound)
+    series.begin()
+    series.received("/t", HEADER, message(String("x" * 900)))
+    for _ in range(20):
+        series.received("/t", HEADER, message(String("y" * 900)), paused=True)
+        time.sleep(0.01)
+        assert not series.poll()
+    series.received("/t", HEADER, message(String("z" * 900)))
+    series.end()
+    kept = [row.message().data[0] for row in rosCas.getTopic("/t").rows()]
+    assert kept == ["x", "z"]
+    assert len(begun) <= 2
+
+
 def test_the_limit_holds_while_runs_change(rosCas):
     series, begun = series_of(rosCas, split=True, size=5_000, limit=300)
     series.begin()

@@ -204,9 +204,7 @@ def test_what_a_newer_table_keeps_from_being_stored_stays(proxy, store, rosCas, 
     assert rosCas.losses() == []
 
 
-def test_a_right_that_is_taken_away_in_the_middle_keeps_the_files(
-    proxy, store, rosCas, folder, monkeypatch
-):
+def test_a_right_that_is_taken_away_in_the_middle_keeps_the_files(proxy, store, rosCas, folder):
     left_behind(proxy, store, folder, range(1, 500))
     refused = WriteFailed("topic /text: 5 messages were refused")
     refused.__cause__ = Unauthorized("User ann has no MODIFY permission on <table ros.t>")
@@ -416,6 +414,27 @@ def test_a_spool_that_others_fill_leaves_the_memory(
     (report,) = recorder.close()
     assert (report.stored, report.lost) == (2000, 0)
     assert rows_of(rosCas) == [text(n) for n in range(2000)]
+
+
+def test_a_run_that_begins_while_the_store_is_away(proxy, store, rosCas, folder):
+    """As a snapshot does."""
+    earlier = Recording(store.catalog, spool=SpoolPlan(folder))
+    send(earlier, [0])
+    await_true(lambda: earlier.reports()[0].stored == 1, 60)
+    proxy.cut()
+    send(earlier, range(1, 10))
+    await_true(lambda: earlier.is_held_up)
+    later = Recording(store.catalog, name="later", spool=SpoolPlan(folder))
+    assert not later.opened
+    send(later, range(10, 100))
+    proxy.mend()
+    await_true(lambda: later.reports()[0].stored == 90, 120)
+    (report,) = later.close()
+    assert (report.stored, report.lost) == (90, 0)
+    earlier.close()
+    assert sorted(int(wire[4:]) for wire in rows_of(rosCas)) == [*range(100)]
+    (run,) = (run for run in rosCas.runs() if run.name == "later")
+    assert (run.state, run.stored) == ("ended", {"/text": 90})
 
 
 def test_a_store_that_comes_late(proxy, keyspace, rosCas, folder):

@@ -312,3 +312,19 @@ def test_rows_of_an_open_bucket_may_come_late():
     assert not closed._replace(closed=False).expired(100)
     assert closed._replace(closed=False, age_sec=105.0 + directory.TTL_MARGIN_SEC).expired(100)
     assert directory.CLOCKS_SEC < directory.TTL_MARGIN_SEC
+
+
+@pytest.mark.parametrize("how", ["closes", "is idle"])
+def test_a_writer_that_stood_still_and_writes_no_more_counts_again(rosCas, still, monkeypatch, how):
+    target = rosCas.messageWriter(writer_id=9)
+    write(target, range(10))
+    target.flush()
+    taken_for_dead(rosCas, monkeypatch)
+    monkeypatch.setattr(writer, "REOPEN_SEC", -1.0)
+    if how == "is idle":
+        monkeypatch.setattr(writer, "IDLE_SEC", -1.0)
+        monkeypatch.setattr(writer, "HEARTBEAT_SEC", 0.01)
+        await_true(lambda: not target._rows._buckets)
+    target.close()
+    assert (listed(rosCas)[9].closed, listed(rosCas)[9].rows) == (True, 5)
+    assert counts(rosCas) == (5, 5, 5)

@@ -417,6 +417,8 @@ def test_rename(rosCas):
     rosCas.addTopic("/b")
     with pytest.raises(TopicExists, match="/b is stored already"):
         rosCas.renameTopic("/a", "/b")
+    with pytest.raises(TopicExists, match="/b is stored already"):
+        rosCas.renameTopic("/a", "b")
     with pytest.raises(InvalidName):
         rosCas.renameTopic("/a", "")
     rosCas.renameTopic("/b", "/c")

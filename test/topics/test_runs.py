@@ -45,6 +45,9 @@ def test_a_context_comes_back_as_it_was(connect, keyspace):
             assert type(found.params["big"]) is type(found.params["gains"]["i"]) is int
         assert found.graph.nodes == ["/laser", "/map", "/rec"]
         assert store.runContext("yard") is None
+        registry.put_run(Run("r", 9, "recording", name="corridor"), started=True)
+        assert store.runContext("corridor") is None  # the newest has none
+        assert store.runContext(7).params == PARAMS
         with pytest.raises(RunNotFound, match="did you mean corridor"):
             store.runContext("coridor")
         for bad in (None, True, 1.5, b"x", 0, 2**31):

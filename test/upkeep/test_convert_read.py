@@ -18,8 +18,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from upkeep.test_convert import SEC, T0, facts, fill, formats, joint_state, seen
 
+from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.errors import CassandraRosError, SchemaConflict
 from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.tables import replacement, schema
 from cassandra_ros.upkeep import conversion as convert
 from cassandra_ros.upkeep import table_copy as copying
@@ -314,3 +318,29 @@ def test_a_topic_that_is_removed_or_renamed_meanwhile(rosCas, connect, keyspace,
             assert rosCas.existTopic("/t") == (how == "truncateTopic")
     every = rosCas.catalog.keyspace.schema.listing(fresh=True)
     assert every.every == every.visible
+
+
+@pytest.mark.parametrize("fmt", ["json", "packed"])
+def test_a_bag_is_imported_again_after_messages_came_while_it_was_converted(
+    rosCas, connect, keyspace, monkeypatch, tmp_path, fmt
+):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as bag:
+        number = bag.connection(api_connection("/t", definition_of(JointState), "/n"))
+        for n in range(50):
+            bag.write(number, T0 + n, serialize(joint_state(n)))
+    import_bag(rosCas, path)
+    for turn in range(3):  # which table is the first one by name is a matter of chance
+        with connect(keyspace=keyspace) as other:
+            added = []
+
+            def add(n=turn, store=other, done=added):
+                if not done:
+                    done.append(store.getTopic("/t").addData(joint_state(1000 + n), key=T0 + n))
+
+            with monkeypatch.context() as patch:
+                during(patch, add)
+                rosCas.convertTopic("/t", [fmt, "ros"][turn % 2])
+        import_bag(rosCas, path)
+        assert len(list(rosCas.getTopic("/t").rows())) == 51 + turn
+        assert rosCas.getTopic("/t").countTopicData() == 51 + turn

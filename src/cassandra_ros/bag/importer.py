@@ -410,6 +410,7 @@ def _stored_formats(keyspace: Keyspace, connection: Connection, run: Run) -> set
         table.metadata.format
         for table in tables
         if table.metadata.md5sum == connection.md5sum
+        and keyspace.connections.has(table.name, connection)
         and holds_any(keyspace.directory, [table], whose)
     }
 

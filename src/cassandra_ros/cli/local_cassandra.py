@@ -165,11 +165,12 @@ def run(options: argparse.Namespace) -> int:
         _say_login(cluster)
         cluster.wait()
     except KeyboardInterrupt:
-        if not running_before:
+        if cluster.has_started and not running_before:
             _let_clients_go(cluster.settings.port)
     finally:
         _on_signals(signal.SIG_IGN)  # another Ctrl-C must not interrupt the drain
-        if not running_before and cluster.stop():
+        # Another program may have started it while this one waited for its lock.
+        if cluster.has_started and not running_before and cluster.stop():
             say(f"Cassandra at {where(cluster)} stopped")
     return 0
 

@@ -342,7 +342,7 @@ def add_event_options(parser: argparse._ActionsContainer, what: str = "") -> Non
     """Add --event, --before and --after, with ``what`` before their help texts."""
     add = parser.add_argument
     text = f"{what}only messages of a robot during its events of this name (default: of all time)"
-    add("--event", metavar="NAME", type=lambda text: text or None, help=text)
+    add("--event", metavar="NAME", help=text)
     text = f"{what}with --event: time before each event, as 5s or 2m (default: 0)"
     add("--before", metavar="SEC", type=seconds, default=0.0, help=text)
     text = f"{what}with --event: time after each event (default: 0)"
@@ -365,7 +365,6 @@ def add_origin_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--run",
         metavar="NAME",
-        type=lambda text: text or None,  # a launch file may pass an empty value
         help="only messages of the recordings or imports with this name or writer id "
         "(default: all)",
     )

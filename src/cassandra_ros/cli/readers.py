@@ -12,6 +12,7 @@ from cassandra_ros.errors import CassandraRosError
 
 _UNITS = {"": 1, "s": 1, "m": 60, "h": 3600}
 _LONG_UNITS = {"d": 86_400, "w": 7 * 86_400}
+_MOST_DIGITS = 18
 _SIZES = {"": 1, "k": 1 << 10, "m": 1 << 20, "g": 1 << 30, "t": 1 << 40}
 _Read = TypeVar("_Read")
 
@@ -72,7 +73,9 @@ def byte_size(text: str) -> int:
     digits, unit = (text, "") if text.isdigit() else (text[:-1], text[-1:].lower())
     if unit not in _SIZES:
         raise argparse.ArgumentTypeError(f"{text!r} is no size: give one like 1G, 512M or 100k")
-    return whole_number(digits) * _SIZES[unit]
+    if not (digits.isascii() and digits.isdigit() and len(digits) <= _MOST_DIGITS):
+        raise argparse.ArgumentTypeError(f"{text!r} is no size: give one like 1G, 512M or 100k")
+    return int(digits) * _SIZES[unit]
 
 
 def seconds(text: str) -> float:

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from typing import TYPE_CHECKING, Sequence, TextIO
 
@@ -24,6 +25,8 @@ _CLEAR = "\r\033[K"
 class StatusLine:
     """A line at the bottom of the terminal with the state of the recording.
 
+    A terminal that is gone, or a pipe whose reader has ended, does not end the recording.
+
     Args:
         terminal: The terminal; None = show no line.
     """
@@ -40,15 +43,17 @@ class StatusLine:
     def say(self, text: str, quiet: bool) -> None:
         """Print a line above the status."""
         if not quiet:
-            print((_CLEAR if self._stands else "") + shown_lines(text), flush=True)
+            with contextlib.suppress(OSError, ValueError):  # the terminal is gone
+                print((_CLEAR if self._stands else "") + shown_lines(text), flush=True)
         self._stands = False
 
     def show(self, status: RecordingStatus, rates: Rates) -> None:
         """Update the line."""
         if self._terminal is not None:
             width = shutil.get_terminal_size().columns - 1
-            self._terminal.write(_CLEAR + status_text(status, rates)[:width])
-            self._terminal.flush()
+            with contextlib.suppress(OSError, ValueError):
+                self._terminal.write(_CLEAR + status_text(status, rates)[:width])
+                self._terminal.flush()
             self._stands = True
 
 

@@ -108,7 +108,9 @@ def find_pair(
         there.schema.listing().check_staying(target.name)
     columns = shared_columns(source, target)
     _check_lifetime(target.metadata, name, alike=columns is not None and not thinned)
+    lengths = [(t.bucket_ns, t.metadata.span_ns) for t in (source, target)]
     moved = columns is None or thinned or source.metadata.cut or bool(source.metadata.replaces)
+    moved = moved or lengths[0] != lengths[1]
     if moved and target.packed and not target.metadata.cut:
         # An import of the same bag there must know that blocks begin at other messages.
         there.schema.change_topic(metadata.topic, lambda other: other.with_(cut=True))

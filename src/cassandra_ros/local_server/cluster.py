@@ -171,6 +171,11 @@ class LocalCluster:
                 self.security.ensure_users()
         return bool(asleep)
 
+    @property
+    def has_started(self) -> bool:
+        """Whether this object has started a node, also if the start failed later."""
+        return bool(self._children)
+
     def stop(self) -> bool:
         """Drain and stop all nodes; return False if no node was running.
 

@@ -57,6 +57,9 @@ class Diagnostics:
         if status.state == WAITING:
             level = DiagnosticStatus.WARN
             text = f"the store does not answer yet, run {status.run} waits in memory"
+        if status.held_up:
+            level = DiagnosticStatus.WARN
+            text = f"the store does not answer, messages of run {status.run} wait"
         if status.on_disk.messages:
             behind = status.on_disk.behind_sec
             level, text = DiagnosticStatus.WARN, f"the store is {behind:.0f} s behind"

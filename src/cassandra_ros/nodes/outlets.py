@@ -93,10 +93,13 @@ class Outlets:
                 return
             self._say(
                 (topic, kind),
-                "topic %s was stored with several types; only %s is played, %s is left out",
+                "topic %s was stored with several types; only %s [%s] is played, "
+                "%s [%s] is left out",
                 name,
                 publication.kind._type,
+                publication.kind._md5sum,
                 channel.type,
+                channel.md5sum,
             )
             return
         try:

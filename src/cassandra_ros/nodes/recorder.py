@@ -282,6 +282,7 @@ class Recorder:
             self._options.buffsize,
             OnDisk() if current is None else current.on_disk,
             quota=None if self._quota is None else self._quota.report,
+            held_up=current is not None and current.opened and current.is_held_up,
         )
         if snapshots is None:
             return status

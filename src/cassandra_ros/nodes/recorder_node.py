@@ -80,8 +80,9 @@ def record(
     # A connected store is waited for here; messages for one that is not connected wait in memory.
     began = not store.done()
     signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signalled)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores that the terminal is closed
+            signal.signal(number, signalled)
     try:
         serve(recorder)
         say(f"services under {rospy.get_name()}")

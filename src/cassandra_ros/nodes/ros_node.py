@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import logging
 import socket
@@ -77,7 +78,9 @@ class _Forwarder(logging.Handler):
             safe = copy.copy(record)
             # Escaped because rospy prints it: names of topics and publishers come from outside.
             safe.msg, safe.args = shown_lines(record.getMessage()), None
-            target.handle(safe)
+            # The terminal may be gone. A thread that warns goes on without it.
+            with contextlib.suppress(OSError, ValueError):
+                target.handle(safe)
 
 
 def log_as_rosout() -> None:

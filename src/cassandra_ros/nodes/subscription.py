@@ -156,7 +156,8 @@ class _Subscription(_SubscriberImpl):
                     return True
                 other = self._connecting.get(endpoint_id)
                 if other is None or other is me or not other.is_alive():
-                    self._connecting[endpoint_id] = me
+                    alive = {u: t for u, t in self._connecting.items() if t.is_alive()}
+                    self._connecting = {**alive, endpoint_id: me}
                     return False
             other.join(1.0)
         return True

@@ -263,8 +263,17 @@ class Stream:
             raise MessageNotFound(f"no {what} between {low} and {high}")
         return first.low
 
+    def _meets(self, stored_range: StoredRange) -> bool:
+        """Return whether a run has messages of a table in the time range that is played."""
+        return stored_range.first <= self.end_ns and stored_range.last >= self.start_ns
+
     def channels(self) -> list[Channel]:
-        """Return the topics to be advertised, by the stored connections, without reading a row."""
+        """Return the topics to be advertised, by the stored connections, without reading a row.
+
+        They have messages in the time range that is played, or latched ones before it.
+        """
+        playing = [r for r in self._stored_ranges if self._align or self._meets(r)]
+        runs = {(each.node, each.writer) for each in playing}
         by_table: dict[str, list[StoredRange]] = {}
         for stored_range in self._stored_ranges:
             by_table.setdefault(stored_range.table.name, []).append(stored_range)
@@ -274,6 +283,8 @@ class Stream:
             kind = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition
             for each in by_table[name]:
+                if not (each in playing or (latched and (each.node, each.writer) in runs)):
+                    continue
                 topic = self._name_of(metadata.topic, each.node, each.writer)
                 key = (topic, kind, metadata.md5sum)
                 known = channels.get(key, Channel(*key, text, latched))

@@ -107,6 +107,8 @@ class _Segment:
     totals: dict[str, TopicTotal] = field(default_factory=dict)
     nbytes: int = 0
     """Size of the file, bytes."""
+    message_bytes: int = 0
+    """Size of its messages, bytes."""
     through: int = 0
     """Number of messages handed over when its last one was."""
     since: float = field(default_factory=time.monotonic)
@@ -114,6 +116,7 @@ class _Segment:
 
     def count(self, items: Sequence[BufferedMessage]) -> None:
         """Count messages that were written to it."""
+        self.message_bytes += sum(len(item.wire) for item in items)
         for item in items:
             self.totals.setdefault(item.source.topic, TopicTotal()).add(1, item.t, item.t)
 
@@ -438,6 +441,7 @@ class Backlog:
                 return False
             oldest = self._parked.popleft()
             self._messages -= sum(total.count for total in oldest.totals.values())
+            self._nbytes = max(self._nbytes - oldest.message_bytes, 0)
             self._lose_totals(oldest.totals)
             self._delete(oldest)
         return True

@@ -13,7 +13,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Callable, Mapping
 
 from cassandra_ros.arguments import check_event_name, check_event_values, check_labels
+from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.tables.event_table import Event
 
 Put = Callable[[Event], object]
@@ -54,6 +56,11 @@ class EventMarks:
         more = check_labels(labels or {}), check_event_values(values or {})
         with self._mutex:
             begun = self._lasting.get(key)
+            if begun is not None and t < begun.start_ns:
+                raise InvalidKey(
+                    f"event {name!r:.80} is not ended: it began at {iso_time(begun.start_ns)}, and "
+                    f"the clock was set back to {iso_time(t)}; end it later, or end the recorder"
+                )
             if begun is None:
                 event = Event(name, t, None, node, writer, *more)
             else:

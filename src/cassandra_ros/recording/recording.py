@@ -151,7 +151,7 @@ class Recording:
         self._most_waiting, self._waiting_bytes = buffer_bytes // 2 or 2**63, 0
         self._waiting: list[MessageSource] = []
         if self._store.done():
-            self._open()
+            self._open_now(spool is not None)
         self._tables = TableMaker(self._make_together, self._connect, self._buffer.wake)
         self._backlog = (
             None
@@ -207,6 +207,20 @@ class Recording:
         self, topic: str, messages: int, kind: LossKind, first: int, last: int, detail: str
     ) -> None:
         self._counts.lost(topic, messages, kind, first, detail, last)
+
+    def _open_now(self, may_wait: bool) -> None:
+        """Start the run in a connected store; if it ``may_wait``, messages wait until it answers.
+
+        Raises:
+            CassandraRosError: The store does not take the run.
+        """
+        if may_wait and self._store.result().keyspace.cassandra.outage.seconds:
+            return
+        try:
+            self._open()
+        except StoreUnavailable:
+            if not may_wait:
+                raise
 
     def _open(self) -> None:
         """Start the run in the store; raises what the store raises."""
@@ -283,7 +297,7 @@ class Recording:
         feed = self._feed(topic, header)
         self._counts.attribute(topic, wire, feed)
         if paused:
-            self._counts.leave_out(topic, paused=True)
+            self._counts.leave_out(topic, wire, paused=True)
             return ()
         try:
             t = self._clock()
@@ -298,7 +312,7 @@ class Recording:
             )
         self._latest = t
         if feed.filter is not None and not feed.filter.passes(header, t, wire):
-            self._counts.leave_out(topic, paused=False)
+            self._counts.leave_out(topic, wire, paused=False)
             return ()
         if self._refusal:
             self._lose(topic, LossKind.REFUSED, self._refusal, t)
@@ -412,8 +426,13 @@ class Recording:
 
     @property
     def received_bytes(self) -> int:
-        """Serialised size of all received messages, bytes."""
+        """Serialised size of all received messages that were not left out, bytes."""
         return self._counts.total_bytes
+
+    @property
+    def received_messages(self) -> int:
+        """Number of received messages that were not left out."""
+        return self._counts.total_messages
 
     @property
     def held_bytes(self) -> int:

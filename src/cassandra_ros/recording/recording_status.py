@@ -48,6 +48,8 @@ class RecordingStatus:
     """In a snapshot: number of messages in memory."""
     quota: QuotaReport | None = None
     """Use of the maximum size of the store; None = it has none, or was not checked yet."""
+    held_up: bool = False
+    """Whether the store does not answer now."""
 
 
 class Rates:

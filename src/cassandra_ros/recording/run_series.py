@@ -246,6 +246,9 @@ class RunSeries:
         late = bool(options.duration) and time.monotonic() >= self._since + options.duration
         if not (full or late):
             return False
+        if options.split and not current.received_messages:
+            self._since = time.monotonic()  # paused: an empty run would take an earlier one's place
+            return False
         if options.split:
             self._split()
         return not options.split

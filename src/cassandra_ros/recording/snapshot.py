@@ -224,7 +224,7 @@ class Snapshots:
                 self._counts.lost(topic, 1, LossKind.NO_CLOCK, 0, str(exc))
                 return
             if paused or not self._filters.passes(topic, header, t, wire):
-                self._counts.leave_out(topic, paused)
+                self._counts.leave_out(topic, wire, paused)
                 return
             message = (topic, header, wire, t)
             self.ring.add(message)

@@ -340,7 +340,8 @@ class Drain:
         label, alive = self._label, self._left.alive_ns()
         ends = [total.last_ns for total in self._totals.values()]
         last = max(ends, default=label.begun_ns)
-        until = max(last, alive) + GAP_NS
+        # Simulated time cannot be compared with the time at which a file was written.
+        until = (last if last < label.begun_ns else max(last, alive)) + GAP_NS
         for topic, total in self._totals.items():
             low = min(total.last_ns, MAX_NS)
             loss = Loss(topic, label.node, label.run, LossKind.KILLED, low, until, 0)

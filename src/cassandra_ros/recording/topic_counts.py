@@ -193,7 +193,9 @@ class Counts:
         self._topics: defaultdict[str, _TopicCount] = defaultdict(_TopicCount)
         self._mutex = threading.Lock()
         self.total_bytes = 0
-        """Serialised size of all received messages, bytes."""
+        """Serialised size of all received messages that were not left out, bytes."""
+        self.total_messages = 0
+        """Number of these messages."""
 
     def expect(self, topic: str) -> None:
         """List a topic in the reports even if no message of it is received."""
@@ -216,6 +218,7 @@ class Counts:
             counted.received += 1
             counted.nbytes += len(wire)
             self.total_bytes += len(wire)
+            self.total_messages += 1
 
     def attribute(self, topic: str, wire: bytes, feed: Feed) -> None:
         """Record the connection and the sequence number of a received message."""
@@ -227,10 +230,12 @@ class Counts:
                 number = _sequence(wire, 0)[0]
                 counted.sequence(source.connection.callerid).see(number, feed)
 
-    def leave_out(self, topic: str, paused: bool) -> None:
+    def leave_out(self, topic: str, wire: bytes, paused: bool) -> None:
         """Count a received message that is not to be stored."""
         with self._mutex:
             counted = self._topics[topic]
+            self.total_bytes -= len(wire)
+            self.total_messages -= 1
             counted.paused += paused
             counted.left_out += not paused
 

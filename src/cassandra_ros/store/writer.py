@@ -353,6 +353,11 @@ class OpenBucket:
         """Note that the bucket was just marked in the directory."""
         self.marked = time.monotonic()
 
+    def check_marked(self) -> None:
+        """Require a recount if it was marked so long ago that others may have closed the bucket."""
+        if time.monotonic() - self.marked > REOPEN_SEC:
+            self.require_recount()
+
     def require_recount(self) -> None:
         """Note that other clients may have deleted rows, so that the totals are not final."""
         self.must_recount = True
@@ -805,6 +810,7 @@ class RowWriter:
             idle = now - bucket.touched > IDLE_SEC
             if idle or bucket.changed:
                 with self._lock:
+                    bucket.check_marked()
                     if idle and not bucket.in_air and not bucket.batch.rows:
                         self._close_or_leave(bucket)
                         del self._buckets[key]
@@ -861,6 +867,7 @@ class RowWriter:
     def _close_or_leave(self, bucket: OpenBucket) -> None:
         if bucket.table.name in self.gone:
             return  # its directory was deleted with it, and each try would wait for the table
+        bucket.check_marked()
         totals = bucket.totals
         try:
             if bucket.must_recount:

@@ -478,13 +478,17 @@ class Schema:
 
 
 def _find(listing: Listing, wish: TableWish) -> str | None:
-    """Return the table for new messages of a topic, kind and format; None = not in the listing."""
+    """Return the table for new messages of a topic, kind and format; None = not in the listing.
+
+    Of several it is the one that came from a conversion: a repeated import finds its rows there.
+    """
+    found: list[str] = []
     for name in listing.by_topic.get(wish.key[0], ()):
         metadata = listing.visible[name]
         if (metadata.topic, metadata.kind, metadata.format) == wish.key:
             if name not in listing.leaving:
-                return name
-    return None
+                found.append(name)
+    return max(found, key=lambda name: bool(listing.visible[name].replaces), default=None)
 
 
 def _find_all(listing: Listing, wishes: Sequence[TableWish]) -> list[str | None]:

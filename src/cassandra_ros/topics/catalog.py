@@ -199,9 +199,10 @@ class Catalog:
             )
 
         def check(tables: Mapping[str, TopicMetadata]) -> None:
-            if new_name in self._pending or any(m.topic == new_name for m in tables.values()):
+            stored = {*self._pending, *(m.topic for m in tables.values())}
+            for other in stored.intersection(spellings(new_name)):
                 raise TopicExists(
-                    f"topic {name} cannot be renamed: {new_name} is stored already; remove or "
+                    f"topic {name} cannot be renamed: {other} is stored already; remove or "
                     "rename that first"
                 )
 

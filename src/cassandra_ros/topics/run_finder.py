@@ -111,11 +111,8 @@ class Runs:
 
     def context(self, run: RunName) -> RunContext | None:
         """Return parameters and node graph at the start of a run; None if they were not stored."""
-        for each in self.find("" if run is None or isinstance(run, frozenset) else run):
-            context = self._registry.get_context(each.writer, each.node)
-            if context is not None:
-                return context
-        return None
+        newest, *_ = self.find("" if run is None or isinstance(run, frozenset) else run)
+        return self._registry.get_context(newest.writer, newest.node)
 
     def losses(self, topics: Sequence[str] | None, read: Read) -> list[Loss]:
         """Return the losses that meet the time range of a read, of its robots and writers.

@@ -33,6 +33,7 @@ from cassandra_ros.cli.options import (
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.terminal_text import counted, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
+from cassandra_ros.errors import DefinitionError
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -92,10 +93,14 @@ def _remove(ros_cas: RosCassandra, topics: list[str], dry_run: bool) -> dict[str
     A topic that is being recorded would be created again at once, so only its messages are deleted.
     """
     counts = dict.fromkeys(topics, 0)
-    for info in ros_cas.info(topics):
-        counts[info.topic] += info.count
+    unreadable = set()
+    for name in topics:
+        try:
+            counts[name] = sum(info.count for info in ros_cas.info([name]))
+        except DefinitionError:  # it can still be removed
+            unreadable.add(name)
     for name in [] if dry_run else topics:
-        if ros_cas.upkeep.isWritten(name):
+        if name not in unreadable and ros_cas.upkeep.isWritten(name):
             counts[name] = ros_cas.truncateTopic(name)
             text = f"topic {shown(name)} is being recorded: it stays, with what comes from now on"
             print(error_line("cassandra_bag", text), file=sys.stderr)

@@ -25,7 +25,6 @@ from typing import TYPE_CHECKING, Any, Iterator, Mapping
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
-    add_origin_options,
     add_store_options,
     add_time_options,
     open_store,
@@ -54,7 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("event", metavar="NAME|KEY", nargs="?", help=text)
     add("--like", action="store_true", help="NAME is a pattern: %% is any text, _ any character")
     add_time_options(parser, "of the event; for list and delete of the time that it meets: ")
-    add_origin_options(parser)
+    text = "robot of the event; list also shows those of all robots (default: of all robots)"
+    add("--node-id", metavar="N", help=text)
+    text = "name or writer id of its run; list also shows those of no run (default: of no run)"
+    add("--run", metavar="NAME", help=text)
     text = "with add: a label, a text; may be repeated (default: no labels)"
     add("--label", metavar="NAME=TEXT", action="append", type=_pair, default=[], help=text)
     text = "with add: a value, a number, true, false or text; may be repeated (default: no values)"
@@ -138,6 +140,11 @@ def _list(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
 
 def _delete(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
     events = list(_selected(ros_cas, options))
+    if options.node_id is not None:  # those of all robots count for this one, too, and stay
+        events = [event for event in events if event.node == options.node_id]
+    if options.run is not None:
+        writers = ros_cas.catalog.keyspace.runs.writers(options.run) or ()
+        events = [event for event in events if event.writer in writers]
     if not events:  # the name is a key, then
         events = [ros_cas.catalog.keyspace.events.get(options.event)]
     if not options.yes and not options.dry_run:
