@@ -42,6 +42,7 @@ NOT_INHERITED = ("ROS_HOSTNAME", "CASSANDRA_ROS_CAMPAIGN", "PYTHONPATH", "CMAKE_
 SAME = {
     "test/test_other_pythons.py": "runs this",
     "test/test_setup.py": "the set-up takes the distribution's Python",
+    "test/test_installed.py": "installs beside the distribution's ROS",
     "test/test_second_run.py": "make ci runs under the distribution's Python",
     "test/test_imports.py": "reads the sources, the same for each Python",
     "test/test_architecture.py": "reads the sources, the same for each Python",

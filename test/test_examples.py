@@ -12,6 +12,7 @@ import sys
 
 import pytest
 import rosbag
+from compiled import compiled
 from conftest import ROOT
 from nodes.children import Child, start_recorder
 
@@ -127,6 +128,7 @@ def test_what_writes_does_so_into_a_keyspace_of_its_own(ros_env, name):
 
 
 def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
+    compiled("tf2_py")
     messages = messages_of_the_turtles()
     first, last = max(looks(messages, "turtle1"), key=lambda look: look[1] - look[0])
     low, high = first - 5 * 10**9, last + 5 * 10**9
@@ -170,6 +172,7 @@ def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
 
 
 def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore):
+    compiled("tf2_py")
     rosCas.connectToKeyspace(keyspace + "_again")
     try:
         recorder = start_recorder(roscore, cassandra, rosCas.keyspace, *SENSORS)

@@ -9,6 +9,7 @@ from urllib.parse import parse_qs, urlparse
 import pytest
 from browser import patrol
 from browser.looking import pixels
+from compiled import compiled
 from selenium.webdriver import ActionChains
 from selenium.webdriver.common.keys import Keys
 
@@ -127,6 +128,7 @@ def test_keys_work_on_a_fresh_page_and_not_while_a_control_has_the_focus(drawn):
 
 
 def test_the_control_says_which_topic_told_the_poses(page):
+    compiled("tf2_py")
     window = page("/map.html", start=patrol.START, end=patrol.END, map=patrol.SCAN)
     drawn = Map(window)
     assert drawn.data["state"] == "drawn"

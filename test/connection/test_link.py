@@ -121,7 +121,8 @@ def test_a_session_that_gets_no_answers_is_made_anew(far, proxy, connect, monkey
     """Requests of old connections are swallowed, while their heartbeats are answered."""
     monkeypatch.setattr(link, "SILENT_SEC", 1.0)
     monkeypatch.setattr(connection, "REQUEST_TIMEOUT_SEC", 1.0)
-    with far.messageWriter(writer_id=9, linger_sec=0.0) as writer:
+    options = {"writer_id": 9, "linger_sec": 0.0, "give_up_after_sec": 600.0}
+    with far.messageWriter(**options) as writer:
         handle = writer.connect(api_connection("/a", definition_of(String), "/x"), format="binary")
         for n in range(1000):
             if n == 500:

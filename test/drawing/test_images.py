@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from PIL import Image as Pillow
@@ -92,6 +92,8 @@ def test_depths_are_scaled_and_what_was_not_measured_is_black(encoding, sample):
         np.float64, (3, 3), elements=st.floats(allow_nan=True, allow_infinity=True, width=64)
     )
 )
+@example(np.array([[5e-324, 0, 0], [-0.0, 0, 0], [0, 0, np.nan]]))
+@example(np.array([[1.7e308, -1.7e308, 0], [np.inf, 0, 0], [0, 0, np.nan]]))
 def test_any_numbers_have_a_picture(values):
     found = scaled_depth(values)
     known = np.isfinite(values)

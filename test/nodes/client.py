@@ -28,10 +28,12 @@ def plain(value):
 
 @functools.lru_cache(maxsize=None)
 def service_class(name):
-    for _ in range(5):
+    for _ in range(25):
         try:
             return rosservice.get_service_class_by_name(name)
-        except rosservice.ROSServiceIOException:  # it waits 5 s for an answer
+        except (
+            rosservice.ROSServiceIOException
+        ):  # it waits 5 s for an answer: not on a busy machine
             pass
     return rosservice.get_service_class_by_name(name)
 

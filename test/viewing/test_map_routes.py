@@ -8,6 +8,7 @@ import io
 import json
 
 import numpy as np
+from compiled import compiled
 from mapping.room import SHIFT, T0, assert_room
 from PIL import Image
 
@@ -30,6 +31,7 @@ def ask(viewer, **parameters):
 
 
 def test_a_map_is_a_picture_and_what_it_means(viewer):
+    compiled("tf2_py")
     made, told = ask(viewer, topic="/scan")
     assert_room(made, SHIFT)
     assert (told["used"], told["without_pose"], told["sources"]) == (63, 1, ["tf (map to laser)"])
@@ -59,6 +61,7 @@ def test_the_same_map_is_made_once_until_more_is_stored(viewer, store, monkeypat
 
 
 def test_what_cannot_be_drawn_is_told(viewer):
+    compiled("tf2_py")
     for status, error, parameters in (
         (400, "InvalidOption", {}),
         (404, "TopicNotFound", {"topic": "/nothing"}),

@@ -186,8 +186,9 @@ def scaled_depth(values: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         return np.zeros(exact.shape, np.uint8)
     least, greatest = exact[finite].min(), exact[finite].max()
     with np.errstate(over="ignore", invalid="ignore"):
-        # Halved, because the difference of the extremes may overflow.
-        part = (exact / 2 - least / 2) / (greatest / 2 - least / 2 or 1.0)
+        if not np.isfinite(greatest - least):
+            exact, least, greatest = exact / 2, least / 2, greatest / 2
+        part = (exact - least) / (greatest - least or 1.0)
     part[~finite] = 0
     scaled: np.ndarray[Any, Any] = np.rint(part * 255).astype(np.uint8)
     return scaled
