@@ -33,7 +33,7 @@ def service_class(name):
             return rosservice.get_service_class_by_name(name)
         except (
             rosservice.ROSServiceIOException
-        ):  # it waits 5 s for an answer: not on a busy machine
+        ):  # after 5 s: a busy machine
             pass
     return rosservice.get_service_class_by_name(name)
 
