@@ -31,9 +31,7 @@ def service_class(name):
     for _ in range(25):
         try:
             return rosservice.get_service_class_by_name(name)
-        except (
-            rosservice.ROSServiceIOException
-        ):  # after 5 s: a busy machine
+        except rosservice.ROSServiceIOException:  # after 5 s: a busy machine
             pass
     return rosservice.get_service_class_by_name(name)
 
