@@ -101,6 +101,7 @@ def pytest_configure(config):
     # started us in the background and SIGINT is ignored, here and by inheritance in every node.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
     os.environ.setdefault("JAVA_TOOL_OPTIONS", ONE_COMPILER)
     # The developer may have a cluster that requires a login, and a local one with data to lose.
     os.environ["CASSANDRA_ROS_CQLSHRC"] = os.devnull

@@ -64,6 +64,28 @@ def test_another_keyspace_is_chosen_and_stays_chosen(page, viewer, stored, other
     assert [error for error in window.errors() if "/api/places" not in error] == []
 
 
+PLAYED = """
+return (async () => {
+  const [{ StoreSource }, state] = await Promise.all([
+    import("/modules/studio_source.js"), import("/modules/state.js")]);
+  const source = new StoreSource(state.read("?topics=/elsewhere"), (error) => { throw error; });
+  await source.open();
+  history.replaceState(null, "", "?layoutId=x&ds=y");
+  const found = [];
+  for await (const each of source.messageIterator({ topics: ["/elsewhere"] })) {
+    found.push(each.msgEvent.message.data);
+  }
+  return found;
+})();
+"""
+
+
+def test_look_plays_what_is_in_the_keyspace_of_its_address(page, other):
+    """Also when the Studio has got an address of its own."""
+    window = page("/ask.html", keyspace=other)
+    assert window.run(PLAYED) == [7.5]
+
+
 def test_links_to_the_other_pages_keep_the_window(page):
     window = page("/", start=patrol.START, end=patrol.END, topics="/scan,/odom")
     for name, path in list(PAGES.items())[1:]:

@@ -99,5 +99,7 @@ def test_a_robot_or_run_deletes_its_own_events_only(rosCas, call):
     assert call("event", "delete", "bump", "--node-id", "husky", "-y")[0] == 0
     assert starts() == [0, 3]
     status, _, err = call("event", "delete", "bump", "--node-id", "husky", "-y")
-    assert (status, "there is no event 'bump'" in err) == (1, True)
+    assert (status, "no event 'bump' is of this robot and run alone" in err) == (1, True)
+    key = next(rosCas.events("bump")).key
+    assert call("event", "delete", key, "--node-id", "husky", "-y")[0] == 1
     assert starts() == [0, 3]

@@ -226,7 +226,7 @@ def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, r
     write("/bare", [b"xyz"], 4, type="a/B", md5sum="", message_definition="")
     write("/no name", [text("g")], 4)
     writer.close()
-    child = player("-s", "2.5", "-k", "--wait-for-subscribers")
+    child = player("-s", "1.5", "-k", "--wait-for-subscribers")
     heard = {}
     for topic in ("/fixed", "/lost", "/latin", "/mixed", "/bare"):
         heard[topic] = RawSubscriber(roscore.uri, topic)

@@ -126,12 +126,17 @@ def test_a_run_that_cannot_begin_keeps_nothing_from_ending(cassandra, keyspace, 
             await_true(lambda: [run.state for run in store.runs()] == ["ended", "ended"])
 
 
-@pytest.mark.parametrize("bound", [{"size": 1000}, {"duration": 0.05}])
+@pytest.mark.parametrize(
+    "bound", [{"size": 1000}, {"duration": 0.05}, {"duration": 0.05, "repeat_latched": True}]
+)
 def test_a_pause_does_not_push_out_earlier_runs(rosCas, bound):
     """What is left out is not of the size of a run, and no run is empty."""
     series, begun = series_of(rosCas, output_name="r", split=True, max_splits=2, **bound)
     series.begin()
+    series.received("/map", LATCHED, text("map"))
     series.received("/t", HEADER, message(String("x" * 900)))
+    time.sleep(0.06)
+    series.poll()
     for _ in range(20):
         series.received("/t", HEADER, message(String("y" * 900)), paused=True)
         time.sleep(0.01)
@@ -141,6 +146,33 @@ def test_a_pause_does_not_push_out_earlier_runs(rosCas, bound):
     kept = [row.message().data[0] for row in rosCas.getTopic("/t").rows()]
     assert kept == ["x", "z"]
     assert len(begun) <= 2
+
+
+def test_no_run_begins_while_the_store_is_away(cassandra, keyspace, tmp_path):
+    """It could not be deleted in its turn; the one before goes on in the spool."""
+    options = {"split": True, "size": 1000, "max_splits": 2, "output_name": "r"}
+    options.update(spool_dir=str(tmp_path / "spool"), keyspace=keyspace)
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        with RosCassandra(proxy.host, proxy.port, keyspace=keyspace) as store:
+            begun = []
+            series = RunSeries(
+                store.catalog, RecorderOptions(**options), time.time_ns, begun.append
+            )
+            series.begin()
+            series.received("/t", HEADER, text(0))
+            await_true(lambda: series.reports()[0].stored == 1)
+            proxy.cut()
+            series.received("/t", HEADER, text(1))
+            await_true(lambda: series.current.is_held_up)
+            for _ in range(5):
+                series.received("/t", HEADER, message(String("x" * 1000)))
+                series.poll()
+            assert len(begun) == 1
+            proxy.mend()
+            await_true(lambda: not series.current.is_held_up)
+            await_true(lambda: series.poll() or len(begun) == 2)
+            series.end()
+            assert store.getTopic("/t").countTopicData() == 7
 
 
 def test_the_limit_holds_while_runs_change(rosCas):

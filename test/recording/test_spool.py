@@ -204,16 +204,52 @@ def test_what_a_newer_table_keeps_from_being_stored_stays(proxy, store, rosCas, 
     assert rosCas.losses() == []
 
 
-def test_a_right_that_is_taken_away_in_the_middle_keeps_the_files(proxy, store, rosCas, folder):
-    left_behind(proxy, store, folder, range(1, 500))
-    refused = WriteFailed("topic /text: 5 messages were refused")
-    refused.__cause__ = Unauthorized("User ann has no MODIFY permission on <table ros.t>")
+class Denied:
+    """A writer whose user has lost the right to write into a topic."""
+
+    def __init__(self, writer, drained, topic):
+        self._writer, self._drained, self._topic = writer, drained, topic
+
+    def __getattr__(self, name):
+        return getattr(self._writer, name)
+
+    def write(self, handle, *rest):
+        if handle.connection.topic != self._topic:
+            return self._writer.write(handle, *rest)
+        error = WriteFailed(f"1 message of {self._topic} was refused")
+        error.__cause__ = Unauthorized("User ann has no MODIFY permission on <table ros.t>")
+        return self._drained._refused(self._topic, 1, error)
+
+
+def test_a_topic_that_may_not_be_written_stays_alone(proxy, store, rosCas, folder):
+    """The others are stored, and what is deleted of them does not come back."""
+    recorder = Recording(store.catalog, spool=SpoolPlan(folder))
+    send(recorder, [0])
+    await_true(lambda: recorder.reports()[0].stored == 1, 60)
+    proxy.cut()
+    for topic in ("/text", "/other"):
+        send(recorder, range(1, 200), topic=topic)
+    recorder.close()
+    proxy.mend()
     (left,) = folder.left()
     drained = Drain(rosCas.catalog, read_left(left))
-    drained._refused("/text", 5, refused)
-    assert drained._silent
-    assert not drained._losses
+    made = drained._writer
+    drained._writer = lambda number: Denied(made(number), drained, "/text")
+    done = drained.run()
     left.release()
+    assert (done.complete, list(done.stays), done.lost, done.messages) == (
+        *(False, ["/text"]),
+        *({}, 199),
+    )
+    assert rows_of(rosCas, "/other") == [text(n) for n in range(1, 200)]
+    rosCas.removeTopic("/other")
+    (done,) = drain(rosCas, folder)
+    assert (done.complete, done.messages) == (True, 199)
+    assert rows_of(rosCas) == [text(n) for n in range(200)]
+    assert not rosCas.existTopic("/other")
+    (run,) = rosCas.runs()
+    assert run.state == "ended"
+    assert folder.runs() == []
 
 
 def test_the_end_that_is_missing_is_told_before_the_files_go(
@@ -403,7 +439,7 @@ def test_a_spool_that_others_fill_leaves_the_memory(
     recorder = Recording(store.catalog, spool=SpoolPlan(folder, journal=journal))
     send(recorder, [0])
     await_true(lambda: recorder.reports()[0].stored == 1, 60)
-    assert ("the journal ends here" in caplog.text) == journal
+    assert ("without the journal until there is room" in caplog.text) == journal
     proxy.cut()
     send(recorder, range(1, 100))
     await_true(lambda: recorder.is_held_up)

@@ -150,6 +150,15 @@ def test_a_folder_that_was_cleaned_up_is_made_again(cache):
     cache._folder.unlink()
 
 
+def test_a_file_that_was_cleaned_up_is_written_again(cache):
+    for _ in range(2):
+        writing = Writing(b"content")
+        writing.let()
+        assert get(cache, writing) == b"content"
+        cache.latest("r").path.unlink()
+        assert cache.latest("r") is None
+
+
 def test_who_follows_gets_what_is_written_while_it_is(cache):
     writing = Writing(b"ab")
     with cache.lease("k", "r", "a.mcap", writing) as lease:

@@ -45,9 +45,14 @@ export function url(path, parameters = {}) {
   return parts.length ? `${path}?${parts.join("&")}` : path;
 }
 
-/** Keyspace in the page's address; "" = that of the viewer. */
+/** @type {string | null} */
+let chosen = null;
+
+/** Keyspace in the page's address when it was opened; "" = that of the viewer. */
 export function keyspace() {
-  return new URLSearchParams(location.search).get("keyspace") ?? "";
+  // Look gives the address to the Studio later.
+  chosen ??= new URLSearchParams(location.search).get("keyspace") ?? "";
+  return chosen;
 }
 
 /**

@@ -13,6 +13,7 @@ import { LAST, iso, length, shown } from "./times.js";
 const SETTLED_MS = 120;
 const DETAIL_MS = 250;
 const AGAIN_MS = 5000;
+const QUIET_MS = 30000;
 const MOST_CELLS = 4000;
 /** Maximum number of lanes that are all requested; above it only the visible ones are. */
 const MANY_LANES = 60;
@@ -219,14 +220,14 @@ function failed(error) {
   page.showError(error);
 }
 
-/** Request again lanes that are being written, and an empty store. */
+/** Request again lanes that are being written, and an empty store; others less often. */
 function again() {
   clearTimeout(waiting);
-  if (!timeline.picture.writing && timeline.picture.lanes.length) return;
+  const quiet = !timeline.picture.writing && timeline.picture.lanes.length > 0;
   waiting = window.setTimeout(() => {
     if (document.hidden || timeline.drag) again();
     else load({ again: true }).catch(failed).finally(again);
-  }, AGAIN_MS);
+  }, quiet ? QUIET_MS : AGAIN_MS);
 }
 
 /** @param {any} answer */

@@ -105,7 +105,7 @@ async function addMenus() {
   const nodes = [...new Set(runs.map((/** @type {any} */ run) => run.node).filter(Boolean))].sort();
   page.addSelection(place, {
     topics: topics.map((/** @type {any} */ each) => ({ value: each.topic, text: `${each.topic} (${each.types.join(", ")})` })),
-    runs: [...new Set(runs.map((/** @type {any} */ each) => each.run))].map((value) => ({ value })),
+    runs: runs.map((/** @type {any} */ each) => ({ value: String(each.id), text: each.run })),
     nodes: nodes.map((value) => ({ value })),
   });
 }

@@ -87,7 +87,7 @@ async function begin() {
   const nodes = [...new Set(runs.map((/** @type {any} */ run) => run.node))].sort();
   page.addSelection(element("map-selection"), {
     nodes: nodes.map((node) => ({ value: node, text: node || "(no name)" })).filter((node) => node.value),
-    runs: runs.map((/** @type {any} */ run) => ({ value: String(run.run) })),
+    runs: runs.map((/** @type {any} */ run) => ({ value: String(run.id), text: run.run })),
   });
   if (!mapped.length) {
     tell("No topic of LaserScan, PointCloud2 or OccupancyGrid is stored: only the robots' tracks are drawn.");

@@ -264,10 +264,10 @@ class PieceCopy:
             yield part  # a copy that decodes messages compares their keys itself
             return
         since_us = max(0, min(book.seen for book in booked) - SEEN_MARGIN_US)
-        keys = row_keys(source, node, bucket, writers, since_us)  # also of blocks that grew
-        if settled:
-            mine = row_keys(source, node, bucket, writers)
-            keys |= mine - self._keys_there(node, bucket, writers)
+        mine = row_keys(source, node, bucket, writers)
+        keys = {key for key, written_us in mine.items() if written_us > since_us}
+        if settled:  # then those are in it, too, of blocks that grew
+            keys |= mine.keys() - self._keys_there(node, bucket, writers)
         if keys:
             first, last = max(min(keys), ends[0]), min(max(keys), ends[1])
             yield part._replace(ends=(first, last), keys=frozenset(keys))

@@ -419,8 +419,8 @@ class Replicator:
             early = replace(read, time_range=TimeRange(start, low - 1))
             if not rule.where:
                 early = replace(early, columns=lambda table: ())
-            given = {row.conn for row in taken(early)} if start < low else set()
-            return _first_of_periods(taken(read), period, dict.fromkeys(given, low // period))
+            before = taken(early) if start < low else iter(())
+            return _first_of_periods(taken(read), period, _Earlier(low // period, before))
 
         return thinned
 
@@ -562,19 +562,34 @@ class _Tell:
             self._progress(self._done, max(self._done, self._total))
 
 
-def _first_of_periods(
-    rows: Iterable[StoredRow], period_ns: int, last: dict[int, int]
-) -> Iterator[StoredRow]:
-    """Yield the first message of each period, for each connection.
+class _Earlier:
+    """The messages of a period that lie in buckets before; no more of them are read than needed."""
 
-    Args:
-        last: Connection → period of its last message before these rows.
-    """
+    def __init__(self, period: int, rows: Iterator[StoredRow]) -> None:
+        self.period, self._rows = period, rows
+        self._seen: set[int] = set()
+
+    def has(self, conn: int) -> bool:
+        """Return whether one of them is of a connection."""
+        while conn not in self._seen:
+            row = next(self._rows, None)
+            if row is None:
+                return False
+            self._seen.add(row.conn)
+        return True
+
+
+def _first_of_periods(
+    rows: Iterable[StoredRow], period_ns: int, earlier: _Earlier
+) -> Iterator[StoredRow]:
+    """Yield the first message of each period, for each connection."""
+    last: dict[int, int] = {}
     for row in rows:
         period = row.t // period_ns
         if last.get(row.conn) != period:
             last[row.conn] = period
-            yield row
+            if period != earlier.period or not earlier.has(row.conn):
+                yield row
 
 
 def _pieces(

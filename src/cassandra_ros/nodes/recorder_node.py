@@ -81,7 +81,8 @@ def record(
     began = not store.done()
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:  # nohup ignores that the terminal is closed
+        # nohup ignores that the terminal is closed; with & a shell ignores SIGINT, which counts.
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signalled)
     try:
         serve(recorder)

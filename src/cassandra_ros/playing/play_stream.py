@@ -272,8 +272,7 @@ class Stream:
 
         They have messages in the time range that is played, or latched ones before it.
         """
-        playing = [r for r in self._stored_ranges if self._align or self._meets(r)]
-        runs = {(each.node, each.writer) for each in playing}
+        runs = {(r.node, r.writer) for r in self._stored_ranges if self._align or self._meets(r)}
         by_table: dict[str, list[StoredRange]] = {}
         for stored_range in self._stored_ranges:
             by_table.setdefault(stored_range.table.name, []).append(stored_range)
@@ -283,7 +282,8 @@ class Stream:
             kind = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition
             for each in by_table[name]:
-                if not (each in playing or (latched and (each.node, each.writer) in runs)):
+                plays = self._align or self._meets(each)
+                if not (plays or (latched and (each.node, each.writer) in runs)):
                     continue
                 topic = self._name_of(metadata.topic, each.node, each.writer)
                 key = (topic, kind, metadata.md5sum)

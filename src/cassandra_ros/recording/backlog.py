@@ -347,7 +347,7 @@ class Backlog:
     def _is_needed(self) -> bool:
         """Decide whether messages go to files now."""
         now = time.monotonic()
-        if self._retry_at > now and not self._journal:
+        if self._retry_at > now and (self._parking or not self._journal):
             return False
         if not self._parking and self._retry_at <= now:
             waits = bool(self._handed) if self._journal else self._buffer.waits
@@ -404,9 +404,9 @@ class Backlog:
         if handed:
             if not self._gaps:
                 _log.error(
-                    "the journal ends here: the spool is full or cannot be written, so messages "
-                    "are stored without it, and a kill -9 loses more than 1 s; make room by "
-                    "'cassandra_bag spool drain' or 'spool drop', or give a larger --spool-size"
+                    "the spool is full or cannot be written: messages are stored without the "
+                    "journal until there is room, so a kill -9 may lose more than 1 s; make room "
+                    "by 'cassandra_bag spool drain' or 'spool drop', or give a larger --spool-size"
                 )
             self._gaps = True
             self._hand_over(items)

@@ -119,6 +119,8 @@ class RunSeries:
         self._number = 0
         self._since = 0.0
         self._retry = 0.0
+        self._repeated = 0
+        """Number of latched messages with which the current run began."""
         self._making: _RunStart | None = None
         self._problem = ""
         self._name, self._labels = "", dict(options.labels)
@@ -246,7 +248,7 @@ class RunSeries:
         late = bool(options.duration) and time.monotonic() >= self._since + options.duration
         if not (full or late):
             return False
-        if options.split and not current.received_messages:
+        if options.split and current.received_messages <= self._repeated:
             self._since = time.monotonic()  # paused: an empty run would take an earlier one's place
             return False
         if options.split:
@@ -257,7 +259,7 @@ class RunSeries:
         # Not under the mutex: the status must not wait for a slow store.
         self._ending = [thread for thread in self._ending if thread.is_alive()]
         old, now = self.current, time.monotonic()
-        if old is None or not old.opened or len(self._ending) >= MAX_ENDING or now < self._retry:
+        if old is None or old.is_held_up or len(self._ending) >= MAX_ENDING or now < self._retry:
             return
         making = self._making = self._making or _RunStart(self._new)
         if not making.done(BEGIN_SEC):
@@ -272,6 +274,7 @@ class RunSeries:
         self._begun(new)
         with self._latching:
             latched = list(self._latched.items())
+        self._repeated = len(latched)
         for (topic, _), (header, wire) in latched:
             new.received(topic, header, wire)
 

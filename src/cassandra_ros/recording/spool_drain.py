@@ -41,6 +41,7 @@ from cassandra_ros.recording.message_buffer import lengths_for
 from cassandra_ros.recording.table_maker import MAX_CONFLICTS, PAUSE_SEC, connect
 from cassandra_ros.recording.topic_settings import Settings, settings_from_json
 from cassandra_ros.spool.segment_reader import SegmentReader, TopicTotal
+from cassandra_ros.spool.segment_writer import SegmentWriter
 from cassandra_ros.spool.spool_folder import RunFolder
 from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
 from cassandra_ros.tables.directory import Lengths
@@ -165,11 +166,13 @@ class Drain:
             for path in files:
                 if self._stopped.is_set():
                     return self._done
-                self._store(path, progress)
+                stays = self._store(path, progress)
                 if self._silent or self._stopped.is_set():
                     return self._done
                 # The last file tells how the run ended.
-                if path != files[-1] and not self._done.stays:
+                if stays or (self._done.stays and path == files[-1]):
+                    self._keep_staying(path)
+                elif path != files[-1]:
                     with suppress(OSError):
                         path.unlink()
             if not self._done.stays:
@@ -201,8 +204,30 @@ class Drain:
             labels=dict(label.labels),
         )
 
-    def _store(self, path: Path, progress: Progress) -> None:
-        """Store the messages of one file."""
+    def _keep_staying(self, path: Path) -> None:
+        """Leave in a file only the messages that stay: the others are stored, and may be deleted.
+
+        If the disk is full the whole file stays, and its messages are stored once more.
+        """
+        reader, kept = SegmentReader(path), path.with_suffix(".kept")
+        try:
+            kept.unlink(missing_ok=True)
+            segment = SegmentWriter(kept, reader.label() or self._label)
+            try:
+                for part in reader.parts():
+                    rows = [row for row in part.messages if row[0].topic in self._done.stays]
+                    if rows:
+                        segment.append(rows)
+                if (end := reader.end()) is not None:
+                    segment.finish(end)
+            finally:
+                segment.close()
+            kept.replace(path)
+        except OSError as exc:
+            _log.warning("%s stays in the spool with all its messages: %s", path, exc)
+
+    def _store(self, path: Path, progress: Progress) -> bool:
+        """Store the messages of one file; return whether some of them stay in it."""
         reader = SegmentReader(path)
         writer = self._writer((reader.label() or self._label).writer)
         totals, known = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
@@ -217,7 +242,7 @@ class Drain:
                 if id(connection) not in handles:
                     handles[id(connection)] = self._handle(writer, connection, reader, totals, wire)
                 handle = handles[id(connection)]
-                if handle is None and connection.topic in self._done.stays:
+                if connection.topic in self._done.stays:
                     continue
                 self._totals.setdefault(connection.topic, TopicTotal()).add(1, t_ns, t_ns)
                 self._last_counter = max(self._last_counter, counter)
@@ -228,12 +253,13 @@ class Drain:
                 if not known.has(handle, t_ns, counter, totals):
                     writer.write(handle, t_ns, counter, wire)
             if self._silent or self._stopped.is_set():
-                return
+                return False
             progress(len(part.messages))
         writer.flush()
         if not self._silent:
             self._done.messages += number - self._refusals
             self._remember()
+        return any(each.topic in self._done.stays for each in reader.connections.values())
 
     def _writer(self, number: int) -> MessageWriter:
         writer = self._writers.get(number)
@@ -250,10 +276,14 @@ class Drain:
         return writer
 
     def _refused(self, topic: str, messages: int, error: CassandraRosError) -> None:
-        if self._stopped.is_set() or any(map(_may_pass, (error, error.__cause__))):
+        causes = error, error.__cause__
+        if self._stopped.is_set() or any(isinstance(exc, StoreUnavailable) for exc in causes):
             self._silent = True
             return
         self._refusals += messages
+        if any(map(is_denied, causes)):
+            self._done.stays[topic] = str(error)
+            return
         first = getattr(error, "first_ns", 0) or self._label.begun_ns
         last = getattr(error, "last_ns", 0) or first
         self._miss(topic, messages, first, last, str(error), LossKind.REFUSED)
@@ -390,11 +420,6 @@ class _StoredBlocks:
         asked = TimeRange() if own else TimeRange(first, last)
         read = Read(asked, whose, columns=lambda table: ())
         return {row.position.seq for row in self._space.rows.read([handle.table], read)}
-
-
-def _may_pass(exc: BaseException | None) -> bool:
-    """Return whether a message that was refused for this reason may be stored later."""
-    return isinstance(exc, StoreUnavailable) or is_denied(exc)
 
 
 def _joined(losses: list[Loss]) -> list[Loss]:

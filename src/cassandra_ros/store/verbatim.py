@@ -314,21 +314,15 @@ class VerbatimCopy:
         counts.messages += messages
 
 
-def row_keys(
-    table: RowTable, node: str, bucket: int, writers: frozenset[int], since_us: int = 0
-) -> set[Order]:
-    """Return the keys of the rows, or blocks, of writers in a bucket.
-
-    Args:
-        since_us: Only rows that were written after this server time, us.
-    """
+def row_keys(table: RowTable, node: str, bucket: int, writers: frozenset[int]) -> dict[Order, int]:
+    """Return the keys of the rows, or blocks, of writers in a bucket → their write times, us."""
     names = f'{KEYS}, WRITETIME("_conn")'
     asked = table.select_range(names, table.place(node, bucket), page_rows=KEY_PAGE_ROWS)
     found = ((decode_long(row[0]), decode_long(row[1]), row[2]) for row in asked.rows())
     return {
-        (t, seq)
+        (t, seq): decode_long(written)
         for t, seq, written in found
-        if written is not None and decode_long(written) > since_us and writer_of(seq) in writers
+        if written is not None and writer_of(seq) in writers
     }
 
 

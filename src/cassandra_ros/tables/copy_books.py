@@ -179,8 +179,8 @@ class CopyBooks:
     def doubt(self, target: UUID, table: str, names: Iterable[str]) -> None:
         """Confirm no rows of a table that the target took into other tables than these."""
         for book in self.buckets(target, table, self.slots(target, table)):
-            if book.there not in names and (book.final or book.rows):
-                nothing = book._replace(final=False, rows=0, n=0, bytes=0)
+            if book.there not in names and (book.final or book.n):
+                nothing = book._replace(final=False, seen=0, rows=0, n=0, bytes=0)
                 self.put_bucket(target, table, nothing)
 
     def forget_table(self, target: UUID, table: str) -> None:

@@ -161,11 +161,18 @@ class DownloadCache:
     def latest(self, request: str) -> CacheEntry | None:
         """Return the newest complete file of a request, even if its content is old; or None."""
         with self._mutex:
+            self._forget_missing()
             entries = [e for e in self._entries.values() if e.request == request and e.ready]
             if not entries:
                 return None
             entries[-1].used = time.monotonic()
             return entries[-1]
+
+    def _forget_missing(self) -> None:
+        """Forget files that a cleaner of temporary files has removed."""
+        for key, entry in list(self._entries.items()):
+            if entry.ready and not entry.path.exists():
+                del self._entries[key]
 
     def lease(self, key: str, request: str, name: str, write: Write) -> Lease:
         """Return a lease of a file, which the first request for it has written.
@@ -180,6 +187,7 @@ class DownloadCache:
             StoreUnavailable: Too many requests wait for files.
         """
         with self._mutex:
+            self._forget_missing()
             entry = self._entries.get(key)
             if entry is None or entry.abandoned:
                 waiting = sum(e.waiting for e in self._entries.values() if not e.done.is_set())

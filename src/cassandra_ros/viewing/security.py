@@ -39,7 +39,9 @@ POLICIES: dict[str, str] = {
 _ANSWERS = ("/api/", "/window")
 """Beginnings of paths that are answered by handlers instead of files."""
 _COOKIE_SEC = 30 * 86_400
-_READABLE = "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag, X-Missing"
+_READABLE = (
+    "Accept-Ranges, Content-Disposition, Content-Length, Content-Range, ETag, X-Map, X-Missing"
+)
 _REFUSED = (
     "this viewer asks for a token: open the address that it printed when it was started, which "
     "ends with ?token=…"

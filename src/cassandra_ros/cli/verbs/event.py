@@ -33,6 +33,7 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.readers import whole_number
 from cassandra_ros.cli.terminal_text import counted, format_table
+from cassandra_ros.errors import EventNotFound
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -53,9 +54,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("event", metavar="NAME|KEY", nargs="?", help=text)
     add("--like", action="store_true", help="NAME is a pattern: %% is any text, _ any character")
     add_time_options(parser, "of the event; for list and delete of the time that it meets: ")
-    text = "robot of the event; list also shows those of all robots (default: of all robots)"
+    text = "robot of the event; list also shows events without a robot (default: add: without a "
+    text += "robot; list, delete: of all robots)"
     add("--node-id", metavar="N", help=text)
-    text = "name or writer id of its run; list also shows those of no run (default: of no run)"
+    text = "name or writer id of its run; list also shows events without a run (default: add: "
+    text += "without a run; list, delete: of all runs)"
     add("--run", metavar="NAME", help=text)
     text = "with add: a label, a text; may be repeated (default: no labels)"
     add("--label", metavar="NAME=TEXT", action="append", type=_pair, default=[], help=text)
@@ -140,13 +143,15 @@ def _list(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
 
 def _delete(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
     events = list(_selected(ros_cas, options))
+    if not events:  # the name is a key, then
+        events = [ros_cas.catalog.keyspace.events.get(options.event)]
     if options.node_id is not None:  # those of all robots count for this one, too, and stay
         events = [event for event in events if event.node == options.node_id]
     if options.run is not None:
         writers = ros_cas.catalog.keyspace.runs.writers(options.run) or ()
         events = [event for event in events if event.writer in writers]
-    if not events:  # the name is a key, then
-        events = [ros_cas.catalog.keyspace.events.get(options.event)]
+    if not events:
+        raise EventNotFound(f"no event {options.event!r:.80} is of this robot and run alone")
     if not options.yes and not options.dry_run:
         table = format_table(_HEADER, list(map(_row, events[:_MOST_SHOWN])))
         confirm(f"Delete {counted(len(events), 'event')}?", table)
