@@ -83,7 +83,8 @@ def _add(
     for row in rows:
         book = known.get((row.node, row.bucket, row.writer))
         known_rows, copied, nbytes, t_max = 0, 0, 0, row.t_min
-        if book is not None:
+        # With fewer messages than the book tells of, some were deleted: what is there may be new.
+        if book is not None and (book.rows <= row.rows or book.confirms(row, [book.there])):
             known_rows, copied = min(book.rows, row.rows), min(book.n, row.rows)
             nbytes = book.bytes
             t_max = max(t_max, book.t_max)
