@@ -233,6 +233,7 @@ def test_a_topic_that_may_not_be_written_stays_alone(proxy, store, rosCas, folde
     proxy.mend()
     (left,) = folder.left()
     drained = Drain(rosCas.catalog, read_left(left))
+    written = {path: path.stat().st_mtime_ns for path in left.files()}
     made = drained._writer
     drained._writer = lambda number: Denied(made(number), drained, "/text")
     done = drained.run()
@@ -241,6 +242,8 @@ def test_a_topic_that_may_not_be_written_stays_alone(proxy, store, rosCas, folde
         *(False, ["/text"]),
         *({}, 199),
     )
+    assert left.files()
+    assert all(written[path] == path.stat().st_mtime_ns for path in left.files())
     assert rows_of(rosCas, "/other") == [text(n) for n in range(1, 200)]
     rosCas.removeTopic("/other")
     (done,) = drain(rosCas, folder)

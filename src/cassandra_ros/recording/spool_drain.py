@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import threading
 from collections import Counter
 from contextlib import suppress
@@ -211,6 +212,7 @@ class Drain:
         """
         reader, kept = SegmentReader(path), path.with_suffix(".kept")
         try:
+            written = path.stat()
             kept.unlink(missing_ok=True)
             segment = SegmentWriter(kept, reader.label() or self._label)
             try:
@@ -222,6 +224,8 @@ class Drain:
                     segment.finish(end)
             finally:
                 segment.close()
+            # Its time of writing tells when a killed recorder was alive last.
+            os.utime(kept, ns=(written.st_atime_ns, written.st_mtime_ns))
             kept.replace(path)
         except OSError as exc:
             _log.warning("%s stays in the spool with all its messages: %s", path, exc)
