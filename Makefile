@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTHON := .venv/bin/python
 IN_WORKSPACE := source .ws/devel/setup.bash &&
 
-.PHONY: help setup grammar demo viewer screenshots test test-python campaign faults faults-page ci lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-fleet bench-copy bench-spark bench-trees bench-mechanisms deb clean distclean
+.PHONY: help setup grammar demo viewer screenshots test test-all test-python campaign faults faults-page lint doc bench bench-quick bench-page bench-formats bench-play bench-viewer bench-fleet bench-copy bench-spark bench-trees bench-mechanisms deb clean distclean
 
 help:
 	@echo "make setup          install what is missing: packages, .venv, Cassandra's jars, Studio, workspace .ws"
@@ -27,14 +27,15 @@ help:
 	@echo "make viewer         fetch the Studio for the viewer's page Look, and say how to start it"
 	@echo "make grammar        keep the tables of the query language's grammar anew, after a change of it"
 	@echo "make screenshots    take the README's pictures of the viewer anew"
-	@echo "make test           all tests, on a real Cassandra and a real roscore (ARGS='-k name')"
+	@echo "make test           every promise once, on a real Cassandra and a real roscore: 8 minutes"
+	@echo "                    (ARGS='-k name')"
+	@echo "make test-all       that, and what kills, cuts, waits, starts servers, browsers, installations: 30 minutes"
 	@echo "make test-python    the tests under another Python (PYTHON=python3.8, the default, to python3.13),"
 	@echo "                    with the reasons and numbers of those that cannot run there"
-	@echo "make campaign       random searches and faults, ten times as far (LENGTH=short: once, for CI)"
+	@echo "make campaign       the searches with many examples, and each fault ten times (hours)"
 	@echo "make faults         the fault table: kill and cut, and account for each message (hours;"
 	@echo "                    ARGS='--short' minutes, --only NAME, --messages N, --list)"
 	@echo "make faults-page    fill the tables of doc/faults.md from the last make faults"
-	@echo "make ci             lint, test and the short campaign in one run; what fails is run once more, alone"
 	@echo "make lint           ruff, mypy, tsc on web/, catkin_lint, make doc"
 	@echo "make doc            the pages of doc/, as build/doc/index.html; a warning is an error"
 	@echo "make bench          measure beside rosbag, MCAP, SQLite and the bare driver (40 minutes)"
@@ -67,8 +68,13 @@ viewer: setup
 screenshots: setup
 	@$(IN_WORKSPACE) $(PYTHON) examples/screenshots.py $(ARGS)
 
+PYTEST = $(PYTHON) -m pytest -n 3 --durations=25
+
 test: setup
-	@$(IN_WORKSPACE) $(PYTHON) -m pytest -n 3 $(ARGS)
+	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=test $(PYTEST) $(ARGS)
+
+test-all: setup
+	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=all $(PYTEST) $(ARGS)
 
 # What the tests need of the workspace comes from make setup; the rest is made for that Python.
 test-python: PYTHON = python3.8
@@ -77,20 +83,14 @@ test-python: setup
 
 # A search takes longer than pytest waits before it prints the stacks of running threads, which may
 # crash the interpreter.
-campaign: LENGTH ?= long
-campaign: NO_STACKS = $(if $(filter long,$(LENGTH)),-o faulthandler_timeout=0)
 campaign: setup
-	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=$(LENGTH) $(PYTHON) -m pytest -n 3 $(NO_STACKS) $(ARGS)
+	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=campaign $(PYTEST) -o faulthandler_timeout=0 $(ARGS)
 
 faults: setup
 	@$(IN_WORKSPACE) $(PYTHON) -m faults $(ARGS)
 
 faults-page: setup
 	@$(IN_WORKSPACE) PYTHONPATH=src:$$PYTHONPATH $(PYTHON) -m faults.page $(ARGS)
-
-# What make lint and make test do, and half of make campaign LENGTH=short, in one run with one set-up and one Cassandra.
-ci: lint
-	@$(IN_WORKSPACE) CASSANDRA_ROS_CAMPAIGN=ci $(PYTHON) test/second_run.py -n 3 $(ARGS)
 
 lint: setup doc
 	$(PYTHON) -m ruff check .

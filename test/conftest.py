@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from campaign import EVERYTHING, FAULTS, LENGTH
+from suites import FURTHER, ROUNDS, SLOW_SEC, SUITE, runs
 from hypothesis import settings
 from keyspaces import Keyspaces, new_name
 from proxy import Proxy
@@ -56,6 +56,13 @@ MEMORY_FREE = 4 << 30
 NO_MASTER = "http://127.0.0.1:1/"
 """Connections are refused there at once. A test that needs a master uses the fixture roscore."""
 
+BEGAN = pytest.StashKey[float]()
+"""Beginning of the session, s of the monotonic clock."""
+LAST = "cassandra_ros/{}"
+"""Key of pytest's cache under which a suite's last whole run is kept."""
+REASON = "reason"
+"""Name of a test's property that says why it takes more than SLOW_SEC in make test."""
+
 ONE_BY_ONE = {
     "replays": {
         "test_history_subscriber.py",
@@ -88,7 +95,7 @@ class RosMaster:
 
 def pytest_addoption(parser):
     group = parser.getgroup("hostile", "changed inputs for each reader of foreign data")
-    text = "number of inputs of each target (default: by the length of the campaign)"
+    text = "number of inputs of each target (default: by the suite)"
     group.addoption("--inputs", type=int, metavar="N", help=text)
     text = "number of the first input (default: %(default)s)"
     group.addoption("--first", type=int, default=0, metavar="N", help=text)
@@ -111,6 +118,7 @@ def pytest_configure(config):
 
 
 def pytest_sessionstart(session):
+    session.config.stash[BEGAN] = time.monotonic()
     # With workers (pytest -n) the server is ours, for they end one after the other.
     config = session.config
     if not getattr(config.option, "numprocesses", None) or SERVER_VARIABLE in os.environ:
@@ -123,32 +131,25 @@ def pytest_sessionstart(session):
     )
 
 
-# All tests together stay below ten minutes on two cores; what needs more examples says so, and
-# what needs many is a search of the campaign.
-settings.register_profile("suite", max_examples=50, deadline=None)
+# What needs more examples says so; what needs many is a search, see suites.py.
+settings.register_profile("suite", max_examples=50 if FURTHER else 25, deadline=None)
 settings.load_profile("suite")
 
 
 def pytest_generate_tests(metafunc):
-    rounds = FAULTS[LENGTH]
-    if rounds > 1 and metafunc.definition.get_closest_marker("fault"):
+    if ROUNDS > 1 and metafunc.definition.get_closest_marker("fault"):
         metafunc.fixturenames.append("_round")
-        metafunc.parametrize("_round", range(rounds))
+        metafunc.parametrize("_round", range(ROUNDS))
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave to a campaign only its own tests, and the long ones."""
-    if EVERYTHING:
-        return
-    wanted = ("campaign", "long", "fault") if FAULTS[LENGTH] else ("campaign", "long")
-
-    def chosen(item):
-        if LENGTH:
-            return any(map(item.get_closest_marker, wanted))
-        return not item.get_closest_marker("long")
-
-    config.hook.pytest_deselected(items=[item for item in items if not chosen(item)])
-    items[:] = filter(chosen, items)
+    """Leave the tests of larger suites to these; see suites.py."""
+    config.hook.pytest_deselected(items=[item for item in items if not runs(item)])
+    items[:] = filter(runs, items)
+    for item in items:
+        mark = item.get_closest_marker("suite")
+        if mark is not None:
+            item.user_properties.append((REASON, mark.args[1]))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -175,11 +176,39 @@ def _shares(module):
     return 'scope="module"' in (ROOT / module).read_text(encoding="utf-8")
 
 
-def pytest_terminal_summary(terminalreporter):
-    for report in terminalreporter.getreports("passed"):
+def pytest_report_header(config):
+    """Say what will run, and how long that took last time."""
+    workers = getattr(config.option, "numprocesses", None)
+    server = os.environ.get(SERVER_VARIABLE, "a Cassandra of its own")
+    line = f"suite {SUITE}, on {server}"
+    line += f", with {workers} workers and a roscore each" if workers else ", with a roscore"
+    last = config.cache.get(LAST.format(SUITE), None) if hasattr(config, "cache") else None
+    if last is not None:
+        line += f"; last time: {last['tests']:,} tests in {last['seconds'] / 60:.1f} minutes"
+    return line
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    reports = terminalreporter.getreports("passed")
+    for report in reports:
         for name, value in report.user_properties:
             if name == "told":
                 terminalreporter.write_line(value)
+    slow = [report for report in reports if report.duration > SLOW_SEC]
+    unexplained = [report for report in slow if REASON not in dict(report.user_properties)]
+    if SUITE == "test" and unexplained:
+        terminalreporter.section(f"over {SLOW_SEC:g} s, without a reason (see suites.py)")
+        for report in sorted(unexplained, key=lambda report: -report.duration):
+            terminalreporter.write_line(f"{report.duration:6.1f} s  {report.nodeid}")
+    if _is_whole(config) and hasattr(config, "cache"):
+        seconds = time.monotonic() - config.stash[BEGAN]
+        config.cache.set(LAST.format(SUITE), {"tests": len(reports), "seconds": seconds})
+
+
+def _is_whole(config):
+    """Tell whether a run was asked for all tests of its suite."""
+    chosen = (config.option.keyword, config.option.markexpr)
+    return config.args_source == config.ArgsSource.TESTPATHS and not any(chosen)
 
 
 @pytest.fixture(scope="session")

@@ -37,13 +37,12 @@ BESIDE_ROS = (
 )
 """Packages without package.xml that ROS's need, and that run under every Python 3."""
 
-NOT_INHERITED = ("ROS_HOSTNAME", "CASSANDRA_ROS_CAMPAIGN", "PYTHONPATH", "CMAKE_PREFIX_PATH")
+NOT_INHERITED = ("ROS_HOSTNAME", "CASSANDRA_ROS_SUITE", "PYTHONPATH", "CMAKE_PREFIX_PATH")
 
 SAME = {
     "test/test_other_pythons.py": "runs this",
     "test/test_setup.py": "the set-up takes the distribution's Python",
     "test/test_installed.py": "installs beside the distribution's ROS",
-    "test/test_second_run.py": "make ci runs under the distribution's Python",
     "test/test_imports.py": "reads the sources, the same for each Python",
     "test/test_architecture.py": "reads the sources, the same for each Python",
     "test/pages": "types what the pages say, in the workspace of make setup",
@@ -195,7 +194,7 @@ def pytest_terminal_summary(terminalreporter):
         terminalreporter.write_line(f"{count:6}  {reason}")
     left = len(stats.get("deselected", ()))
     if left:
-        terminalreporter.write_line(f"{left:6}  are left to make campaign, or not asked for")
+        terminalreporter.write_line(f"{left:6}  belong to larger suites, or were not asked for")
 
 
 def _reason(report):

@@ -197,7 +197,7 @@ def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore)
         rosCas.cassandra.schema_change(f'DROP KEYSPACE "{rosCas.keyspace}"', what="cleaning up")
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts two Cassandras")
 def test_two_robots_copy_themselves_home(ros_env):
     done = subprocess.run(
         [sys.executable, str(ROOT / "examples/demo.py"), "--fleet"],

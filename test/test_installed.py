@@ -12,7 +12,6 @@ import sys
 import venv
 
 import pytest
-from campaign import LENGTH
 from conftest import ROOT
 
 VERSION = re.search("<version>(.*)</version>", (ROOT / "package.xml").read_text())[1]
@@ -95,8 +94,7 @@ def test_catkin_make_install(copy, tmp_path):
     check_installed(env, share, tmp_path, sys.executable)
 
 
-@pytest.mark.campaign
-@pytest.mark.skipif(LENGTH != "long", reason="it downloads 30 MB and takes minutes")
+@pytest.mark.suite("campaign", "it downloads 30 MB and takes minutes")
 @pytest.mark.skipif(not shutil.which("dh"), reason="the program dh of debhelper is not installed")
 def test_a_deb_holds_all_that_debian_lacks(tmp_path):
     run(["make", "deb"], plain_env(), ROOT)

@@ -2,8 +2,8 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """The package under other Pythons than the one of the workspace (other_python.py).
 
-CI and the short campaign compile and import all modules, and run one test file of each part, with
-the oldest and the newest Python that are found; the long campaign runs everything with both.
+make test-all compiles and imports all modules, and runs one test file of each part, with
+the oldest and the newest Python that are found; the campaign runs everything with both.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import subprocess
 import sys
 
 import pytest
-from campaign import LENGTH
+from suites import CAMPAIGN
 from conftest import ROOT, SERVER_VARIABLE
 from other_python import command_of_tests, found_pythons, prepare, run
 
@@ -61,7 +61,7 @@ def other_python(request):
     return prepare(minor, found[minor])
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it installs other Pythons' packages")
 def test_every_module_is_compiled_and_imported(other_python):
     program, env = other_python
     compiled = run([program, "-c", COMPILE, *SOURCES], env=env).count("compiled ")
@@ -73,11 +73,11 @@ def test_every_module_is_compiled_and_imported(other_python):
     assert imported > 0.9 * len(list((ROOT / "src/cassandra_ros").rglob("*.py")))
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it installs other Pythons' packages")
 def test_some_or_all_tests_pass(other_python, cassandra, record_property):
     program, env = other_python
     env = {**env, SERVER_VARIABLE: f"{cassandra.host}:{cassandra.port}"}
-    names = [] if LENGTH == "long" else [f"test/{name}" for name in SOME]
+    names = [] if CAMPAIGN else [f"test/{name}" for name in SOME]
     said = run(command_of_tests(program, ["-q", "-W", "ignore", *names]), env=env)
     assert " passed" in said.splitlines()[-1], said
     assert "NO REASON GIVEN" not in said

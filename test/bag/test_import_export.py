@@ -13,7 +13,7 @@ import pytest
 import rosbag
 from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
-from campaign import LENGTH, sparing
+from suites import CAMPAIGN, sparing
 from mcap.writer import Writer
 from nodes.raw_publisher import header_of
 from std_msgs.msg import String
@@ -85,7 +85,7 @@ def beginning(path, target, part):
     return target
 
 
-# Every bag in every format; make test leaves to the campaign what costs more than all the others.
+# Every bag in every format; make test leaves to make test-all what costs more than all the others.
 OF_LARGE_BAGS = {"backpack_multiecho_bz2": ("packed",), "husky_gps_data": ("ros",)}
 OF_ONE_BAG = {"turtlesim_tf": ("binary", "string", "json", "ros", "packed")}
 
@@ -98,7 +98,7 @@ def in_every_run(name, form):
 @pytest.mark.parametrize(
     ("name", "form"),
     [
-        pytest.param(name, form, marks=[pytest.mark.long] * (not in_every_run(name, form)))
+        pytest.param(name, form, marks=[pytest.mark.suite("all", "large bags in their slowest formats")] * (not in_every_run(name, form)))
         for name, form in product(READABLE, FORMATS)
         if (name, form) != ("backpack_multiecho_bz2", "yaml")
     ],
@@ -107,10 +107,10 @@ def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     comes_back(rosCas, bags / f"{name}.bag", tmp_path, form)
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "large bags in their slowest formats")
 def test_the_largest_bag_comes_back_from_yaml(rosCas, bags, tmp_path):
     # Slow, 50 us a number, and more of the same: not all of it.
-    part = 5 if LENGTH == "long" else 20
+    part = 5 if CAMPAIGN else 20
     path = beginning(bags / "backpack_multiecho_bz2.bag", tmp_path / "in.bag", part)
     comes_back(rosCas, path, tmp_path, "yaml")
 

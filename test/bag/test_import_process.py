@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from bag.test_import_export import counts_agree, stored_rows
 from bag.truth import string_connection, string_wire
-from campaign import sparing
+from suites import sparing
 from proxy import BATCH, Proxy
 from topics.test_run_states import age
 
@@ -98,7 +98,7 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
     assert stored_rows(rosCas) == rows
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "hundreds of megabytes")
 def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp_path):
     peaks = []
     for name, megabytes in (("small", 50), ("large", 500)):
@@ -115,7 +115,7 @@ def test_memory_does_not_grow_with_the_bag(cassandra, keyspace, cql, rosCas, tmp
     assert peaks[1] <= peaks[0] + 50, f"peak RSS {peaks[0]:.0f} MB and {peaks[1]:.0f} MB"
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "hundreds of megabytes")
 def test_opening_a_bag_of_many_chunks_takes_little_memory(tmp_path):
     import tracemalloc
 

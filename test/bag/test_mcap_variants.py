@@ -9,7 +9,7 @@ from collections import Counter
 
 import pytest
 from bag.mcap_variants import CASES, CHANNELS, CHUNK_INDEX, CHUNKS, PADDING, SCHEMAS, make, variants
-from campaign import sparing
+from suites import sparing
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Message
 
@@ -67,7 +67,7 @@ def test_the_rules_give_as_many_as_the_suite_has():
     assert cases.keys() == CASES.keys()
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @pytest.mark.parametrize("name", sparing(sorted(VARIANTS), FEW))
 def test_a_variant_is_read_as_by_the_library(tmp_path, name):
     variant, path = VARIANTS[name], tmp_path / "a.mcap"

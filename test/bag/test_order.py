@@ -8,7 +8,7 @@ import random
 
 import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
-from campaign import FEW_FORMATS, sparing
+from suites import FEW_FORMATS, sparing
 
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.bag_writer import BagWriter

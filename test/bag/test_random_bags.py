@@ -14,7 +14,7 @@ import random
 import genpy.dynamic
 import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
-from campaign import FEW_FORMATS, examples, sparing
+from suites import FEW_FORMATS, examples, sparing
 from compiled import packed_by_rosbag
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed
 
@@ -119,7 +119,7 @@ def compare(path, back, in_order):
     assert sorted(exported, key=repr) == sorted(read, key=repr), path
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @pytest.mark.parametrize("form", sparing(FORMATS, kept=FEW_FORMATS))
 def test_a_random_bag_comes_back_as_it_was(fresh, tmp_path, form, record_property):
     bags, count = examples(4), 0

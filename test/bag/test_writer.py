@@ -11,7 +11,7 @@ import subprocess
 import pytest
 from bag.test_reader import READABLE
 from bag.truth import read_with_rosbag, string_connection, string_wire
-from campaign import sparing
+from suites import sparing
 
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.bag_writer import BagWriter

@@ -8,7 +8,7 @@ import itertools
 
 import pytest
 from blocks.stored_blocks import MS, T0, list_blocks, make_table, put_block
-from campaign import LENGTH, examples
+from suites import FURTHER, examples
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
@@ -207,7 +207,7 @@ def settle_counts(model):
 
 
 # An example takes a tenth of a second: to make a failing one smaller would take minutes.
-@settings(max_examples=examples(80) if LENGTH else 12, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=examples(80) if FURTHER else 12, phases=[Phase.explicit, Phase.generate])
 @given(feeds(), st.randoms(use_true_random=False))
 def test_blocks_read_as_a_sorted_list(stored, found, rand):
     with pytest.MonkeyPatch.context() as patch:

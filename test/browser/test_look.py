@@ -8,7 +8,7 @@ import pytest
 from browser import film, patrol
 from browser.looking import near
 from browser.studio import Studio, await_true, packed
-from campaign import LENGTH
+from suites import SUITE
 
 from cassandra_ros.bag.importer import import_bag
 
@@ -63,13 +63,13 @@ def test_play_goes_on_and_pause_ends_it(page):
     assert studio.data("playing") == "false"
 
 
-FILM_SEC = {"": 30, "short": 300, "long": 3600}[LENGTH]
+FILM_SEC = {"test": 30, "all": 100, "campaign": 3600}[SUITE]
 """How much is recorded, which is played in a tenth of the time."""
 HEAP_BYTES = 400 << 20
 RESIDENT_BYTES = 1500 << 20
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 def test_memory_is_bounded_however_long_is_played(page, stored, connect, tmp_path, record_property):
     film.write(tmp_path / "film.bag", FILM_SEC)
     with connect(keyspace=stored[0]) as rosCas:

@@ -11,7 +11,7 @@ import pytest
 import screenshots
 from browser import patrol
 from browser.looking import pixels
-from campaign import sparing
+from suites import sparing
 from std_msgs.msg import Float64
 
 PAGES = {"Home": "/", "Ask": "/ask.html", "Look": "/look.html", "Map": "/map.html"}

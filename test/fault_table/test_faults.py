@@ -4,10 +4,7 @@
 
 from __future__ import annotations
 
-import ast
-
 import pytest
-from conftest import ROOT
 
 from cassandra_ros.blocks.codec import pack_block
 from faults import page
@@ -52,20 +49,6 @@ def test_a_further_topic_begins_after_each_step():
 def test_the_page_shows_the_last_run():
     text = page.PAGE.read_text(encoding="utf-8")
     assert page.fill(text, Results.load(RESULTS)) == text, "make faults-page fills it"
-
-
-def test_the_account_shares_no_code_with_the_package():
-    for name in ("account", "numbered", "publisher", "bag"):
-        tree = ast.parse((ROOT / f"faults/{name}.py").read_text(encoding="utf-8"))
-        found = {
-            name
-            for node in ast.walk(tree)
-            if isinstance(node, (ast.Import, ast.ImportFrom))
-            for name in [getattr(node, "module", None), *(each.name for each in node.names)]
-        }
-        own = {name for name in found if name and name.startswith("faults")}
-        assert own <= {"faults.numbered"}
-        assert not any(name.startswith("cassandra_ros") for name in found if name)
 
 
 def test_the_account_reads_a_block_as_the_package_writes_it():

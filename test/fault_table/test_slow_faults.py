@@ -8,7 +8,7 @@ import pytest
 from fault_table.test_faults import SLOW, try_short, world  # noqa: F401 - a fixture
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "several servers, or minutes")
 @pytest.mark.parametrize("name", SLOW)
 def test_every_message_is_accounted_for(world, name):  # noqa: F811
     try_short(world, name)

@@ -128,7 +128,7 @@ ROBOTS = st.sampled_from([None, "", "husky", "nobody"])
 WHERE = st.sampled_from([None, "linear.x > 3", "linear.y < 50.0 AND NODE = 'husky'", "RUN = '7'"])
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @settings(max_examples=100)
 @given(topic=TOPICS, low=TIMES, high=TIMES, limit=LIMITS, robot=ROBOTS, where=WHERE, data=st.data())
 def test_a_fleet_answers_like_one_store_with_all_messages(
@@ -161,7 +161,7 @@ STATEMENTS = [
 ]
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @settings(max_examples=100)
 @given(
     statement=st.sampled_from(STATEMENTS),

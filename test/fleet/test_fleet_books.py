@@ -110,7 +110,7 @@ def facts(fleet, topic):
     return [[getattr(info, name) for name in names] for info in fleet.info([topic])]
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @settings(max_examples=25)
 @given(
     formats=st.fixed_dictionaries({"husky": PACKING, "jackal": PACKING}),

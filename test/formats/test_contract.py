@@ -13,7 +13,7 @@ from collections import Counter
 
 import pytest
 import rosbag
-from campaign import FEW_FORMATS, sparing
+from suites import FEW_FORMATS, sparing
 from compiled import packed_by_rosbag
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import pytest
-from campaign import FEW_FORMATS, LENGTH, examples, sparing
+from suites import FEW_FORMATS, FURTHER, SUITE, examples, sparing
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
@@ -51,13 +51,13 @@ def checkStored(rosCas, name, definitions, number):
 
 
 @pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
-@pytest.mark.campaign
+@pytest.mark.search
 def test_every_installed_type_comes_back_equal(fresh, name, record_property):
     types = installedTypes()
     assert len(types) >= 200
     # A table takes longer to make than its messages: a sixth of the types in one of two formats, or
     # each in three; all in all formats only where there is time.
-    step = {"": 2 * len(FORMATS), "short": 2, "long": 1}[LENGTH]
+    step = {"test": 4 * len(FORMATS), "all": 2, "campaign": 1}[SUITE]
     types = types[list(FORMATS).index(name) % step :: step]
     record_property("told", f"{len(types)} message types came back equal in format {name}")
     for first in range(0, len(types), TABLES):
@@ -67,9 +67,9 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
 
 
 @pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
-@pytest.mark.campaign
+@pytest.mark.search
 def test_random_types_come_back_equal(fresh, name):
-    makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(40 if LENGTH else 5)]
+    makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(40 if FURTHER else 5)]
     definitions = [parse_definition(*maker.make()) for maker in makers]
     with fresh() as rosCas:
         checkStored(rosCas, name, definitions, examples(4, least=4))

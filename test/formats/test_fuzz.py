@@ -9,7 +9,7 @@ import tracemalloc
 from functools import lru_cache
 
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
@@ -50,7 +50,7 @@ def broken(test):
     """Run a test with every format, and any type, message and damage."""
     numbers = st.integers(0, len(TYPES) + 50)
     test = given(number=numbers, seed=SEEDS, fuzz=SEEDS)(test)
-    return every_format(campaign(500)(test))
+    return every_format(search(500)(test))
 
 
 @lru_cache(maxsize=None)

@@ -8,7 +8,7 @@ import re
 import time
 
 import pytest
-from campaign import FEW_FORMATS, sparing
+from suites import FEW_FORMATS, sparing
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String, UInt8MultiArray

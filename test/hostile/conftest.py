@@ -8,19 +8,19 @@ import faulthandler
 import tempfile
 
 import pytest
-from campaign import examples
+from suites import examples
 from hostile.inputs import Inputs
 
 
 def pytest_collection_modifyitems(items):
     for item in items:
         if "hostile" in item.path.parts:
-            item.add_marker(pytest.mark.campaign)
+            item.add_marker(pytest.mark.search)
 
 
 @pytest.fixture
 def give(request, record_property, tmp_path, monkeypatch):
-    """Give a target its inputs: ``give('name', number in the short campaign, attempt)``."""
+    """Give a target its inputs: ``give('name', tenth of its number in the campaign, attempt)``."""
     folder = tmp_path / "temporary"
     folder.mkdir()
     monkeypatch.chdir(folder)

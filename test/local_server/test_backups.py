@@ -118,7 +118,7 @@ def machine(tmp_path, ros_env):
                 LocalCluster(folder).stop()
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts Cassandras")
 def test_what_was_backed_up_comes_back(machine):
     as_bag, of_bag, copy, of_copy, snapshot, tables, of_snapshot = blocks()
     cluster = LocalCluster(machine.folder, port=machine.port, heap="512M")

@@ -38,7 +38,7 @@ def uses_archive(cluster):
         cluster.stop()
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_an_archive_is_made_once_and_used_where_it_fits(jars, tmp_path):
     said = []
     cluster = LocalCluster(tmp_path / "server", port=free_port(), heap="512M")

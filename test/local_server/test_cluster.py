@@ -153,7 +153,7 @@ def test_it_is_found_without_its_pid_file(folder):
     status.node.pid_file.write_text(f"{status.pid}\n")
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_data_survive_stop_and_start(folder):
     cluster = make(folder)
     assert cluster.stop() is True
@@ -211,7 +211,7 @@ def write_until_killed(cluster, session, after):
     raise AssertionError("the loop above returns")
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_batches_in_flight_survive_kill_9_as_far_as_they_were_acknowledged(folder):
     cluster = make(folder)
     ask(cluster, "CREATE TABLE k.many (part int, i int, data blob, PRIMARY KEY (part, i))")
@@ -275,7 +275,7 @@ def test_only_the_last_section_of_a_commit_log_is_cut_off(tmp_path, missing, sec
     assert before.stat().st_size == end_before - 1
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_a_table_is_there_or_not_after_kill_9_while_it_was_made(folder):
     cluster = make(folder)
     cluster.start(die_with_us=True)
@@ -325,7 +325,7 @@ def test_no_space(tmp_path, little_space):
         make(tmp_path / "new", port=free_port()).start()
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_data_are_read_where_there_is_little_space(folder, little_space):
     cluster = make(folder)
     cluster.stop()
@@ -384,7 +384,7 @@ def nodes_asked(rosCas):
     return len(listed)
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_three_nodes(tmp_path, monkeypatch, caplog, capsys):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)
@@ -468,7 +468,7 @@ def count_on(cluster, number, table):
         driver.shutdown()
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)
@@ -547,7 +547,7 @@ def await_nodes(cluster, numbers):
         assert time.monotonic() < deadline, cluster.status()
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_who_has_not_started_a_server_does_not_stop_it(tmp_path):
     """Two launch files run it at once; one of them ends."""
     command = [PROGRAMS / "local_cassandra", "run", "--dir", tmp_path, "--port", str(free_port())]
@@ -567,7 +567,7 @@ def test_who_has_not_started_a_server_does_not_stop_it(tmp_path):
     assert not make(tmp_path).status()[0].pid
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts or kills Cassandras")
 def test_two_starts_at_once_make_one_server(tmp_path):
     program = (
         "import sys; from cassandra_ros.local_server import LocalCluster\n"

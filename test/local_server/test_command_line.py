@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from campaign import sparing
+from suites import sparing
 
 from cassandra_ros.cli import local_cassandra
 from cassandra_ros.local_server import LocalCluster, free_port, processes
@@ -147,7 +147,7 @@ def answered(env, answer):
         os.close(theirs)
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_start_status_stop_clear(type_in, env, tmp_path):
     try:
         done = type_in("start", "--port", str(free_port()), "--heap", "256M")
@@ -171,7 +171,7 @@ def test_start_status_stop_clear(type_in, env, tmp_path):
     assert not (tmp_path / "cassandra_ros" / "node1").exists()
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_run_lets_clients_go_before_it_stops(env, tmp_path):
     port = free_port()
     process = subprocess.Popen(

@@ -55,7 +55,7 @@ def place_of(cluster):
     return SimpleNamespace(host=cluster.settings.host, port=cluster.settings.port)
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it kills a Cassandra")
 @pytest.mark.fault
 @pytest.mark.parametrize("how", ["killed", "frozen"])
 def test_an_import_survives_its_server(cluster, tmp_path, caplog, how):
@@ -92,7 +92,7 @@ def test_an_import_survives_its_server(cluster, tmp_path, caplog, how):
         assert sum(1 for _ in rosCas.readMessages()) == COUNT, told
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it kills a Cassandra")
 @pytest.mark.fault
 @pytest.mark.parametrize("how", ["killed", "frozen"])
 def test_a_recording_survives_its_server(roscore, cluster, how):

@@ -12,7 +12,7 @@ import re
 import time
 
 import pytest
-from campaign import LENGTH
+from suites import CAMPAIGN
 from conftest import ROOT
 from local_server import role_actions
 from local_server.role_actions import Fleet, User, cell_of, lacking
@@ -39,12 +39,12 @@ FEW = {
     ),
     "viewer": ("/api/topics", "/api/query"),
 }
-"""What make test tries; a long campaign tries everything."""
+"""What make test tries; make campaign tries everything."""
 
 
 def chosen():
     """The actions of this run, as (program, name)."""
-    if WRITES or LENGTH == "long":
+    if WRITES or CAMPAIGN:
         return [(program, name) for program, found in ACTIONS.items() for name in found]
     return [(program, name) for program, names in FEW.items() for name in names]
 
@@ -104,7 +104,7 @@ def as_role(fleet, request):
         user.close()
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 def test_what_each_role_may_do(fleet, as_role):
     fleet.make_other()
     if len(chosen()) > 20:

@@ -76,7 +76,7 @@ def test_the_public_password_never_opens_it(started):
     assert not stranger.let_in
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_a_server_without_a_login_gets_one(tmp_path):
     """Cassandra has made its superuser with the public password before."""
     plain = LocalCluster(tmp_path / "one", port=free_port(), heap="256M")
@@ -320,7 +320,7 @@ def test_programs_find_their_login_by_the_environment(cqlshrc, users, tmp_path, 
     assert "refuses the user name 'ann'" in err and "secret" not in err
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_the_demo_over_tls_with_a_login(ros_env, tmp_path):
     done = subprocess.run(
         [sys.executable, str(ROOT / "examples/demo.py"), "--secure", "--out", str(tmp_path)],
@@ -334,7 +334,7 @@ def test_the_demo_over_tls_with_a_login(ros_env, tmp_path):
     assert "Nothing is left running." in done.stdout
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_two_secure_nodes_and_a_later_start(tmp_path):
     options = {"port": free_port(), "nodes": 2, "heap": "512M"}
     cluster = LocalCluster(tmp_path / "two", secure=True, **options)

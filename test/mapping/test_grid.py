@@ -11,7 +11,7 @@ import nav_msgs.msg
 import numpy as np
 import pytest
 import yaml
-from campaign import campaign
+from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
@@ -136,7 +136,7 @@ def way(begin, end):
     return halves.values()
 
 
-@campaign(200)
+@search(200)
 @given(begin=st.tuples(CELL, CELL), rays=RAYS)
 def test_rays_go_through_the_cells_that_bresenham_says(begin, rays):
     grid = LogOddsGrid(SQUARE)

@@ -377,7 +377,7 @@ def test_figure_4_is_drawn_of_a_real_lidar(bags, cassandra, rosCas, ros_env, tmp
     assert math.hypot(clouds.map.width, clouds.map.height) * 0.2 < 400
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "a bag of 500 MB")
 def test_first_echoes_of_a_real_backpack(bags, fresh):
     """Without poses the map is in the laser's own frame, as if the laser had stood still."""
     with fresh() as made:

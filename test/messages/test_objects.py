@@ -10,7 +10,7 @@ import struct
 import genpy
 import numpy as np
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import example, given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
@@ -73,14 +73,14 @@ def check(cls, wires):
     return True
 
 
-@campaign(40)
+@search(40)
 @given(SEEDS)
 def test_messages_of_random_definitions_made_together(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())
     check(message_class(definition), manyWires(definition, seed))
 
 
-@campaign(120)
+@search(120)
 @given(st.sampled_from(TYPES), SEEDS)
 def test_messages_of_installed_types_made_together(msg_type, seed):
     try:
@@ -92,7 +92,7 @@ def test_messages_of_installed_types_made_together(msg_type, seed):
         check(cls, manyWires(definition, seed))
 
 
-@campaign(40)
+@search(40)
 @given(SEEDS)
 @example(3)
 def test_what_is_no_message_is_corrupt_also_among_others(seed):

@@ -6,7 +6,7 @@ import struct
 import tracemalloc
 
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker, installedTypes
@@ -48,7 +48,7 @@ def test_every_installed_type():
             checkExact(plan, WireMaker(plan.definition, seed, odd=True).make(), may_be_odd=True)
 
 
-@campaign(300)
+@search(300)
 @given(SEEDS)
 def test_random_definitions(seed):
     plan = WirePlan(parse_definition(*DefinitionMaker(seed).make()))
@@ -56,7 +56,7 @@ def test_random_definitions(seed):
     checkExact(plan, WireMaker(plan.definition, seed, odd=True).make(), may_be_odd=True)
 
 
-@campaign(300)
+@search(300)
 @given(SEEDS, st.data())
 def test_fuzzed_buffers_are_exact_or_odd(seed, data):
     if data.draw(st.booleans(), "installed type"):
@@ -78,7 +78,7 @@ def test_fuzzed_buffers_are_exact_or_odd(seed, data):
             pass
 
 
-@campaign(200)
+@search(200)
 @given(SEEDS, st.data())
 def test_fuzzed_columns_build_or_are_corrupt(seed, data):
     plan = WirePlan(parse_definition(*DefinitionMaker(seed).make()))

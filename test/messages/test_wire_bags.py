@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import pytest
 import rosbag
-from campaign import sparing
+from suites import sparing
 from compiled import compiled
 
 from cassandra_ros.errors import DefinitionError

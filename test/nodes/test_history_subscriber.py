@@ -14,7 +14,7 @@ from pathlib import Path
 
 import genpy
 import pytest
-from campaign import LENGTH
+from suites import CAMPAIGN
 from nodes.children import Child, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String, UInt32
@@ -139,13 +139,13 @@ def test_the_past_goes_over_into_the_present(stage):
     listener.await_line("unregistered")
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("run", range(20 if LENGTH == "long" else 3))
+@pytest.mark.suite("all", "a hundred thousand messages by rospy")
+@pytest.mark.parametrize("run", range(20 if CAMPAIGN else 1))
 def test_a_hundred_thousand_messages_each_once_and_in_order(stage, run):
     goes_over(stage, 100_000, 10_000)
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "a hundred thousand messages by rospy")
 def test_a_buffer_that_is_too_small_for_the_time_that_the_past_takes(stage):
     # Slow enough that many live messages wait while the past is read, also if publishing is slow.
     listener = goes_over(stage, 20_000, 3000, pause=True, buff_size=200_000, slow=0.001)

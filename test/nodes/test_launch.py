@@ -129,7 +129,7 @@ def test_the_recorder_waits_by_itself_unless_it_needs_the_files_of_a_login(
     assert ("status --wait" in done.stdout) == waits_before
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_a_local_launch_records_what_comes_before_its_cassandra_answers(roscore, tmp_path):
     folder, port = tmp_path / "data", free_port()
     folder.mkdir()

@@ -24,7 +24,7 @@ def peak_mb(pid):
     return int(re.search(r"VmHWM:\s+(\d+) kB", text)[1]) / 1024
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "seconds at a high rate")
 @pytest.mark.parametrize(
     ("size", "count", "rate", "fmt"),
     [

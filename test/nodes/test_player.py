@@ -110,7 +110,7 @@ def test_what_is_played_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
     record_again(roscore, start, turtle, tmp_path / "again.bag", few, "-r", "20")
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it waits for seconds of playing")
 def test_a_bag_is_recorded_as_it_was(roscore, start, turtle, tmp_path):
     record_again(roscore, start, turtle, tmp_path / "again.bag", tuple(turtle.expected))
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from campaign import LENGTH
+from suites import CAMPAIGN
 from geometry_msgs.msg import PointStamped
 from nodes.children import PROGRAMS, Child, await_true, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
@@ -268,10 +268,10 @@ def test_a_player_in_a_node_of_ones_own(roscore, cassandra, keyspace, numbers):
         assert line in child.lines, child.output
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts and ends a player many times")
 def test_played_and_stopped_many_times(roscore, where, numbers):
     """No message is lost or doubled before the stop, and no process is left."""
-    pids, rounds = set(), 50 if LENGTH == "long" else 20
+    pids, rounds = set(), 50 if CAMPAIGN else 5
     for round_ in range(rounds):
         with start_node(roscore, "player", *where, "-r", "20", "--wait-for-subscribers") as child:
             pids.add(child.process.pid)
@@ -289,7 +289,7 @@ def test_played_and_stopped_many_times(roscore, where, numbers):
 
 
 @pytest.mark.fault
-@pytest.mark.long
+@pytest.mark.suite("all", "it starts and ends a player many times")
 def test_a_store_that_is_away_is_waited_for(roscore, cassandra, rosCas, keyspace):
     topic = rosCas.addTopic("/big", format="binary")
     for n in range(40):

@@ -13,7 +13,7 @@ import time
 import uuid
 
 import pytest
-from campaign import sparing
+from suites import sparing
 from nodes.children import start_client, start_node
 from nodes.raw_publisher import message
 from sensor_msgs.msg import Image, NavSatFix

@@ -16,7 +16,7 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-from campaign import FEW_FORMATS, sparing
+from suites import FEW_FORMATS, sparing
 from nodes.children import Child, await_true, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Clock

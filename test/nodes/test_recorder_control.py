@@ -183,7 +183,7 @@ def test_node_where_rate_and_context(roscore, recorder, rosCas, client):
     master.deleteParam("/test", "/robot")
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it waits for seconds of recording")
 def test_splits_and_begin_write(roscore, recorder, rosCas):
     arguments = ("--split", "--size", "1", "--repeat-latched", "-p", "-O", "r", "--tcpnodelay")
     with publisher(roscore, "/map", name="/map", latching="1") as latched:
@@ -205,7 +205,7 @@ def test_splits_and_begin_write(roscore, recorder, rosCas):
     assert names[-3:] == ["r_1", "r_2", "r_3"]
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it waits for seconds of recording")
 def test_dry_run(roscore, recorder, rosCas, tmp_path):
     config = tmp_path / "settings.yaml"
     config.write_text("topics: [{pattern: /cam.*, format: binary, ttl: 1h, rate_limit: 5}]")
@@ -351,7 +351,7 @@ def test_a_recorder_in_a_process_of_ones_own(roscore, cassandra, keyspace, rosCa
     assert data_of(rosCas, "/a", "own") == ["0", "1", "2"]
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it waits for seconds of recording")
 def test_losses_of_a_killed_recorder_are_told(roscore, recorder, rosCas):
     """They are stored while it records, before anything is closed."""
     child = recorder("/a", "-b", "1", "--no-spool")

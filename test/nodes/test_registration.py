@@ -169,7 +169,7 @@ def test_a_node_that_shuts_down_is_not_one_that_is_unknown(
     assert "does not know this node" not in child.output
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it stops its master for a while")
 @pytest.mark.fault
 def test_a_master_that_stood_still_is_no_loss(master, cassandra, keyspace, rosCas):
     with start_recorder(master, cassandra, keyspace, "/a") as child:
@@ -188,7 +188,7 @@ def test_a_master_that_stood_still_is_no_loss(master, cassandra, keyspace, rosCa
     assert rosCas.catalog.keyspace.registry.losses() == []
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "it stops its master for a while")
 @pytest.mark.fault
 def test_a_recording_ends_without_its_master(master, cassandra, keyspace, rosCas):
     """A stopped master is like one out of reach: rospy would wait for it for ever."""

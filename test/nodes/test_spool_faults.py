@@ -11,7 +11,7 @@ import threading
 import time
 
 import pytest
-from campaign import LENGTH
+from suites import SUITE
 from nodes.children import await_true, start_client, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of
 from proxy import Proxy
@@ -19,7 +19,7 @@ from std_msgs.msg import UInt64
 
 from cassandra_ros.tables.registry import LossKind
 
-MOMENTS = 20 if LENGTH else 3
+MOMENTS = {"test": 2, "all": 4, "campaign": 20}[SUITE]
 """Number of moments at which the recorder is killed."""
 RATE_HZ = 400
 

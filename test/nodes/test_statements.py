@@ -12,7 +12,7 @@ from contextlib import contextmanager
 
 import pytest
 import yaml
-from campaign import sparing
+from suites import sparing
 from geometry_msgs.msg import TransformStamped
 from nodes.children import start_client, start_node
 from std_msgs.msg import Int64, String

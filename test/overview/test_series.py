@@ -8,7 +8,7 @@ import math
 import struct
 
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import example, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import NavSatFix
@@ -119,7 +119,7 @@ CONDITIONS = {
 ENDS = st.one_of(st.none(), st.integers(-STEP, COUNT * STEP + 61 * SEC).map(lambda ns: T0 + ns))
 
 
-@campaign(80)
+@search(80)
 @given(
     st.sampled_from(FORMATS),
     st.lists(st.sampled_from(sorted(NAMES)), min_size=1, max_size=3, unique=True),

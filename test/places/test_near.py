@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rosbag
 import rospy
-from campaign import campaign
+from suites import search
 from conftest import ROOT
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given
@@ -255,7 +255,7 @@ def store_drive(store, node, runs, times, by_tf):
 
 
 @given(drives(), st.tuples(SPOTS, SPOTS, st.sampled_from([0.0, 1.0, 5.0, 12.0])), st.booleans())
-@campaign(24, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@search(24, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_near_is_what_is_counted_by_hand(drive_stores, drive, disk, by_tf):
     store, (runs, times) = drive_stores, drive
     x, y, radius = disk[0] * 5, disk[1] * 5, disk[2]

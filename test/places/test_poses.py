@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from campaign import campaign
+from suites import search
 from compiled import compiled
 from conftest import ROOT
 from geometry_msgs.msg import PoseStamped
@@ -98,7 +98,7 @@ def made_of(described):
     return found
 
 
-@campaign(200)
+@search(200)
 @given(
     described=TRANSFORMS,
     still=st.lists(TRANSFORMS.map(lambda found: found[:1]), max_size=2),

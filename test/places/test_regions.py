@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -69,7 +69,7 @@ def contains(spans, t):
 
 
 @given(POSES, st.one_of(disks(), polygons()))
-@campaign(200)
+@search(200)
 def test_a_stay_holds_each_moment_in_a_region(poses, region):
     path = path_of(poses)
     stays = list(path.stays(region))
@@ -82,7 +82,7 @@ def test_a_stay_holds_each_moment_in_a_region(poses, region):
 
 
 @given(POSES, disks())
-@campaign(200)
+@search(200)
 def test_every_moment_lies_in_a_cell_that_is_visited(poses, region):
     path = path_of(poses)
     visits = list(visits_of(path))

@@ -8,7 +8,7 @@ import math
 from fractions import Fraction
 
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,7 +29,7 @@ def totals(values, names=NAMES):
     return found.values()
 
 
-@campaign(200)
+@search(200)
 @given(st.lists(st.none() | st.integers(-(2**63), 2**64 - 1)))
 def test_integers(values):
     known = [value for value in values if value is not None]
@@ -49,7 +49,7 @@ def rounded(exact):
         return math.inf if exact > 0 else -math.inf
 
 
-@campaign(300)
+@search(300)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1))
 def test_floats(values):
     count, least, most, total, mean = totals(values)
@@ -63,7 +63,7 @@ def test_floats(values):
         pass  # somewhere on the way, which is no reason not to answer
 
 
-@campaign(300)
+@search(300)
 @given(st.lists(st.floats() | ODD, min_size=1))
 def test_nan_and_infinities(values):
     count, least, most, total, mean = totals(values)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import random
 
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from query.rows import row_of
@@ -70,7 +70,7 @@ CONDITIONS = st.recursive(
 )
 
 
-@campaign(300)
+@search(300)
 @given(CONDITIONS, st.integers(0, 6), st.sampled_from(["", "a", "b"]), st.integers(0, 2))
 def test_no_row_that_matches_lies_outside(text, t, node, data):
     row = row_of(Int64(data), t=t, node=node)

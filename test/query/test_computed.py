@@ -13,7 +13,7 @@ from fractions import Fraction
 from types import SimpleNamespace
 
 import pytest
-from campaign import campaign, random_statements
+from suites import search, random_statements
 from geometry_msgs.msg import TransformStamped, Twist
 from hypothesis import given
 from hypothesis import strategies as st
@@ -131,7 +131,7 @@ def same(x, y):
     return x == y or (x != x and y != y)
 
 
-@campaign(200)
+@search(200)
 @given(NUMBERS, NUMBERS, st.sampled_from("+-*/"))
 def test_arithmetic_of_floats(x, y, sign):
     fix = NavSatFix(latitude=x, longitude=y)
@@ -144,7 +144,7 @@ def test_arithmetic_of_floats(x, y, sign):
     assert same(shown(fix, "abs(-latitude)"), abs(x))
 
 
-@campaign(200)
+@search(200)
 @given(st.integers(0, 2**64 - 1), st.integers(-(2**64), 2**64), st.integers(0, 2**64 - 1))
 def test_arithmetic_of_integers_is_exact(x, y, wanted):
     msg = UInt64(x)
@@ -287,7 +287,7 @@ def test_what_is_computed_is_bounded(count):
         shown(UInt64(2), text)
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 @pytest.mark.parametrize("name", ["every", "mixed", "scan", "tf"])
 def test_random_statements_without_a_database(name, caplog):

@@ -9,7 +9,7 @@ import operator
 import struct
 
 import pytest
-from campaign import campaign
+from suites import search
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TransformStamped
 from hypothesis import given, settings
@@ -55,7 +55,7 @@ NUMBERS = st.one_of(
 )
 
 
-@campaign(400)
+@search(400)
 @given(st.floats(), st.sampled_from(list(OPERATORS)), NUMBERS)
 def test_doubles_compare_as_python_does(value, sign, wanted):
     msg = NavSatFix(latitude=value)
@@ -65,7 +65,7 @@ def test_doubles_compare_as_python_does(value, sign, wanted):
     assert matches(msg, f"latitude {sign} {wanted!r}") is expected
 
 
-@campaign(300)
+@search(300)
 @given(st.integers(-(2**63), 2**63 - 1), st.sampled_from(list(OPERATORS)), NUMBERS)
 def test_integers_compare_exactly(value, sign, wanted):
     assert matches(Int64(value), f"data {sign} ?", [wanted]) is OPERATORS[sign](value, wanted)
@@ -78,7 +78,7 @@ def test_numbers_beyond_floats():
     assert matches(Int64(2**53 + 1), "data > 9007199254740992.0")
 
 
-@campaign(200)
+@search(200)
 @given(st.floats(width=32), st.sampled_from(list(OPERATORS)), st.floats())
 def test_float32_is_widened_not_the_bound_rounded(value, sign, wanted):
     stored = struct.unpack("<f", struct.pack("<f", value))[0]
@@ -98,7 +98,7 @@ def test_zero_and_nan():
     assert matches(nan, "latitude not in (1, 2)")
 
 
-@campaign(200)
+@search(200)
 @given(st.text(), st.sampled_from(list(OPERATORS)), st.text())
 def test_text_compares_by_code_point(value, sign, wanted):
     expected = OPERATORS[sign](list(map(ord, value)), list(map(ord, wanted)))
@@ -158,7 +158,7 @@ def like(text, pattern):
     return bool(text) and pattern[0] in ("_", text[0]) and like(text[1:], pattern[1:])
 
 
-@campaign(500)
+@search(500)
 @given(st.text("aB.\n*", max_size=8), st.text("aB.\n*%_", max_size=7))
 def test_like(text, pattern):
     assert matches(String(text), "data like ?", [pattern]) is like(text, pattern)
@@ -193,7 +193,7 @@ def test_like_on_nodes():
 VALUES = st.sampled_from([0, -1, 1, 1.5, -0.0, 255, 256, 255.0, 0.1, 1e300, math.nan, math.inf])
 
 
-@campaign(300)
+@search(300)
 @given(st.lists(VALUES.map(float), max_size=4), VALUES)
 def test_contains_in_arrays_of_numbers(values, wanted):
     msg = Float64MultiArray(data=values)
@@ -203,7 +203,7 @@ def test_contains_in_arrays_of_numbers(values, wanted):
     assert matches(msg, "data not contains ?", [wanted]) is not expected
 
 
-@campaign(300)
+@search(300)
 @given(st.binary(max_size=4) | st.sampled_from([b"\0\xff", b"\1"]), VALUES)
 def test_contains_in_bytes(values, wanted):
     expected = any(value == wanted for value in values)

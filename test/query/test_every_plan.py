@@ -12,7 +12,7 @@ import math
 from collections import Counter
 
 import pytest
-from campaign import LENGTH, examples, random_statements
+from suites import CAMPAIGN, FURTHER, examples, random_statements
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,9 +29,9 @@ PLAIN = [(format, plan) for plan in PLANS for format in ("binary", "json")]
 one way or another is taken."""
 PACKED = [("packed", plan) for plan in ("client", "filter", "auto")]
 """In blocks a filter has their zones, and auto as much as any."""
-LEAST = math.ceil(2000 / len(KINDS)) if LENGTH else 1
+LEAST = math.ceil(2000 / len(KINDS)) if FURTHER else 1
 STATEMENTS = examples(170, LEAST)
-"""Number of statements of each kind; each has a condition. A campaign asks 2,000 in all."""
+"""Number of statements of each kind; each has a condition. make test-all asks 2,000 in all."""
 
 
 def ask(store, statement, params, plan, used):
@@ -55,7 +55,7 @@ IN_EVERY_RUN = ("mixed", "tf")
 
 @pytest.fixture(
     params=[
-        pytest.param(name, marks=[pytest.mark.long] * (name not in IN_EVERY_RUN))
+        pytest.param(name, marks=[pytest.mark.suite("all", "make test asks fewer kinds of messages")] * (name not in IN_EVERY_RUN))
         for name in sorted(KINDS)
     ]
 )
@@ -69,14 +69,14 @@ def stored(request, rosCas):
         yield made
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 # The threads of the driver draw random numbers meanwhile.
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 def test_every_plan_finds_what_python_finds(stored, record_property):
     asker = Asker(stored.kind.types, stored.messages, stored.kind.indexes)
     seen = Counter()
 
-    @random_statements(170, repeatable=LENGTH != "long", least=LEAST)
+    @random_statements(170, repeatable=not CAMPAIGN, least=LEAST)
     @given(asker.statements(), st.integers(0, 2**32))
     def check(statement, seed):
         expected = statement.answer(stored.messages)
@@ -90,7 +90,7 @@ def test_every_plan_finds_what_python_finds(stored, record_property):
 
     check()
     assert seen["conditions"] >= STATEMENTS, seen
-    assert not LENGTH or seen["conditions"] * len(KINDS) >= 2000, seen
+    assert not FURTHER or seen["conditions"] * len(KINDS) >= 2000, seen
     # Many of them find something, and some are the server's to check.
     assert seen["found"] * 6 > seen["conditions"], seen
     assert min(seen["indexed"], seen["filtered"]) * 50 > STATEMENTS, seen
@@ -107,7 +107,7 @@ EDGES = {
 TYPES = Types("edge_msgs/Edge", "float32 f\nfloat64 d\nint8 i\nint64 l\nuint64 u")
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "make test asks fewer kinds of messages")
 def test_every_operator_at_every_edge(rosCas):
     """Few rows, and all pairs of value and operator."""
     header = {"type": TYPES.name, "md5sum": TYPES.md5sum, "message_definition": TYPES.text}

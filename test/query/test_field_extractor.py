@@ -8,7 +8,7 @@ import math
 
 import pytest
 import rosbag
-from campaign import sparing
+from suites import sparing
 from compiled import compiled
 from query.rows import attribute, row_of, table_of
 

@@ -8,7 +8,7 @@ import contextlib
 import uuid
 
 import pytest
-from campaign import LENGTH, sparing
+from suites import FURTHER, sparing
 from conftest import ROOT
 from geometry_msgs.msg import TransformStamped
 from query.brute_force import canonical
@@ -22,7 +22,7 @@ from cassandra_ros.store import reader
 
 SIZES = (1, 7, 5000)
 PAGED = ("auto", "index")
-FORMATS = ("ros", "json") if LENGTH else ("ros",)
+FORMATS = ("ros", "json") if FURTHER else ("ros",)
 KINDS = {"tf": FORMATS, "mixed": FORMATS, "string": ("ros",), "every": FORMATS}
 
 STATEMENTS = [
@@ -103,13 +103,13 @@ def paged(store, statement, size, plan):
             return found
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @pytest.mark.parametrize("statement", sparing(STATEMENTS, kept=STATEMENTS[::2]))
 def test_pages_of_any_size_give_the_same_rows(store, statement):
     whole = rows(store.statements.select(statement, plan="client"))
     assert len(whole) > 7 or "count(" in statement or "= 'yard'" in statement
     ways = [(size, plan) for size in SIZES for plan in PAGED]
-    if not LENGTH:  # each size in one of the plans, which take turns
+    if not FURTHER:  # each size in one of the plans, which take turns
         number = STATEMENTS.index(statement)
         ways = [(size, PAGED[(number + n) % 2]) for n, size in enumerate(SIZES)]
     for size, plan in ways:

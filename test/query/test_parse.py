@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -474,7 +474,7 @@ WORDS = st.sampled_from(
 )
 
 
-@campaign(600)
+@search(600)
 @given(st.lists(WORDS, max_size=25), st.lists(st.integers() | st.text(), max_size=3))
 def test_fuzz_of_words(words, params):
     answers(parse_select, " ".join(words), params)
@@ -484,7 +484,7 @@ def test_fuzz_of_words(words, params):
     answers(parse_condition, "".join(words), params)
 
 
-@campaign(400)
+@search(400)
 @given(st.text())
 def test_fuzz_of_text(text):
     answers(parse_select, text)
@@ -494,7 +494,7 @@ def test_fuzz_of_text(text):
     answers(parse_select, "select a from t where a = '" + text)
 
 
-@campaign(200)
+@search(200)
 @given(st.text(min_size=1), st.text())
 def test_quoted_text_stays_data(name, value):
     quoted = name.replace('"', '""')

@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import pytest
 import rosbag
-from campaign import sparing
+from suites import sparing
 from geometry_msgs.msg import Twist
 from query.brute_force import Types
 from query.kinds import serialized

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import numpy
 import pytest
-from campaign import LENGTH, random_statements, sparing
+from suites import FURTHER, random_statements, sparing
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import WireMaker
@@ -118,7 +118,7 @@ def isKept(select, table, wires):
     return bool(odd and zones.odd) or any(serverKeeps(q, zones, columns) for q in others)
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 @pytest.mark.parametrize("name", sparing(KINDS_HERE, kept=["tf", "mixed", "string"]))
 def test_nothing_that_matches_is_left_out(name, caplog):
@@ -169,7 +169,7 @@ def test_nothing_that_matches_is_left_out(name, caplog):
 
     check()
     # With few statements it may happen that zones leave out no block.
-    assert min(seen["sifted"], seen["matching"], seen["skipped"] if LENGTH else 1) > 0, seen
+    assert min(seen["sifted"], seen["matching"], seen["skipped"] if FURTHER else 1) > 0, seen
 
 
 ZERO_TO_TWO = [0, 1, 2, 0.5, -0.0, True, False, math.nan, math.inf]

@@ -8,7 +8,7 @@ import uuid
 from collections import Counter
 
 import pytest
-from campaign import LENGTH, campaign
+from suites import FURTHER, search
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -205,7 +205,7 @@ def refill(rosCas):
                 topic.addData(make(n), key="at"[n % 2] if name == "/names" else T0 + n, nodeID="a")
 
 
-@campaign(500, suppress_health_check=[HealthCheck.too_slow])
+@search(500, suppress_health_check=[HealthCheck.too_slow])
 @given(st.one_of(statements(), statements(), statements(), BROKEN), st.booleans())
 def fuzz(store, answered, asked, short):
     refill(store)
@@ -222,11 +222,11 @@ def fuzz(store, answered, asked, short):
         answered[word, "some" if rows and rows[0][0] not in (0, None) else "none"] += 1
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 def test_fuzz_of_statements(store):
     answered = Counter()
     fuzz(store, answered)
-    least = 10 if LENGTH else 3
+    least = 10 if FURTHER else 3
     for outcome in ("some", "refused"):  # not all of it was nonsense, and not all was right
         # A search may find few with one outcome, because each example resembles the one before.
         assert answered["select", outcome] + answered["delete", outcome] >= least, answered

@@ -11,7 +11,7 @@ from concurrent.futures import Future
 from functools import partial
 
 import pytest
-from campaign import sparing
+from suites import sparing
 from hypothesis import given
 from hypothesis import strategies as st
 from nodes.children import await_true

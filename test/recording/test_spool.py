@@ -11,7 +11,7 @@ import time
 from concurrent.futures import Future
 
 import pytest
-from campaign import sparing
+from suites import sparing
 from cassandra import Unauthorized
 from nodes.children import await_true
 from nodes.raw_publisher import header_of, message

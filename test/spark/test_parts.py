@@ -10,7 +10,7 @@ import sys
 
 import pyarrow as pa
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker
@@ -112,7 +112,7 @@ def test_parts_are_no_larger_than_asked_for():
     assert len(parts[33]) == 2  # the last of one robot, and the first of the other
 
 
-@campaign(24, suppress_health_check=list(HealthCheck))
+@search(24, suppress_health_check=list(HealthCheck))
 @given(
     seed=st.integers(0, 2**32),
     fmt=st.sampled_from(FORMATS),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Spark itself gets what toArrow gives; only the long campaign installs it (317 MB)."""
+"""Spark itself gets what toArrow gives; only make campaign installs it (317 MB)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import sys
 
 import numpy as np
 import pytest
-from campaign import LENGTH
 from conftest import ROOT
 from geometry_msgs.msg import Vector3
 from messages.random_wire import DefinitionMaker
@@ -27,10 +26,7 @@ from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.spark import topic
 from cassandra_ros.sql.lake import Lake
 
-pytestmark = [
-    pytest.mark.long,
-    pytest.mark.skipif(LENGTH != "long", reason="only make campaign installs Spark"),
-]
+pytestmark = pytest.mark.suite("campaign", "only make campaign installs Spark")
 
 
 PHRASE = "1-2-3-4-5"

@@ -9,7 +9,7 @@ import shutil
 import subprocess
 
 import pytest
-from campaign import campaign
+from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -133,7 +133,7 @@ def test_mcap_recover_takes_a_file_that_was_cut(written, tmp_path):
         assert reader.message_count == 5 * EACH
 
 
-@campaign(300)
+@search(300)
 @given(data=st.data())
 def test_a_damaged_byte_costs_one_chunk_and_is_told(written, tmp_path_factory, data):
     path, messages, _ = written
@@ -165,7 +165,7 @@ def test_damage_before_the_first_chunk_costs_no_message(written, tmp_path):
         assert found == messages, f"byte {at}"
 
 
-@campaign(100)
+@search(100)
 @given(data=st.data())
 def test_a_file_that_ends_anywhere_is_read_up_to_there(written, tmp_path_factory, data):
     path, messages, ends = written

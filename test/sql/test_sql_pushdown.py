@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 import pyarrow
 import pytest
-from campaign import examples
+from suites import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -294,7 +294,7 @@ def rows_of(table):
     return [row for batch in table.to_batches() for row in python_rows(pyarrow, batch)]
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 @settings(
     max_examples=examples(400),
     derandomize=True,

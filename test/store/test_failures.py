@@ -12,7 +12,7 @@ import zlib
 
 import numpy as np
 import pytest
-from campaign import sparing
+from suites import sparing
 from nodes.children import await_true
 from proxy import BATCH, EXECUTE, QUERY, READ_TIMED_OUT, TIMED_OUT, asks_on
 from std_msgs.msg import Header, String, UInt8MultiArray

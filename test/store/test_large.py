@@ -307,7 +307,7 @@ def smallest_server(tmp_path):
         cluster.stop()
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "hundreds of megabytes")
 def test_200_megabytes_after_other_work(smallest_server, bags):
     (server,) = smallest_server.status()
     host, port = server.node.address, smallest_server.settings.port

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
-from campaign import campaign
+from suites import search
 from cassandra.cluster import ResponseFuture
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
@@ -246,7 +246,7 @@ ENTRIES = st.lists(
 )
 
 
-@campaign(40, suppress_health_check=list(HealthCheck))
+@search(40, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), entries=ENTRIES, unit=st.sampled_from([SEC, SEC // 4]))
 def test_small_reads_give_what_a_plain_list_gives(fresh, data, entries, unit):
     with pytest.MonkeyPatch.context() as patch, fresh() as rosCas:

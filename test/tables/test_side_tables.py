@@ -7,7 +7,7 @@ from __future__ import annotations
 import re
 
 import pytest
-from campaign import sparing
+from suites import sparing
 from std_msgs.msg import String
 
 from cassandra_ros.errors import KeyspaceNotFound, TopicNotFound

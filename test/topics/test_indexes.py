@@ -10,7 +10,7 @@ import signal
 import time
 
 import pytest
-from campaign import sparing
+from suites import sparing
 from geometry_msgs.msg import TransformStamped, Vector3
 from sensor_msgs.msg import Image, JointState, PointCloud
 from std_msgs.msg import Float32, Float64, String, UInt8MultiArray

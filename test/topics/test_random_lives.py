@@ -13,7 +13,7 @@ import random
 import genpy
 import pytest
 from bag.truth import string_connection, string_wire
-from campaign import examples
+from suites import examples
 from std_msgs.msg import String
 
 from cassandra_ros.bag.bag_writer import BagWriter
@@ -227,7 +227,7 @@ class Life:
         assert sorted(found) == sorted((e[2],) for e in wanted if e[1] == node), (name, self.log)
 
 
-@pytest.mark.campaign
+@pytest.mark.search
 def test_random_lives_agree_with_the_model(fresh, tmp_path, record_property):
     lives = examples(4)
     for seed in range(lives):

@@ -9,7 +9,7 @@ import struct
 
 import pyarrow as pa
 import pytest
-from campaign import FEW_FORMATS, sparing
+from suites import FEW_FORMATS, sparing
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header, String
 from tf2_msgs.msg import TFMessage

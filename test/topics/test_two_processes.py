@@ -8,7 +8,7 @@ import json
 import time
 
 import pytest
-from campaign import sparing
+from suites import sparing
 from std_msgs.msg import String
 from topics.clients import children
 

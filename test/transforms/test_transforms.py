@@ -13,7 +13,7 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-from campaign import campaign, sparing
+from suites import search, sparing
 from compiled import compiled
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given, settings
@@ -163,7 +163,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("bag", sparing(CASES, kept=["turtlesim_tf.bag"]))
-@campaign(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@search(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_real_robots_at_any_time(stored, bag, data):
     recorded = stored(bag)

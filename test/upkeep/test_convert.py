@@ -113,7 +113,7 @@ def test_progress_counts_what_is_written_and_what_is_compared(rosCas):
     assert told == [(100, 300), (200, 300), (300, 300), (300, 300)]
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "make test converts between fewer formats")
 @pytest.mark.parametrize("target", FORMATS)
 @pytest.mark.parametrize("source", FORMATS)
 def test_each_format_becomes_each_other(rosCas, source, target):
@@ -147,7 +147,7 @@ def test_keys_and_cursors_of_the_old_table_stay_good(rosCas):
     assert rows[0].wire == keys[0][1]
 
 
-@pytest.mark.long
+@pytest.mark.suite("all", "make test converts between fewer formats")
 def test_an_iterator_goes_on_where_its_table_was_dropped(rosCas):
     fill(rosCas, "ros", 1200)
     topic = rosCas.getTopic("/t")

@@ -13,7 +13,7 @@ import threading
 import time
 
 import pytest
-from campaign import LENGTH
+from suites import SUITE
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from upkeep.test_convert import SEC, T0, facts, fill, formats, joint_state, seen
@@ -28,8 +28,8 @@ from cassandra_ros.tables import replacement, schema
 from cassandra_ros.upkeep import conversion as convert
 from cassandra_ros.upkeep import table_copy as copying
 
-TARGETS = {"": ["packed", "ros"], "short": ["binary", "packed", "yaml", "ros"]}
-TARGETS["long"] = TARGETS["short"] * 3
+TARGETS = {"test": ["packed", "ros"], "all": ["binary", "packed", "yaml", "ros"]}
+TARGETS["campaign"] = TARGETS["all"] * 3
 
 
 @pytest.fixture(autouse=True)
@@ -120,7 +120,7 @@ def test_who_reads_sees_each_message_all_the_time_and_once(rosCas, connect, keys
     topic = rosCas.getTopic("/t")
     wanted, keys = seen(topic.rows()), [(row.key, row.wire) for row in topic.rows()]
     with Reading(connect, keyspace, wanted, keys) as reading:
-        for target in TARGETS[LENGTH]:
+        for target in TARGETS[SUITE]:
             assert rosCas.convertTopic("/t", target).messages == 600
             assert not reading.failures
         deadline = time.monotonic() + 180
@@ -128,7 +128,7 @@ def test_who_reads_sees_each_message_all_the_time_and_once(rosCas, connect, keys
             time.sleep(0.1)
     assert not reading.failures
     assert len(reading.rounds) == 5
-    assert formats(rosCas) == [TARGETS[LENGTH][-1]]
+    assert formats(rosCas) == [TARGETS[SUITE][-1]]
 
 
 KILLED = """
@@ -178,7 +178,7 @@ def convert_until(cassandra, keyspace, where, target):
 
 
 @pytest.mark.fault
-@pytest.mark.parametrize("target", [pytest.param("binary", marks=pytest.mark.long), "packed"])
+@pytest.mark.parametrize("target", [pytest.param("binary", marks=pytest.mark.suite("all", "a conversion is killed again and again")), "packed"])
 def test_one_that_is_killed_is_done_again(rosCas, cassandra, keyspace, monkeypatch, target):
     monkeypatch.setattr(convert, "QUIET_SEC", 0.0)
     fill(rosCas, "ros", 150)

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""What belongs to which suite, and how far the searches of each go.
+
+CASSANDRA_ROS_SUITE names the suite; make sets it.
+
+- test (also where it is unset): every promise once.
+- all: that, and what kills, cuts, waits, or starts servers, browsers, installations, other Pythons.
+- campaign: the searches with many examples, each fault ten times, and what the suite test leaves out.
+
+A test without a mark is in test, and so in all. ``suite("all", reason)`` leaves it to make test-all,
+``suite("campaign", reason)`` to make campaign. ``suite("test", reason)`` says why a test that takes
+more than SLOW_SEC is in make test all the same.
+"""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+SUITES = ("test", "all", "campaign")
+SUITE = os.environ.get("CASSANDRA_ROS_SUITE") or "test"
+FURTHER = SUITE != "test"
+"""Whether this is more than make test."""
+CAMPAIGN = SUITE == "campaign"
+SHARES = {"test": 0.15, "all": 0.5, "campaign": 10}
+"""Share of a search's number of examples that is used, by suite."""
+ROUNDS = 10 if CAMPAIGN else 1
+"""How often a test of a fault runs."""
+SLOW_SEC = 3.0
+"""A test of make test that takes longer without a reason is named at the end, s."""
+
+if SUITE not in SUITES:
+    raise pytest.UsageError(f"CASSANDRA_ROS_SUITE={SUITE}: it is one of {', '.join(SUITES)}")
+
+
+FEW_FORMATS = ("ros", "packed")
+"""The formats that make test asks where all formats would take long: one with a column for each
+field, one with many messages in a row. The others keep a message as one value."""
+
+
+def runs(item):
+    """Return whether a test belongs to this run."""
+    mark = item.get_closest_marker("suite")
+    place = "test" if mark is None else mark.args[0]
+    if CAMPAIGN:
+        return place != "test" or any(map(item.get_closest_marker, ("search", "fault")))
+    return SUITES.index(place) <= SUITES.index(SUITE)
+
+
+def sparing(values, kept):
+    """Parametrise with values of which make test asks only those kept, make test-all all."""
+    later = pytest.mark.suite("all", "make test asks others of its kind")
+    parts = [(value if isinstance(value, tuple) else (value,), value in kept) for value in values]
+    return [pytest.param(*part, marks=[later] * (not here)) for part, here in parts]
+
+
+def examples(number, least=1):
+    """Return the number of examples of a search, of which the campaign uses ten times ``number``."""
+    return max(least, round(number * SHARES[SUITE]))
+
+
+def random_statements(number, repeatable=True, least=1):
+    """Return the settings of a search with this number of random statements."""
+    return settings(
+        max_examples=examples(number, least),
+        derandomize=repeatable,
+        deadline=None,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+def search(number, **options):
+    """Make a property test a search, which make campaign takes further; see examples."""
+
+    def decorate(test):
+        limited = settings(max_examples=examples(number), deadline=None, **options)
+        return pytest.mark.search(limited(test))
+
+    return decorate
