@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from suites import FURTHER, ROUNDS, SLOW_SEC, SUITE, runs
 from hypothesis import settings
 from keyspaces import Keyspaces, new_name
 from proxy import Proxy
+from suites import FURTHER, ROUNDS, SLOW_SEC, SUITE, runs
 
 ROOT = Path(__file__).resolve().parent.parent
 WORKSPACE = Path(os.environ.get("CASSANDRA_ROS_TEST_WORKSPACE", ROOT / ".ws"))

@@ -13,9 +13,9 @@ import subprocess
 import sys
 
 import pytest
-from suites import CAMPAIGN
 from conftest import ROOT, SERVER_VARIABLE
 from other_python import command_of_tests, found_pythons, prepare, run
+from suites import CAMPAIGN
 
 SOURCES = ("src", "scripts", "test", "examples", "benchmark", "faults")
 

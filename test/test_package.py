@@ -17,10 +17,10 @@ from urllib.parse import urlsplit
 
 import pytest
 import yaml
-from suites import sparing
 from packageurl.contrib import purl2url
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
+from suites import sparing
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted(path.name for path in (ROOT / "scripts").iterdir())

@@ -11,11 +11,11 @@ from collections import namedtuple
 
 import numpy as np
 import pytest
-from suites import FEW_FORMATS, search, sparing
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import PRIMITIVES, DefinitionMaker, WireMaker, installedTypes
 from query.rows import attribute, plain
+from suites import FEW_FORMATS, search, sparing
 
 from cassandra_ros.arrays import table_values
 from cassandra_ros.arrays.field_arrays import as_arrays, gather_fields

@@ -15,10 +15,10 @@ import lz4.frame
 import pytest
 import zstandard
 from bag.truth import string_connection, string_wire
-from suites import sparing
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
+from suites import sparing
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag import message_file

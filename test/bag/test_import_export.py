@@ -13,10 +13,10 @@ import pytest
 import rosbag
 from bag.test_reader import READABLE
 from bag.truth import STRING_MD5, read_with_rosbag, string_connection, string_wire
-from suites import CAMPAIGN, sparing
 from mcap.writer import Writer
 from nodes.raw_publisher import header_of
 from std_msgs.msg import String
+from suites import CAMPAIGN, sparing
 
 from cassandra_ros import metadata
 from cassandra_ros.bag import exporter
@@ -98,7 +98,12 @@ def in_every_run(name, form):
 @pytest.mark.parametrize(
     ("name", "form"),
     [
-        pytest.param(name, form, marks=[pytest.mark.suite("all", "large bags in their slowest formats")] * (not in_every_run(name, form)))
+        pytest.param(
+            name,
+            form,
+            marks=[pytest.mark.suite("all", "large bags in their slowest formats")]
+            * (not in_every_run(name, form)),
+        )
         for name, form in product(READABLE, FORMATS)
         if (name, form) != ("backpack_multiecho_bz2", "yaml")
     ],

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from bag.test_import_export import counts_agree, stored_rows
 from bag.truth import string_connection, string_wire
-from suites import sparing
 from proxy import BATCH, Proxy
+from suites import sparing
 from topics.test_run_states import age
 
 from cassandra_ros.bag.bag_writer import BagWriter

@@ -9,9 +9,9 @@ from collections import Counter
 
 import pytest
 from bag.mcap_variants import CASES, CHANNELS, CHUNK_INDEX, CHUNKS, PADDING, SCHEMAS, make, variants
-from suites import sparing
 from mcap.reader import NonSeekingReader, SeekingReader
 from mcap.records import Message
+from suites import sparing
 
 from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.importer import import_bag

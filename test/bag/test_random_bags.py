@@ -14,9 +14,9 @@ import random
 import genpy.dynamic
 import pytest
 from bag.truth import read_with_rosbag, string_connection, string_wire
-from suites import FEW_FORMATS, examples, sparing
 from compiled import packed_by_rosbag
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed
+from suites import FEW_FORMATS, examples, sparing
 
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.comparison import verify_bag

@@ -246,7 +246,9 @@ class Counted:
         return self.requests - before[0], self.blocks - before[1]
 
 
-@pytest.mark.parametrize("count", [20_000, pytest.param(10**6, marks=pytest.mark.suite("all", "a million messages"))])
+@pytest.mark.parametrize(
+    "count", [20_000, pytest.param(10**6, marks=pytest.mark.suite("all", "a million messages"))]
+)
 def test_a_lookup_reads_few_of_overlapping_blocks(rosCas, monkeypatch, count):
     """Two writers, whose blocks overlap all the time."""
     step, wire = MS, serialize(String(data="x" * 50))

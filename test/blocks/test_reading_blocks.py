@@ -8,9 +8,9 @@ import itertools
 
 import pytest
 from blocks.stored_blocks import MS, T0, list_blocks, make_table, put_block
-from suites import FURTHER, examples
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from suites import FURTHER, examples
 
 from cassandra_ros.blocks import block_stream as streams
 from cassandra_ros.blocks.block_stream import BucketRead, WaitingRows, stream

@@ -11,8 +11,8 @@ import pytest
 import screenshots
 from browser import patrol
 from browser.looking import pixels
-from suites import sparing
 from std_msgs.msg import Float64
+from suites import sparing
 
 PAGES = {"Home": "/", "Ask": "/ask.html", "Look": "/look.html", "Map": "/map.html"}
 

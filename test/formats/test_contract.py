@@ -13,11 +13,11 @@ from collections import Counter
 
 import pytest
 import rosbag
-from suites import FEW_FORMATS, sparing
 from compiled import packed_by_rosbag
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, installedTypes
+from suites import FEW_FORMATS, sparing
 
 import cassandra_ros.formats
 from cassandra_ros.errors import CorruptMessage, DefinitionError, UnknownFormat

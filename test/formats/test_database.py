@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import pytest
-from suites import FEW_FORMATS, FURTHER, SUITE, examples, sparing
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
+from suites import FEW_FORMATS, FURTHER, SUITE, examples, sparing
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import installed_definition

@@ -9,10 +9,10 @@ import tracemalloc
 from functools import lru_cache
 
 import pytest
-from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
+from suites import search
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.table import FORMATS, format_class

@@ -8,10 +8,10 @@ import re
 import time
 
 import pytest
-from suites import FEW_FORMATS, sparing
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String, UInt8MultiArray
+from suites import FEW_FORMATS, sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.formats.table import FORMATS

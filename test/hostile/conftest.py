@@ -8,8 +8,8 @@ import faulthandler
 import tempfile
 
 import pytest
-from suites import examples
 from hostile.inputs import Inputs
+from suites import examples
 
 
 def pytest_collection_modifyitems(items):

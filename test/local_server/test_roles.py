@@ -12,11 +12,11 @@ import re
 import time
 
 import pytest
-from suites import CAMPAIGN
 from conftest import ROOT
 from local_server import role_actions
 from local_server.role_actions import Fleet, User, cell_of, lacking
 from nodes.children import await_true
+from suites import CAMPAIGN
 
 from cassandra_ros.cli.verbs import VERBS
 from cassandra_ros.nodes import query_node, recorder_services

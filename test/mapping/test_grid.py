@@ -11,11 +11,11 @@ import nav_msgs.msg
 import numpy as np
 import pytest
 import yaml
-from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from suites import search
 
 from cassandra_ros.drawing.map_picture import map_png
 from cassandra_ros.errors import CorruptMessage, InvalidName, InvalidOption

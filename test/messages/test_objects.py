@@ -10,12 +10,12 @@ import struct
 import genpy
 import numpy as np
 import pytest
-from suites import search
 from hypothesis import example, given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header, String
+from suites import search
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError

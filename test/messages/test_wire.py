@@ -6,10 +6,10 @@ import struct
 import tracemalloc
 
 import pytest
-from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker, installedTypes
+from suites import search
 
 from cassandra_ros.errors import CorruptMessage, InvalidExpression
 from cassandra_ros.messages.classes import deserialize, installed_definition, message_class

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import pytest
 import rosbag
-from suites import sparing
 from compiled import compiled
+from suites import sparing
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.definition import parse_definition

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import genpy
 import pytest
-from suites import CAMPAIGN
 from nodes.children import Child, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String, UInt32
+from suites import CAMPAIGN
 
 from cassandra_ros import CassandraRosError, HistorySubscriber
 from cassandra_ros.messages.connection_header import live_connection

@@ -19,7 +19,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from suites import CAMPAIGN
 from geometry_msgs.msg import PointStamped
 from nodes.children import PROGRAMS, Child, await_true, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
@@ -28,6 +27,7 @@ from nodes.test_registration import listed, master  # noqa: F401 - a fixture
 from proxy import Proxy
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, UInt8MultiArray
+from suites import CAMPAIGN
 
 from cassandra_ros.cli.terminal_text import counted
 from cassandra_ros.nodes.publication import MessageKind, Publication

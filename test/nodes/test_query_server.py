@@ -13,11 +13,11 @@ import time
 import uuid
 
 import pytest
-from suites import sparing
 from nodes.children import start_client, start_node
 from nodes.raw_publisher import message
 from sensor_msgs.msg import Image, NavSatFix
 from std_msgs.msg import Int64, String, UInt8MultiArray
+from suites import sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra

@@ -16,11 +16,11 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-from suites import FEW_FORMATS, sparing
 from nodes.children import Child, await_true, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
+from suites import FEW_FORMATS, sparing
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import message_class

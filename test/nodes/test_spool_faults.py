@@ -11,11 +11,11 @@ import threading
 import time
 
 import pytest
-from suites import SUITE
 from nodes.children import await_true, start_client, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of
 from proxy import Proxy
 from std_msgs.msg import UInt64
+from suites import SUITE
 
 from cassandra_ros.tables.registry import LossKind
 

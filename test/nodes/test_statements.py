@@ -12,10 +12,10 @@ from contextlib import contextmanager
 
 import pytest
 import yaml
-from suites import sparing
 from geometry_msgs.msg import TransformStamped
 from nodes.children import start_client, start_node
 from std_msgs.msg import Int64, String
+from suites import sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra

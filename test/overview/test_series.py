@@ -8,11 +8,11 @@ import math
 import struct
 
 import pytest
-from suites import search
 from hypothesis import example, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float64, Header, Int64, String
+from suites import search
 
 from cassandra_ros.arrays.envelope import Grid
 from cassandra_ros.messages.connection_header import api_connection

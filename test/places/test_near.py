@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import rosbag
 import rospy
-from suites import search
 from conftest import ROOT
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given
@@ -20,6 +19,7 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Odometry
 from nodes.children import await_true
 from std_msgs.msg import Int32
+from suites import search
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.bag.importer import import_bag

@@ -8,12 +8,12 @@ import math
 
 import numpy as np
 import pytest
-from suites import search
 from compiled import compiled
 from conftest import ROOT
 from geometry_msgs.msg import PoseStamped
 from hypothesis import given
 from hypothesis import strategies as st
+from suites import search
 from transforms.test_transforms import SEC, T0, Whole, numbers, transform
 
 from cassandra_ros import Stamp

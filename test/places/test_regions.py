@@ -8,9 +8,9 @@ import math
 
 import numpy as np
 import pytest
-from suites import search
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from suites import search
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.places.ground_cells import (

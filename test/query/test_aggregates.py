@@ -8,9 +8,9 @@ import math
 from fractions import Fraction
 
 import pytest
-from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
+from suites import search
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.rows.result_groups import Aggregation

@@ -7,11 +7,11 @@ from __future__ import annotations
 import random
 
 import pytest
-from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
 from query.rows import row_of
 from std_msgs.msg import Int64
+from suites import search
 
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.query.plan.bounds import _united

@@ -13,7 +13,6 @@ from fractions import Fraction
 from types import SimpleNamespace
 
 import pytest
-from suites import search, random_statements
 from geometry_msgs.msg import TransformStamped, Twist
 from hypothesis import given
 from hypothesis import strategies as st
@@ -25,6 +24,7 @@ from query.test_sift import tableOf
 from sensor_msgs.msg import JointState, LaserScan, NavSatFix
 from std_msgs.msg import Bool, Duration, Float64, Float64MultiArray, Header, UInt8MultiArray, UInt64
 from std_msgs.msg import Time as TimeMsg
+from suites import random_statements, search
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp

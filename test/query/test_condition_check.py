@@ -9,7 +9,6 @@ import operator
 import struct
 
 import pytest
-from suites import search
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TransformStamped
 from hypothesis import given, settings
@@ -19,6 +18,7 @@ from sensor_msgs.msg import JointState, LaserScan, NavSatFix
 from std_msgs.msg import Bool, Float32, Float64MultiArray, Int64, String, UInt8MultiArray, UInt64
 from std_msgs.msg import Duration as DurationMsg
 from std_msgs.msg import Time as TimeMsg
+from suites import search
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import Stamp

@@ -12,13 +12,13 @@ import math
 from collections import Counter
 
 import pytest
-from suites import CAMPAIGN, FURTHER, examples, random_statements
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 from query.brute_force import KEY, Leaf, Message, Path, Statement, Types, Value, Writer, canonical
 from query.kinds import KINDS, T0, Stored, serialized
 from query.random_statements import ORDERED, Asker, numbersBeside
+from suites import CAMPAIGN, FURTHER, examples, random_statements
 
 from cassandra_ros.messages.connection_header import live_connection
 
@@ -55,7 +55,11 @@ IN_EVERY_RUN = ("mixed", "tf")
 
 @pytest.fixture(
     params=[
-        pytest.param(name, marks=[pytest.mark.suite("all", "make test asks fewer kinds of messages")] * (name not in IN_EVERY_RUN))
+        pytest.param(
+            name,
+            marks=[pytest.mark.suite("all", "make test asks fewer kinds of messages")]
+            * (name not in IN_EVERY_RUN),
+        )
         for name in sorted(KINDS)
     ]
 )

@@ -8,9 +8,9 @@ import math
 
 import pytest
 import rosbag
-from suites import sparing
 from compiled import compiled
 from query.rows import attribute, row_of, table_of
+from suites import sparing
 
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.query.rows.name_resolution import Findings

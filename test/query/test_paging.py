@@ -8,12 +8,12 @@ import contextlib
 import uuid
 
 import pytest
-from suites import FURTHER, sparing
 from conftest import ROOT
 from geometry_msgs.msg import TransformStamped
 from query.brute_force import canonical
 from query.kinds import T0, Stored
 from std_msgs.msg import String
+from suites import FURTHER, sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra

@@ -7,9 +7,9 @@ from __future__ import annotations
 import time
 
 import pytest
-from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
+from suites import search
 
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.tree.parse import parse_condition, parse_select, parse_statement

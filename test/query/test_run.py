@@ -10,12 +10,12 @@ from fractions import Fraction
 
 import pytest
 import rosbag
-from suites import sparing
 from geometry_msgs.msg import Twist
 from query.brute_force import Types
 from query.kinds import serialized
 from sensor_msgs.msg import NavSatFix
 from std_msgs.msg import Float32, String
+from suites import sparing
 
 from cassandra_ros import RosCassandra, Stamp
 from cassandra_ros.errors import InvalidKey, InvalidQuery

@@ -15,7 +15,6 @@ from types import SimpleNamespace
 
 import numpy
 import pytest
-from suites import FURTHER, random_statements, sparing
 from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import WireMaker
@@ -24,6 +23,7 @@ from query.kinds import KINDS, T0, EdgeMaker, serialized
 from query.random_statements import ORDERED, Asker, numbersBeside
 from query.test_every_plan import EDGES, TYPES
 from query.test_terms import decode, rank
+from suites import FURTHER, random_statements, sparing
 
 from cassandra_ros.blocks.codec import pack_block, unpack_block
 from cassandra_ros.messages.definition import parse_definition

@@ -8,12 +8,12 @@ import uuid
 from collections import Counter
 
 import pytest
-from suites import FURTHER, search
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sensor_msgs.msg import LaserScan, NavSatFix
 from std_msgs.msg import String
+from suites import FURTHER, search
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra

@@ -11,7 +11,6 @@ from concurrent.futures import Future
 from functools import partial
 
 import pytest
-from suites import sparing
 from hypothesis import given
 from hypothesis import strategies as st
 from nodes.children import await_true
@@ -19,6 +18,7 @@ from nodes.raw_publisher import header_of, message
 from proxy import BATCH, Proxy
 from sensor_msgs.msg import Image, Imu
 from std_msgs.msg import Header, String
+from suites import sparing
 from threads import together
 
 from cassandra_ros import RosCassandra

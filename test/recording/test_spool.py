@@ -11,12 +11,12 @@ import time
 from concurrent.futures import Future
 
 import pytest
-from suites import sparing
 from cassandra import Unauthorized
 from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
 from proxy import Proxy
 from std_msgs.msg import String
+from suites import sparing
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import WriteFailed

@@ -10,11 +10,11 @@ import sys
 
 import pyarrow as pa
 import pytest
-from suites import search
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker
 from messages.test_message_stacks import manyWires
+from suites import search
 
 from cassandra_ros import CassandraRosError
 from cassandra_ros.errors import (

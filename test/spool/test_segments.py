@@ -9,9 +9,9 @@ import shutil
 import subprocess
 
 import pytest
-from suites import search
 from hypothesis import given
 from hypothesis import strategies as st
+from suites import search
 
 from cassandra_ros.bag.mcap_format import MAGIC
 from cassandra_ros.bag.mcap_reader import McapReader

@@ -13,9 +13,9 @@ from functools import partial
 import numpy as np
 import pyarrow
 import pytest
-from suites import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from suites import examples
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import SECOND_NS

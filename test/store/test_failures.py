@@ -12,7 +12,6 @@ import zlib
 
 import numpy as np
 import pytest
-from suites import sparing
 from nodes.children import await_true
 from proxy import BATCH, EXECUTE, QUERY, READ_TIMED_OUT, TIMED_OUT, asks_on
 from std_msgs.msg import Header, String, UInt8MultiArray
@@ -25,6 +24,7 @@ from store.text_messages import (
     write,
     write_in_two_parts,
 )
+from suites import sparing
 
 from cassandra_ros.connection import requests as in_flight
 from cassandra_ros.messages.classes import serialize

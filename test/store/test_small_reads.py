@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
-from suites import search
 from cassandra.cluster import ResponseFuture
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from std_msgs.msg import String, UInt32
+from suites import search
 
 from cassandra_ros.keys import Position
 from cassandra_ros.messages.classes import serialize

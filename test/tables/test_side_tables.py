@@ -7,8 +7,8 @@ from __future__ import annotations
 import re
 
 import pytest
-from suites import sparing
 from std_msgs.msg import String
+from suites import sparing
 
 from cassandra_ros.errors import KeyspaceNotFound, TopicNotFound
 from cassandra_ros.tables import side_tables

@@ -10,10 +10,10 @@ import signal
 import time
 
 import pytest
-from suites import sparing
 from geometry_msgs.msg import TransformStamped, Vector3
 from sensor_msgs.msg import Image, JointState, PointCloud
 from std_msgs.msg import Float32, Float64, String, UInt8MultiArray
+from suites import sparing
 from tf2_msgs.msg import TFMessage
 from topics.by_index import by_index, check, directory_rows, filled
 from topics.clients import children

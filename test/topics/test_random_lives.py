@@ -13,8 +13,8 @@ import random
 import genpy
 import pytest
 from bag.truth import string_connection, string_wire
-from suites import examples
 from std_msgs.msg import String
+from suites import examples
 
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag

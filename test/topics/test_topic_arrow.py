@@ -9,9 +9,9 @@ import struct
 
 import pyarrow as pa
 import pytest
-from suites import FEW_FORMATS, sparing
 from geometry_msgs.msg import TransformStamped
 from std_msgs.msg import Header, String
+from suites import FEW_FORMATS, sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.arrays import arrow_batches

@@ -8,8 +8,8 @@ import json
 import time
 
 import pytest
-from suites import sparing
 from std_msgs.msg import String
+from suites import sparing
 from topics.clients import children
 
 from cassandra_ros.messages.connection_header import api_connection

@@ -13,12 +13,12 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-from suites import search, sparing
 from compiled import compiled
 from geometry_msgs.msg import TransformStamped
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from std_msgs.msg import String
+from suites import search, sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra, Stamp
