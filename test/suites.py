@@ -5,11 +5,11 @@
 CASSANDRA_ROS_SUITE names the suite; make sets it.
 
 - test (also where it is unset): every promise once.
-- all: that, and what kills, cuts, waits, or starts servers, browsers, installations, other Pythons.
-- campaign: the searches with many examples, each fault ten times, and what the suite test leaves out.
+- all: that, and what kills, cuts, waits, or starts servers, browsers, other Pythons.
+- campaign: the searches with many examples, each fault ten times, and all that test leaves out.
 
-A test without a mark is in test, and so in all. ``suite("all", reason)`` leaves it to make test-all,
-``suite("campaign", reason)`` to make campaign. ``suite("test", reason)`` says why a test that takes
+A test without a mark is in test, and so in all. ``suite("all", reason)`` leaves it to make
+test-all, ``suite("campaign", reason)`` to make campaign. ``suite("test", reason)`` says why a test that takes
 more than SLOW_SEC is in make test all the same.
 """
 
@@ -58,7 +58,7 @@ def sparing(values, kept):
 
 
 def examples(number, least=1):
-    """Return the number of examples of a search, of which the campaign uses ten times ``number``."""
+    """Return the number of examples of a search; the campaign uses ten times ``number``."""
     return max(least, round(number * SHARES[SUITE]))
 
 

@@ -8,11 +8,11 @@ import struct
 
 import numpy as np
 import pyarrow as pa
-import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker
 from messages.test_message_stacks import manyWires
+from suites import search
 
 from cassandra_ros.arrays.arrow_columns import make_columns
 from cassandra_ros.arrays.arrow_types import adapt, fields_of, unite_schemas
@@ -88,8 +88,7 @@ def same(one, two):
     return one == two
 
 
-@pytest.mark.search
-@settings(deadline=None, max_examples=60)
+@search(120)
 @given(seed=st.integers(0, 2**32))
 def test_columns_hold_what_message_objects_hold(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())
@@ -106,7 +105,7 @@ def test_columns_hold_what_message_objects_hold(seed):
         assert same(dict(zip([field.name for field in fields], row)), expected(message, fields))
 
 
-@settings(deadline=None, max_examples=20)
+@search(40)
 @given(seed=st.integers(0, 2**32))
 def test_some_columns_are_those_of_all(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())

@@ -7,10 +7,11 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker
 from messages.test_message_stacks import manyWires
+from suites import search
 
 from cassandra_ros.arrays import table_values
 from cassandra_ros.arrays.table_values import TableValues
@@ -49,7 +50,7 @@ def same(one, other):
     return one == other
 
 
-@settings(deadline=None, max_examples=40)
+@search(80)
 @given(seed=st.integers(0, 2**32))
 def test_all_at_once_is_one_by_one(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())

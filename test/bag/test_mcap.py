@@ -11,13 +11,14 @@ from time import process_time
 
 import pytest
 from bag.truth import string_connection, string_wire
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_ros1.decoder import DecoderFactory
+from suites import search
 
 from cassandra_ros.bag.file_formats import make_file, open_file
 from cassandra_ros.bag.identity import read_content
@@ -294,7 +295,7 @@ NAMES = st.sampled_from(["callerid", "latching", "x", "type", "topic", "message_
     st.lists(st.tuples(NAMES, st.one_of(TEXTS, st.binary(max_size=6), st.just("1"))), max_size=8),
     st.binary(max_size=9),
 )
-@settings(max_examples=150, deadline=None)
+@search(300)
 def test_any_header_comes_back_to_the_bit(fields, definition):
     """Whatever a publisher writes into its header, in whatever order, twice too."""
     base = {"type": "std_msgs/String", "md5sum": "*", "message_definition": definition}

@@ -10,8 +10,9 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from suites import search
 from threads import together
 
 from cassandra_ros.blocks.block_builder import (
@@ -150,7 +151,7 @@ def test_what_a_killed_import_leaves_is_written_over(steps, stop):
     assert sorted(rows((1, b) for b in store.values())) == sorted(rows(whole.blocks))
 
 
-@settings(max_examples=20)
+@search(40)
 @given(st.lists(st.integers(0, 5), min_size=1, max_size=200), st.integers(1, 4))
 def test_messages_of_several_threads_are_all_there(steps, threads):
     cutter = Cutter()

@@ -9,10 +9,11 @@ import uuid
 
 import pytest
 from geometry_msgs.msg import TransformStamped
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import Image, NavSatFix
 from std_msgs.msg import String
+from suites import search
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
@@ -168,7 +169,7 @@ def satisfies(tree, row):
     return SIGNS[tree[1]](value, tree[2])
 
 
-@settings(max_examples=25, deadline=None)
+@search(50)
 @given(CONDITIONS)
 def test_any_condition_deletes_what_it_selects(kept, tree):
     if len(kept.left) < 20:

@@ -11,12 +11,13 @@ import socket
 
 import pytest
 from geometry_msgs.msg import Twist
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from nodes.children import await_true
 from proxy import Proxy
 from sensor_msgs.msg import Image
 from std_msgs.msg import String
+from suites import search
 
 from cassandra_ros import Fleet
 from cassandra_ros.bag.fleet_export import export_fleet
@@ -128,8 +129,7 @@ ROBOTS = st.sampled_from([None, "", "husky", "nobody"])
 WHERE = st.sampled_from([None, "linear.x > 3", "linear.y < 50.0 AND NODE = 'husky'", "RUN = '7'"])
 
 
-@pytest.mark.search
-@settings(max_examples=100)
+@search(200)
 @given(topic=TOPICS, low=TIMES, high=TIMES, limit=LIMITS, robot=ROBOTS, where=WHERE, data=st.data())
 def test_a_fleet_answers_like_one_store_with_all_messages(
     mixed, topic, low, high, limit, robot, where, data
@@ -161,8 +161,7 @@ STATEMENTS = [
 ]
 
 
-@pytest.mark.search
-@settings(max_examples=100)
+@search(200)
 @given(
     statement=st.sampled_from(STATEMENTS),
     topic=TOPICS,

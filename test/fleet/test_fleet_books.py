@@ -9,10 +9,11 @@ import itertools
 
 import pytest
 from fleet.test_fleet import SEC, T0, place, plain, twist, write
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from proxy import Proxy
 from sensor_msgs.msg import Image
+from suites import search
 
 from cassandra_ros import Fleet
 from cassandra_ros.copying.replicator import Replicator
@@ -110,8 +111,7 @@ def facts(fleet, topic):
     return [[getattr(info, name) for name in names] for info in fleet.info([topic])]
 
 
-@pytest.mark.search
-@settings(max_examples=25)
+@search(50)
 @given(
     formats=st.fixed_dictionaries({"husky": PACKING, "jackal": PACKING}),
     actions=st.lists(ACTIONS, min_size=3, max_size=9),

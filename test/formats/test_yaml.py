@@ -14,6 +14,7 @@ from formats.storages import check_kept_beside, check_refused, storage_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, WireMaker, installedTypes
+from suites import search
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.formats.yaml import CassandraTopic_yaml
@@ -230,7 +231,7 @@ def checkTree(tree):
     return said, text
 
 
-@settings(deadline=None, max_examples=300)
+@search(600)
 @given(tree=trees)
 def test_random_trees_are_read_as_they_were_written(tree):
     checkTree(tree)

@@ -7,8 +7,9 @@ from __future__ import annotations
 from random import Random
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
+from suites import search
 
 from cassandra_ros.history.alignment import Mark, digest_of, first_live
 
@@ -38,7 +39,7 @@ def heard(draw):
     return stored[first:end], live[begin:], first, begin, end
 
 
-@settings(max_examples=50)
+@search(100)
 @given(heard())
 def test_the_stored_ones_before_it_and_the_live_ones_are_each_once(case):
     stored, live, first, begin, end = case

@@ -11,10 +11,11 @@ import pytest
 import rosbag
 import rospy
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker
 from std_msgs.msg import Header, String
+from suites import search
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages import classes
@@ -77,7 +78,7 @@ def test_classes_are_made_once_by_many_threads():
     assert made[0] is made[1]
 
 
-@settings(deadline=None, max_examples=60)
+@search(120)
 @given(st.integers(0, 2**32))
 def test_generated_classes_read_and_write_what_genpy_can_hold(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())

@@ -9,9 +9,10 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker
+from suites import search
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition, message_class, serialize
@@ -64,7 +65,7 @@ def checkStack(definition, stack, wires):
             assert sameNumbers(found, each if column.is_list else [each])
 
 
-@settings(deadline=None, max_examples=60)
+@search(120)
 @given(seed=SEEDS)
 def test_stacked_fields_are_those_of_each_message(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())
@@ -94,7 +95,7 @@ def bound(zones, table, name, prefix, column):
     return None if raw is None else compile_decoder(column, {})(raw)
 
 
-@settings(deadline=None, max_examples=100)
+@search(200)
 @given(seed=SEEDS, ordered=st.booleans())
 def test_zones_bound_every_value(seed, ordered):
     definition = parse_definition(*DefinitionMaker(seed).make())
@@ -213,7 +214,7 @@ def test_a_large_message_of_many_lengths_is_left_to_who_skips_them():
 
 
 @given(SEEDS, SEEDS)
-@settings(deadline=None, max_examples=60)
+@search(120)
 def test_what_messages_begin_with_is_found_in_those_of_any_size(kind, seed):
     definition = parse_definition(*DefinitionMaker(kind).make())
     wires = manyWires(definition, seed)

@@ -9,10 +9,11 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker
 from messages.test_message_stacks import manyWires
+from suites import search
 
 from cassandra_ros.errors import CorruptMessage
 from cassandra_ros.messages.classes import installed_definition
@@ -86,7 +87,7 @@ def checkBack(definition, rows, wires):
     return count
 
 
-@settings(deadline=None, max_examples=100)
+@search(200)
 @given(seed=SEEDS)
 def test_rows_are_those_of_each_message(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())
@@ -103,7 +104,7 @@ def test_rows_are_those_of_each_message(seed):
     check(definition, changed)
 
 
-@settings(deadline=None, max_examples=100)
+@search(200)
 @given(seed=SEEDS)
 def test_messages_of_rows_that_somebody_changed_are_those_that_are_built(seed):
     definition = parse_definition(*DefinitionMaker(seed).make())

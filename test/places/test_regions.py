@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from suites import search
 
@@ -100,7 +100,7 @@ def test_every_moment_lies_in_a_cell_that_is_visited(poses, region):
 
 
 @given(POSES, st.integers(1, 10))
-@settings(max_examples=30)
+@search(60)
 def test_parts_of_a_way_have_the_visits_of_the_whole(poses, cut):
     path, open_visits, found = path_of(poses), OpenVisits(), {}
     for part in (slice(0, cut + 1), slice(cut, None)):

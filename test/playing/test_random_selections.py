@@ -10,9 +10,10 @@ from contextlib import ExitStack
 from typing import NamedTuple
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from playing.robots import SEC, T0, Robot, text_of
+from suites import search
 
 from cassandra_ros import Fleet
 from cassandra_ros.errors import InvalidOption, MessageNotFound
@@ -163,7 +164,7 @@ SELECTIONS = st.builds(
 )
 
 
-@settings(max_examples=25)
+@search(50)
 @given(selection=SELECTIONS, at=HALVES)
 def test_what_is_played(recordings, selection, at):
     store, every = recordings

@@ -11,7 +11,7 @@ import struct
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import TransformStamped
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from query.rows import row_of, table_of
 from sensor_msgs.msg import JointState, LaserScan, NavSatFix
@@ -165,7 +165,7 @@ def test_like(text, pattern):
     assert matches(String(text), "data not like ?", [pattern]) is not like(text, pattern)
 
 
-@settings(max_examples=100, deadline=None)
+@search(200)
 @given(st.text(), st.text())
 def test_what_is_in_a_pattern_is_data(text, tail):
     pattern = "".join("_" if c in "%_" else c for c in text)

@@ -9,7 +9,7 @@ from collections import Counter
 
 import pytest
 from geometry_msgs.msg import TransformStamped
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import LaserScan, NavSatFix
 from std_msgs.msg import String
@@ -232,7 +232,7 @@ def test_fuzz_of_statements(store):
         assert answered["select", outcome] + answered["delete", outcome] >= least, answered
 
 
-@settings(max_examples=100, deadline=None)
+@search(200)
 @given(
     st.text() | st.text("'\"%?;-/*()[].,=<> aKEY0\n"),
     st.lists(st.one_of(*PARAMETERS.values()), max_size=2),

@@ -9,8 +9,9 @@ import time
 
 import pytest
 from bag.truth import string_connection, string_wire
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from suites import search
 
 from cassandra_ros.tables.directory import CLOCKS_SEC, ActiveEntry, BucketTotals, Directory, slot_of
 
@@ -123,7 +124,7 @@ class Fleet:
 
 
 @pytest.mark.parametrize("form", FORMATS)
-@settings(max_examples=10, suppress_health_check=list(HealthCheck))
+@search(20, suppress_health_check=list(HealthCheck))
 @given(steps=lives)
 def test_reads_of_many_robots_equal_a_plain_list(rosCas, connect, form, steps):
     fleet = Fleet(rosCas, form)

@@ -15,7 +15,7 @@ import pytest
 import rosbag
 from compiled import compiled
 from geometry_msgs.msg import TransformStamped
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from std_msgs.msg import String
 from suites import search, sparing
@@ -548,9 +548,7 @@ def test_the_first_of_equal_stamps_counts(store):
         assert store.same("map", "base", time) is None
 
 
-@settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@search(50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_order_any_parent(shared, data):
     """Few stamps, so that they are often equal, received in any order; one node an example.
