@@ -10,8 +10,9 @@ import tracemalloc
 import lz4.frame
 import pytest
 from bag.truth import string_connection, string_wire
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
+from suites import search
 
 from cassandra_ros.bag import format as bagformat
 from cassandra_ros.bag.bag_reader import BagReader
@@ -19,9 +20,7 @@ from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.message_file import read_in_order
 from cassandra_ros.errors import BagError
 
-MANY = settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+MANY = search(600, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module", params=["none", "bz2", "lz4"])
