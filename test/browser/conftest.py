@@ -22,6 +22,12 @@ from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.viewing.studio import studio_folder, studio_installed
 
 
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if "browser" in item.path.parts:
+            item.add_marker(pytest.mark.suite("all", "it drives a browser"))
+
+
 @pytest.fixture(scope="session")
 def window():
     """The browser of this run."""

@@ -14,10 +14,12 @@ from faults.results import RESULTS, Results
 from faults.table import FAULTS, SHORT, try_fault
 from faults.world import World
 
-SLOW = [name for name, fault in FAULTS.items() if fault.group == "cluster"]
-SLOW += ["disk_full", "copy_target_killed", "copy_source_killed"]
-SLOW += ["home_killed", "robot_store_killed", "home_full"]
-"""Faults of the campaign alone: several servers; requests that time out, and a server stopped."""
+
+def suite_of(fault):
+    """Return the mark of a fault of the table."""
+    if fault.group == "cluster":
+        return pytest.mark.suite("campaign", "three Cassandras, and minutes")
+    return pytest.mark.suite("all", "it kills or cuts something, and waits until all is stored")
 
 
 @pytest.fixture(scope="module")
@@ -26,17 +28,14 @@ def world(tmp_path_factory, ros_env):
         yield made
 
 
-def try_short(world, name):
-    """Try a fault in its short form; each message is accounted for."""
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=suite_of(fault)) for name, fault in FAULTS.items()]
+)
+def test_every_message_is_accounted_for(world, name):
     result = try_fault(world, name, *SHORT, short=True)
     if result.skipped:
         pytest.skip(result.skipped)
     assert result.clean, page.summary(result)
-
-
-@pytest.mark.parametrize("name", [name for name in FAULTS if name not in SLOW])
-def test_every_message_is_accounted_for(world, name):
-    try_short(world, name)
 
 
 def test_a_further_topic_begins_after_each_step():
