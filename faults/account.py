@@ -81,6 +81,7 @@ class Store:
             protocol_version=5,
             execution_profiles={EXEC_PROFILE_DEFAULT: profile},
             connect_timeout=TIMEOUT_SEC,
+            control_connection_timeout=TIMEOUT_SEC,
             schema_metadata_enabled=False,
             token_metadata_enabled=False,
         )
@@ -115,13 +116,16 @@ class Store:
         if metadata["format"] == "packed":
             yield from self._texts_of_blocks(table)
             return
+        column = self._text_column(table)
+        for robot, value in self.select(f'SELECT "_node", "{column}" FROM {self.keyspace}.{table}'):
+            yield StoredText(robot, value if isinstance(value, str) else text_of_wire(value))
+
+    def _text_column(self, table: str) -> str:
         cql = "SELECT column_name FROM system_schema.columns WHERE keyspace_name = %s"
         names = {
             name for (name,) in self.select(f"{cql} AND table_name = %s", self.keyspace, table)
         }
-        column = next((name for name in TEXT_COLUMNS if name in names), "_data")
-        for robot, value in self.select(f'SELECT "_node", "{column}" FROM {self.keyspace}.{table}'):
-            yield StoredText(robot, value if isinstance(value, str) else text_of_wire(value))
+        return next((name for name in TEXT_COLUMNS if name in names), "_data")
 
     def _texts_of_blocks(self, table: str) -> Iterator[StoredText]:
         names = '"_node", "_n", "_gone", "_data"'
@@ -136,15 +140,31 @@ class Store:
         newest = 0
         for name, metadata in self.tables().items():
             if metadata["topic"].startswith(topic):
-                where = f"{self.keyspace}.{name}"
-                keys = list(self.select(f'SELECT DISTINCT "_node", "_bucket" FROM {where}'))
-                last = max((bucket for _, bucket in keys), default=0)
-                for robot, bucket in keys:
-                    if bucket == last:
-                        cql = f'SELECT "_t" FROM {where} WHERE "_node" = %s AND "_bucket" = %s'
-                        rows = self.select(f'{cql} ORDER BY "_t" DESC LIMIT 1', robot, bucket)
-                        newest = max([newest, *(t for (t,) in rows)])
+                newest = max([newest, *(t for (t,) in self._newest_rows(name, '"_t"'))])
         return newest
+
+    def newest_number(self, topic: str) -> int:
+        """Return the number of the last stored message of a topic; -1 if there is none."""
+        numbers = [-1]
+        for name, metadata in self.tables().items():
+            if metadata["topic"] == topic and metadata["format"] == "packed":
+                for count, data in self._newest_rows(name, '"_n", "_data"'):
+                    numbers.append(int(text_of_wire(wires_of_block(data, count)[-1])[:10]))
+            elif metadata["topic"] == topic:
+                for (value,) in self._newest_rows(name, f'"{self._text_column(name)}"'):
+                    text = value if isinstance(value, str) else text_of_wire(value)
+                    numbers.append(int(text[:10]))
+        return max(numbers)
+
+    def _newest_rows(self, table: str, columns: str) -> Iterator[tuple]:
+        """Yield some columns of the row with the maximum key time of each robot, or block."""
+        where = f"{self.keyspace}.{table}"
+        keys = list(self.select(f'SELECT DISTINCT "_node", "_bucket" FROM {where}'))
+        last = max((bucket for _, bucket in keys), default=0)
+        for robot, bucket in keys:
+            if bucket == last:
+                cql = f'SELECT {columns} FROM {where} WHERE "_node" = %s AND "_bucket" = %s'
+                yield from self.select(f'{cql} ORDER BY "_t" DESC LIMIT 1', robot, bucket)
 
     def losses(self, topic: str) -> list[tuple[str, int, int, int]]:
         """Return kind, first and last time (ns), and number of the losses of topics with a prefix.

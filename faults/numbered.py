@@ -56,6 +56,15 @@ def read_log(path: str | Path) -> Iterator[Published]:
                 yield Published(*map(int, line.split()))
 
 
+def published_at(path: str | Path, position: int) -> Published | None:
+    """Return a line of a publisher's log, the first is 0; None if it is not published yet."""
+    if position >= count_published(path):
+        return None
+    with open(path, encoding="ascii") as file:
+        file.seek(position * LINE_BYTES)
+        return Published(*map(int, file.readline().split()))
+
+
 def count_published(path: str | Path) -> int:
     """Return the number of messages that a publisher has published so far."""
     file = Path(path)

@@ -30,6 +30,7 @@ def recorder_killed_with_journal(trial: Trial) -> None:
 def _killed(trial: Trial, form: str, *options: str) -> None:
     recorder, publisher = trial.record("--format", form, *options)
     publisher.await_share(trial.random.uniform(0.2, 0.8))
+    trial.await_current(publisher)
     trial.kills.append(recorder.kill())
     trial.recorder(TOPIC, "--format", form, *options)
     trial.await_normal(trial.kills[0])

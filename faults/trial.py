@@ -18,7 +18,7 @@ from cassandra import DriverException
 from cassandra.cluster import NoHostAvailable
 
 from faults.account import Store
-from faults.numbered import count_published
+from faults.numbered import Published, count_published, published_at
 from faults.world import PROGRAMS, Failed, Program, Server, World, await_true, run_account
 
 START_NS = 1_700_000_000 * 10**9
@@ -26,6 +26,9 @@ START_NS = 1_700_000_000 * 10**9
 BAG_HZ = 1000
 TOPIC = "/numbered"
 VERB_SEC = 900.0
+CURRENT_SEC = 1.5
+"""Maximum age of the first message that a recorder which is not behind has not stored yet, s. It is
+less than what the account takes for in flight."""
 
 
 class Skipped(Exception):
@@ -236,6 +239,20 @@ class Trial:
         )
         self.result.normal_sec = round((time.time_ns() - since) / 1e9, 1)
 
+    def await_current(self, publisher: Publisher) -> None:
+        """Wait until what a publisher sent a moment ago is stored: a busy machine is behind."""
+
+        def current() -> bool:
+            try:
+                with self.store() as store:
+                    newest = store.newest_number(TOPIC)
+            except (NoHostAvailable, DriverException):
+                return False
+            missing = publisher.line(newest + 1)
+            return missing is None or time.time_ns() - missing.time_ns < CURRENT_SEC * 1e9
+
+        await_true("what was published a moment ago is stored", current, VERB_SEC)
+
     def await_newer(self) -> None:
         """Wait until a message is stored that is later than all that are stored now."""
         newest = self._newest_ns()
@@ -348,3 +365,7 @@ class Publisher:
     def published(self) -> int:
         """Number of messages published so far."""
         return count_published(self._log)
+
+    def line(self, position: int) -> Published | None:
+        """Return a line of its log, the first is 0; None if that is not published yet."""
+        return published_at(self._log, position)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from keyspaces import Keyspaces, new_name
 from proxy import Proxy
 from suites import FURTHER, ROUNDS, SLOW_SEC, SUITE, runs
@@ -131,8 +131,14 @@ def pytest_sessionstart(session):
     )
 
 
-# What needs more examples says so; what needs many is a search, see suites.py.
-settings.register_profile("suite", max_examples=50 if FURTHER else 25, deadline=None)
+# What needs more examples says so; what needs many is a search, see suites.py. On a busy machine
+# examples take long.
+settings.register_profile(
+    "suite",
+    max_examples=50 if FURTHER else 25,
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
 settings.load_profile("suite")
 
 

@@ -9,8 +9,8 @@ CASSANDRA_ROS_SUITE names the suite; make sets it.
 - campaign: the searches with many examples, each fault ten times, and all that test leaves out.
 
 A test without a mark is in test, and so in all. ``suite("all", reason)`` leaves it to make
-test-all, ``suite("campaign", reason)`` to make campaign. ``suite("test", reason)`` says why a test that takes
-more than SLOW_SEC is in make test all the same.
+test-all, ``suite("campaign", reason)`` to make campaign. ``suite("test", reason)`` says why a test
+that takes more than SLOW_SEC is in make test all the same.
 """
 
 from __future__ import annotations
@@ -75,9 +75,12 @@ def random_statements(number, repeatable=True, least=1):
 
 def search(number, **options):
     """Make a property test a search, which make campaign takes further; see examples."""
+    # On a busy machine examples take long.
+    checks = {HealthCheck.too_slow, *options.pop("suppress_health_check", ())}
+    options.update(suppress_health_check=list(checks), deadline=None)
 
     def decorate(test):
-        limited = settings(max_examples=examples(number), deadline=None, **options)
+        limited = settings(max_examples=examples(number), **options)
         return pytest.mark.search(limited(test))
 
     return decorate

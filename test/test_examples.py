@@ -171,6 +171,7 @@ def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
     assert done.stdout.partition("replay:")[0] in (ROOT / "doc/examples.md").read_text()
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore):
     compiled("tf2_py")
     rosCas.connectToKeyspace(keyspace + "_again")

@@ -62,6 +62,7 @@ def copy(tmp_path):
     return target
 
 
+@pytest.mark.suite("all", "it installs the package")
 def test_a_wheel_is_built_and_installed_beside_ros(copy, tmp_path):
     env = plain_env()
     build = [sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation"]
@@ -81,6 +82,7 @@ def test_a_wheel_is_built_and_installed_beside_ros(copy, tmp_path):
     assert run(["cassandra_bag", "--version"], env, tmp_path).startswith("cassandra_bag ")
 
 
+@pytest.mark.suite("all", "it installs the package")
 def test_catkin_make_install(copy, tmp_path):
     env = plain_env()
     run(["catkin_make", f"-DPYTHON_EXECUTABLE={sys.executable}", "install"], env, tmp_path)

@@ -106,6 +106,7 @@ def test_without_root_and_sudo_it_prints_the_one_command(tmp_path):
     assert not [word for word in ("openjdk", "maven", "chromium") if word in commands[0]]
 
 
+@pytest.mark.suite("all", "it installs packages")
 def test_without_root_what_only_tests_need_is_named_in_one_line(tmp_path):
     folder = checkout(tmp_path / "checkout")
     # The next step stops: it installs what no file names.

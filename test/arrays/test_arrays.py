@@ -486,6 +486,7 @@ class Many:
             yield Row(self.table, wire_of(n << 20, [n] * 4, n), n)
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
 def test_no_python_object_is_kept_for_a_number(fmt, monkeypatch):
     """An int or float takes 24 bytes, and 8 more in a list; here it is its own 4 or 8."""

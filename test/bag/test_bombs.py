@@ -181,6 +181,7 @@ def test_a_bomb_is_refused_in_little_memory(tmp_path, bomb):
     assert peak < (500 if "many" in bomb else 250), "MiB"
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 @pytest.mark.parametrize("bomb", sparing(["bag bz2", "mcap zstd", "bag many"], ["mcap zstd"]))
 def test_a_file_that_the_user_trusts_is_read(tmp_path, bomb):
     count, nbytes, _, error = read_in_process(BOMBS[bomb](tmp_path / "a"), large=True)
@@ -221,6 +222,7 @@ def test_millions_of_tiny_messages_come_in_parts(tmp_path):
     assert all(len(batch.times) == len(batch.wires) for batch in batches)
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 @pytest.mark.parametrize("compression", sparing(["none", "bz2", "lz4"], ["lz4"]))
 def test_a_large_message_is_no_bomb(tmp_path, compression):
     """rosbag closes a chunk after the message that fills it: a cloud of 200 MB makes one chunk."""

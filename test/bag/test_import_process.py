@@ -71,6 +71,7 @@ def write_bag(path, count, size, topics=4):
     return path
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 def test_an_import_that_was_killed_is_completed_by_the_next(
     rosCas, cassandra, keyspace, cql, tmp_path
@@ -81,9 +82,9 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
         child = spawn_import(cassandra, keyspace, path, killed_at * count)
         child.communicate(timeout=300)
         assert child.returncode == -signal.SIGKILL
+        (run,) = rosCas.runs()  # at once: after a minute it is taken for interrupted
         part = sum(counts_agree(rosCas, cql).values())
         assert 0 < part < count
-        (run,) = rosCas.runs()
         assert (run.state, sum(run.stored.values()), run.ended) == ("recording", part, None)
         assert not verify_bag(rosCas, path).equal
     age(cql, keyspace)
@@ -148,6 +149,7 @@ def start_import(proxy, keyspace, path, *options):
     )
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.parametrize(
     "signal_number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGTERM])
 )
@@ -173,6 +175,7 @@ def test_a_signal_ends_an_import_and_the_next_completes_it(
     assert sum(counts_agree(rosCas, cql).values()) == 60_000
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.parametrize("signal_number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.fault
 def test_the_first_signal_ends_an_import_whose_store_is_silent(

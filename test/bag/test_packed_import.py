@@ -85,6 +85,7 @@ def test_a_repeated_import_ends_in_the_same_rows(rosCas, cql, tmp_path, small_bl
     assert sum(counts_agree(rosCas, cql).values()) == 4000
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 def test_an_import_that_was_killed_is_completed_by_the_next(
     rosCas, cassandra, keyspace, cql, tmp_path

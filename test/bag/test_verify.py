@@ -111,6 +111,7 @@ def test_other_rows_of_the_topic_do_not_matter_for_an_import(rosCas, original, t
     assert report.scope == "the import of this bag"
 
 
+@pytest.mark.suite("test", "promise 1, by the verbs of a person")
 def test_an_import_of_the_exported_bag_is_equal_to_the_original(rosCas, bags, keyspace, tmp_path):
     path = bags / "turtlesim_tf.bag"
     import_bag(rosCas, path)

@@ -10,7 +10,7 @@ import pytest
 from blocks.stored_blocks import MS, T0, list_blocks, make_table, put_block
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from suites import FURTHER, examples
+from suites import examples
 
 from cassandra_ros.blocks import block_stream as streams
 from cassandra_ros.blocks.block_stream import BucketRead, WaitingRows, stream
@@ -207,7 +207,7 @@ def settle_counts(model):
 
 
 # An example takes a tenth of a second: to make a failing one smaller would take minutes.
-@settings(max_examples=examples(80) if FURTHER else 12, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=examples(40), phases=[Phase.explicit, Phase.generate])
 @given(feeds(), st.randoms(use_true_random=False))
 def test_blocks_read_as_a_sorted_list(stored, found, rand):
     with pytest.MonkeyPatch.context() as patch:

@@ -25,7 +25,7 @@ class Studio:
 
     def __init__(self, window):
         self._window = window
-        window.wait_for(f"return {BODY}?.dataset.presence === 'PRESENT'", timeout_sec=120)
+        window.wait_for(f"return {BODY}?.dataset.presence === 'PRESENT'")
 
     def data(self, name):
         """What the page notes of its player: time (ns), messages (so far), playing."""

@@ -15,7 +15,7 @@ def test_pages_name_who_is_missing_and_offer_what_they_can(window, fresh):
     with fresh() as first, fresh() as second:
         fill(first, "/s", range(5))
         fill(second, "/s", range(5, 9))
-        with Fleet([place(first), place(second), away], answer_sec=2.0) as fleet:
+        with Fleet([place(first), place(second), away], answer_sec=60.0) as fleet:
             with running_viewer(fleet) as viewer:
                 window.errors()
                 window.driver.get(viewer.url)

@@ -167,8 +167,9 @@ def test_each_message_comes_once_whatever_breaks_off(show, faults):
 def test_who_goes_elsewhere_does_not_wait(show, faults):
     faults.coming = ["away"] * 9  # it would try again for a minute
     page = show()
-    assert page.run(inside(INTERRUPTED)) == ["AbortError", ["the store is away for a moment"]]
-    assert len(faults.coming) == 8
+    ended, told = page.run(inside(INTERRUPTED))
+    assert (ended, set(told)) == ("AbortError", {"the store is away for a moment"})
+    assert 0 < len(faults.coming) < 9  # it did not try on to the end
     faults.coming.clear()
     page.errors()
 

@@ -134,6 +134,7 @@ def test_indexes_and_which_is_not_finished(call, rosCas, three_topics):
     assert (found["topic"], found["rows_returned"]) == ("/tf", 1)
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_convert_and_roles(call, three_topics):
     status, out, _ = call("convert", "-e", "/cam/.*", "--format", "packed", "--json")
     assert status == 0

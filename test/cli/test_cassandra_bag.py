@@ -82,6 +82,7 @@ def test_export_of_what_satisfies_a_condition(call, tmp_path):
     assert read_with_rosbag(out)[1] == expected
 
 
+@pytest.mark.suite("test", "promise 1, by the verbs of a person")
 def test_the_main_job(type_in, keyspace, bags, tmp_path):
     path = bags / "turtlesim_tf.bag"
     status, out, err = type_in("import", path, "--format", "ros", "__name:=x", "__log:=/tmp/y")
@@ -147,6 +148,7 @@ def test_info_as_yaml(call, bags):
     assert found["runs"][0]["stored"] == {"/array_test": 20}
 
 
+@pytest.mark.suite("test", "a real bag, beside rosbag")
 def test_info_says_what_rosbag_info_says(call, ros_env, bags):
     path = bags / "husky_gps_data.bag"
     assert call("import", path, "-q")[0] == 0

@@ -43,6 +43,7 @@ def press_tab(ros_env, env):
     return run
 
 
+@pytest.mark.suite("all", "it starts many programs")
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
 def test_verbs_options_topics_and_fields(shell, press_tab, call, tmp_path):
     path = tmp_path / "a.bag"

@@ -77,6 +77,7 @@ def unsafe(text):
     return {c for c in text if not (c.isprintable() or c in "\n\t")}
 
 
+@pytest.mark.suite("all", "it types each verb with many names")
 def test_no_verb_prints_what_a_terminal_acts_on(stored, call, keyspace):
     for words in WORDS:
         status, out, err = call(*words, keyspace=stored.keyspace)

@@ -25,6 +25,7 @@ def words(text, first):
     return next(line.split() for line in text.splitlines() if line.split()[:1] == [first])
 
 
+@pytest.mark.suite("test", "promise 1, by the verbs of a person")
 def test_bag_to_mcap_to_bag_loses_nothing(call, keyspaces, bags, tmp_path):
     bag, mcap, again = bags / "turtlesim_tf.bag", tmp_path / "a.mcap", tmp_path / "again.bag"
     assert call("import", bag, "--topics", *TOPICS)[0] == 0

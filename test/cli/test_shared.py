@@ -24,7 +24,7 @@ from cassandra_ros.cli.terminal_text import (
     shown,
 )
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
-from cassandra_ros.connection.outage import Outage
+from cassandra_ros.connection.outage import HURRY_SEC, Outage
 from cassandra_ros.errors import StoreUnavailable
 
 
@@ -154,11 +154,12 @@ def test_a_signal_ends_a_wait_for_a_store_that_is_silent(number):
 
 def test_a_store_that_answers_has_its_time():
     """What is on its way is stored first."""
-    outage, answers = Outage("here"), 0
+    outage, answers, last = Outage("here"), 0, time.monotonic()
     with pytest.raises(KeyboardInterrupt), SafeInterrupt(outage):
         signal.raise_signal(signal.SIGINT)
         while answers < 40:
             time.sleep(0.05)
             outage.answered()
-            answers += 1
-    assert answers == 40
+            answers, last = answers + 1, time.monotonic()
+    # A busy machine may hold up the answers as a silent store does.
+    assert answers == 40 or time.monotonic() - last >= HURRY_SEC

@@ -27,7 +27,7 @@ print("modules", *{name.split(".")[0] for name in sys.modules})
 def modules_after(*words):
     """The modules that a program has imported when it ends."""
     run = [sys.executable, "-c", PROGRAM, *words]
-    done = subprocess.run(run, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(run, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     return set(done.stdout.splitlines()[-1].split())
 

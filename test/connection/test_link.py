@@ -18,6 +18,8 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.recording.recording import Recording
 
+pytestmark = pytest.mark.suite("all", "it kills or cuts something, and waits")
+
 COUNT = 30_000
 HEADER = {
     "type": "std_msgs/String",

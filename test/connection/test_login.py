@@ -18,7 +18,6 @@ from cassandra_ros.connection import login as login_module
 from cassandra_ros.connection.driver_errors import is_busy, is_passing, translate
 from cassandra_ros.connection.login import read_login
 from cassandra_ros.errors import AccessDenied, CertificateRefused, InvalidOption, LoginFailed
-from cassandra_ros.local_server import free_port
 
 PLAIN = "[auth_provider]\nmodule = cassandra.auth\nclassname = PlainTextAuthProvider\n"
 
@@ -160,7 +159,7 @@ def server(certificate, trusted=None):
     if trusted:
         context.load_verify_locations(trusted)
         context.verify_mode = ssl.CERT_REQUIRED
-    with socket.create_server(("127.0.0.1", free_port())) as listener:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
 
         def serve():
             with contextlib.suppress(OSError):

@@ -66,6 +66,7 @@ def test_new_messages_are_copied_until_it_is_paused(rosCas, home, follow):  # no
     assert not follower.problem
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_it_goes_on_after_the_link_was_away(rosCas, home, follow, proxy):  # noqa: F811
     add(rosCas, 1)
     with follow() as follower:

@@ -46,6 +46,8 @@ from cassandra_ros.read import EVERYBODY, Read
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
+PATIENT_SEC = 180.0
+"""Answer time of stores that answer, however busy the machine is."""
 HEIGHTS = "SELECT height FROM image"
 LAYOUTS = [
     [("ros", "packed"), ("packed",), ("binary",)],
@@ -326,8 +328,26 @@ def away(stores, cassandra, proxied):
     """A fleet of two stores, of which the second is behind a proxy, and that store's name."""
     first, second, _ = stores
     name = f"{proxied.host}:{proxied.port}/{second.keyspace}"
-    with Fleet([place(first), name], answer_sec=2.0) as fleet:
+    with Fleet([place(first), name], answer_sec=PATIENT_SEC) as fleet:
         yield first, second, fleet, name
+
+
+def outage_of(fleet, name):
+    """The limits of the connection to a store, which is made first."""
+    (store,) = (each for each in fleet.stores if each.name == name)
+    return store.catalog().keyspace.cassandra.outage
+
+
+def give_up_soon(fleet, name):
+    """Wait for 2 s only for a store that is about to go; the others may be slow."""
+    outage_of(fleet, name).limit_sec = 2.0
+
+
+def connects(fleet, name):
+    try:
+        return bool(outage_of(fleet, name))
+    except ConnectionFailed:
+        return False
 
 
 @pytest.fixture
@@ -365,6 +385,7 @@ def test_a_store_that_is_away_is_named_and_asked_again(away, proxied):
     assert (row.partial, list(row.missing)) == (True, [name])
     proxied.mend()
     assert (fleet.executeCQL("SELECT count(*) FROM s"), fleet.topics().partial) == ([(9,)], False)
+    give_up_soon(fleet, name)
     proxied.freeze()
     answer = fleet.executeCQL("SELECT count(*) FROM s")
     assert (answer, list(answer.missing)) == ([(5,)], [name])
@@ -375,6 +396,10 @@ def test_a_place_that_takes_connections_and_is_silent_is_named(stores):
     with socket.create_server(("127.0.0.1", 0)) as silent:
         name = f"127.0.0.1:{silent.getsockname()[1]}"
         with Fleet([place(stores[0]), name], answer_sec=1.0) as fleet:
+            await_true(lambda: connects(fleet, place(stores[0])))
+            there = outage_of(fleet, place(stores[0]))
+            assert there.limit_sec == 1.0
+            there.limit_sec = PATIENT_SEC
             rows = fleet.rows("a")
             assert (len(list(rows)), list(rows.missing)) == (1, [name])
 
@@ -386,6 +411,7 @@ def test_if_no_store_answers_that_is_an_error(proxied):
             fleet.topics()
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 @pytest.mark.parametrize("end", ["cut", "freeze"])
 def test_a_store_that_goes_in_the_middle_of_a_stream_is_named(away, proxied, end):
@@ -402,6 +428,7 @@ def test_a_store_that_goes_in_the_middle_of_a_stream_is_named(away, proxied, end
         begin = [number_of(next(rows)) for _ in range(1000)]
         assert begin == whole[:1000]
         assert not rows.partial
+        give_up_soon(fleet, name)
         getattr(proxied, end)()
         rest = [number_of(row) for row in rows]
         assert (rows.partial, list(rows.missing)) == (True, [name])
@@ -414,6 +441,7 @@ def test_a_store_that_goes_in_the_middle_of_a_stream_is_named(away, proxied, end
         if end == "freeze":
             proxied.cut()
         proxied.mend()
+        outage_of(fleet, name).limit_sec = PATIENT_SEC
         await_true(lambda: is_whole(fleet.rows("s", limit=1)))  # the driver connects again, later
 
 
@@ -435,15 +463,17 @@ def test_large_messages_come_from_the_store_that_still_answers(stores, proxied):
     first.addTopic("/image").addData(Image(height=6, data=bytes(1 << 20)), key=T0 + 6 * SEC)
     first.catalog.adder.close()
     name = f"{proxied.host}:{proxied.port}/{first.keyspace}"
-    with Fleet([name, place(second)], answer_sec=2.0) as fleet:
+    with Fleet([name, place(second)], answer_sec=PATIENT_SEC) as fleet:
         rows = fleet.rows("image")
         waiting = [next(rows) for _ in range(4)]
+        give_up_soon(fleet, name)
         proxied.cut()
         found = [(row.message().height, row.message().data[0]) for row in (*waiting, *rows)]
         assert found == [(n, n) for n in range(6)]
         assert list(rows.missing) == [name]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 @pytest.mark.parametrize("door", ["items", "statement", "export"])
 def test_messages_that_only_a_store_had_that_went_away_are_counted(stores, proxied, tmp_path, door):
@@ -455,9 +485,14 @@ def test_messages_that_only_a_store_had_that_went_away_are_counted(stores, proxi
     first.catalog.adder.close()
     fill(second, "/s", [0])
     name = f"{proxied.host}:{proxied.port}/{first.keyspace}"
-    with Fleet([name, place(second)], answer_sec=2.0) as fleet:
+    with Fleet([name, place(second)], answer_sec=PATIENT_SEC) as fleet:
+
+        def cut():
+            give_up_soon(fleet, name)
+            proxied.cut()
+
         if door == "export":
-            cuts = iter([proxied.cut])
+            cuts = iter([cut])
             report = export_fleet(
                 fleet,
                 tmp_path / "some.mcap",
@@ -469,7 +504,7 @@ def test_messages_that_only_a_store_had_that_went_away_are_counted(stores, proxi
             reads = {"items": fleet.items("image"), "statement": fleet.iterCQL(HEIGHTS)}
             rows = reads[door]
             next(rows)
-            proxied.cut()
+            cut()
             count, missing = 1 + len(list(rows)), rows.missing
     assert list(missing) == [name]
     # Rows that had not been taken when it went away are not known.

@@ -8,7 +8,7 @@ import contextlib
 import itertools
 
 import pytest
-from fleet.test_fleet import SEC, T0, place, plain, twist, write
+from fleet.test_fleet import PATIENT_SEC, SEC, T0, give_up_soon, place, plain, twist, write
 from hypothesis import given
 from hypothesis import strategies as st
 from proxy import Proxy
@@ -111,7 +111,7 @@ def facts(fleet, topic):
     return [[getattr(info, name) for name in names] for info in fleet.info([topic])]
 
 
-@search(50)
+@search(20)
 @given(
     formats=st.fixed_dictionaries({"husky": PACKING, "jackal": PACKING}),
     actions=st.lists(ACTIONS, min_size=3, max_size=9),
@@ -230,23 +230,26 @@ def shared_robot(stores, proxied):
     def fleet(gone):
         names = {name: place(store) for name, store in stores.items()}
         names[gone] = f"{proxied.host}:{proxied.port}/{stores[gone].keyspace}"
-        with Fleet(list(names.values()), answer_sec=2.0) as made:
+        with Fleet(list(names.values()), answer_sec=PATIENT_SEC) as made:
             yield made, names[gone]
 
     return fleet
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 def test_a_store_that_goes_away_does_not_stop_an_answer(shared_robot, proxied):
     with shared_robot("home") as (fleet, name):
         answer = fleet.rows("x")
         given = [next(answer).node for _ in range(1000)]
+        give_up_soon(fleet, name)
         proxied.cut()
         given += [row.node for row in answer]
         assert (given.count("husky"), given.count("jackal")) == (16, 16)
         assert list(answer.missing) == [name]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 @pytest.mark.parametrize("door", ["count", "info"])
 def test_what_a_store_has_is_counted_if_the_store_that_stands_for_it_goes_away(
@@ -254,12 +257,14 @@ def test_what_a_store_has_is_counted_if_the_store_that_stands_for_it_goes_away(
 ):
     shared = Spared.shared
 
-    def cut(self, *words):
-        proxied.cut()
-        return shared(self, *words)
-
-    monkeypatch.setattr(Spared, "shared", cut)
     with shared_robot("husky") as (fleet, name):
+
+        def cut(self, *words):
+            give_up_soon(fleet, name)
+            proxied.cut()
+            return shared(self, *words)
+
+        monkeypatch.setattr(Spared, "shared", cut)
         if door == "count":
             answer = fleet.executeCQL("SELECT count(*) FROM x")
             assert answer == [(30_016,)]
@@ -334,6 +339,7 @@ def test_the_robot_sends_no_message_for_what_home_has(stores, proxied, door):
     assert sent["LOCAL_QUORUM"] < sent["ONE"] / 5, sent
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 @pytest.mark.parametrize("reverse", [False, True])
 def test_if_home_goes_away_in_the_middle_the_robot_gives_the_rest(stores, proxied, reverse):
@@ -343,10 +349,11 @@ def test_if_home_goes_away_in_the_middle_the_robot_gives_the_rest(stores, proxie
     copy(husky, home, "/s")
     write(jackal, "/s", "ros", [(T0 + SEC // 9, "jackal", 5, 1, twist(1))])
     name = f"{proxied.host}:{proxied.port}/{home.keyspace}"
-    with Fleet([name, place(husky), place(jackal)], answer_sec=2.0) as fleet:
+    with Fleet([name, place(husky), place(jackal)], answer_sec=PATIENT_SEC) as fleet:
         found = fleet.rows("s", reverse=reverse)
         begin = [next(found) for _ in range(1000)]
         assert all(row.stores in ([name], [place(jackal)]) for row in begin)
+        give_up_soon(fleet, name)
         proxied.cut()
         rest = list(found)
         numbers = [row.seq for row in (*begin, *rest) if row.node == "husky"]
@@ -356,6 +363,7 @@ def test_if_home_goes_away_in_the_middle_the_robot_gives_the_rest(stores, proxie
         assert rest[-2].stores == [place(husky)]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 @pytest.mark.parametrize("fault", ["away", "damaged"])
 def test_bytes_that_home_does_not_give_any_more_come_from_the_robot(stores, proxied, cql, fault):
@@ -366,10 +374,11 @@ def test_bytes_that_home_does_not_give_any_more_come_from_the_robot(stores, prox
     husky.catalog.adder.close()
     copy(husky, home, "/image")
     name = f"{proxied.host}:{proxied.port}/{home.keyspace}"
-    with Fleet([name, place(husky)], answer_sec=2.0) as fleet:
+    with Fleet([name, place(husky)], answer_sec=PATIENT_SEC) as fleet:
         rows = list(fleet.rows("image"))
         assert [row.stores for row in rows] == [[name]] * 4
         if fault == "away":
+            give_up_soon(fleet, name)
             proxied.cut()
         else:
             (table,) = home.getTopic("/image").tables

@@ -11,7 +11,18 @@ import subprocess
 import time
 
 import pytest
-from fleet.test_fleet import SEC, T0, fill, messages, place, proxied, write  # noqa: F401
+from fleet.test_fleet import (  # noqa: F401 - proxied is a fixture
+    PATIENT_SEC,
+    SEC,
+    T0,
+    fill,
+    give_up_soon,
+    messages,
+    outage_of,
+    place,
+    proxied,
+    write,
+)
 from geometry_msgs.msg import TransformStamped
 from nodes.children import PROGRAMS, Child, await_true
 from sensor_msgs.msg import Image
@@ -251,6 +262,7 @@ def test_a_topic_that_has_no_common_order_is_named_and_the_others_are_shown(fres
                 assert [problem["topic"] for problem in found["problems"]] == ["/a"]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 def test_a_store_that_does_not_answer_is_in_each_answer(fresh, proxied):  # noqa: F811
     with fresh() as first, fresh() as second:
@@ -267,9 +279,10 @@ def test_a_store_that_does_not_answer_is_in_each_answer(fresh, proxied):  # noqa
             "/api/complete": {"q": "SELECT "},
             "/api/message": {"topic": "/s", "key": str(T0)},
         }
-        with Fleet([place(first), name], answer_sec=2.0) as fleet:
+        with Fleet([place(first), name], answer_sec=PATIENT_SEC) as fleet:
             with running_viewer(fleet, store_pause_sec=0.5) as viewer:
                 assert len(viewer.get("/api/query", **asked["/api/query"])["rows"]) == 11
+                give_up_soon(fleet, name)
                 proxied.freeze()
                 for path, parameters in asked.items():
                     found = viewer.get(path, **parameters)
@@ -299,9 +312,10 @@ def test_a_store_that_answers_again_is_asked_again(fresh, proxied):  # noqa: F81
     with fresh() as first, fresh() as second:
         fill(first, "/s", range(5))
         name = f"{proxied.host}:{proxied.port}/{second.keyspace}"
-        with Fleet([place(first), name], answer_sec=2.0) as fleet:
+        with Fleet([place(first), name], answer_sec=PATIENT_SEC) as fleet:
             viewed = ViewedFleet(fleet, 600.0)
             lost = viewed.begin()
+            give_up_soon(fleet, name)
             proxied.cut()
             lost.each(lost.catalogs, lambda catalog: catalog.keyspace.schema.tables(fresh=True))
             assert list(lost.missing) == [name]
@@ -309,7 +323,8 @@ def test_a_store_that_answers_again_is_asked_again(fresh, proxied):  # noqa: F81
             unasked = viewed.begin()
             assert list(unasked.missing) == [name]
             proxied.mend()
-            await_true(lambda: not FleetAnswer(fleet.stores).missing, 60)
+            outage_of(fleet, name).limit_sec = PATIENT_SEC
+            await_true(lambda: not FleetAnswer(fleet.stores).missing)
             time.sleep(0.1)
             for request, pause_sec in ((unasked, 600.0), (lost, 0.1)):
                 viewed = ViewedFleet(fleet, pause_sec)

@@ -33,7 +33,7 @@ HANG_SEC = 120.0
 """Time after which an input that does not end is taken to hang, s."""
 GROWTH_MB = 200
 """Maximum growth of the memory of this process, and of each watched one, over all inputs, MB."""
-LEAVE_SEC = 30.0
+LEAVE_SEC = 180.0
 """Time that threads and processes of the last inputs have to end, s."""
 _WARM = 0.05
 """Share of the inputs after which the memory is measured first: caches are filled then."""

@@ -108,6 +108,7 @@ def recorder(roscore, cassandra, keyspace, rosCas):
         assert child.end() == 0, child.output
 
 
+@pytest.mark.suite("all", "hundreds of publishers")
 def test_publishers_that_are_recorded(give, roscore, recorder, rosCas):
     process = psutil.Process(recorder.process.pid)
     numbers = iter(range(10**9))

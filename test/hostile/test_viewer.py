@@ -9,6 +9,7 @@ import re
 import socket
 from urllib.parse import quote
 
+import pytest
 from hostile.inputs import Refused
 from hostile.mutate import NUMBERS, changed_bytes, changed_text
 from hostile.test_statements import WORDS, statements
@@ -93,6 +94,7 @@ def viewer_of(store):
         yield viewer
 
 
+@pytest.mark.suite("all", "thousands of requests")
 def test_http_requests(give, fresh):
     with fresh() as store:
         Drive().store(store, ("/tf", "/tf_static", "/odom", "/scan"), "a")

@@ -34,7 +34,8 @@ import sys
 from cassandra.cluster import Cluster
 option, value = sys.argv[1:]
 text = value if option == "-e" else open(value).read()
-with Cluster(["127.0.0.1"], port={port}) as cluster, cluster.connect() as session:
+patience = dict(connect_timeout=180, control_connection_timeout=180)
+with Cluster(["127.0.0.1"], port={port}, **patience) as cluster, cluster.connect() as session:
     for statement in filter(str.strip, (text + "\\n").split(";\\n")):
         session.execute(statement, timeout=300)
 """

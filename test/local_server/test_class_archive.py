@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 import pytest
+from nodes.children import await_true
 
 from cassandra_ros.local_server import LocalCluster, free_port
 from cassandra_ros.local_server.class_archive import make_class_archive, takes_archives
@@ -31,8 +32,8 @@ def uses_archive(cluster):
     """Start the cluster, which has to answer; return whether Java has mapped an archive of ours."""
     cluster.start(die_with_us=True)
     try:
+        await_true(lambda: cluster.status()[0].answers)  # a busy one may take longer than 2 s
         (status,) = cluster.status()
-        assert status.answers
         return "/classes-" in Path(f"/proc/{status.pid}/maps").read_text()
     finally:
         cluster.stop()

@@ -164,6 +164,7 @@ def test_data_survive_stop_and_start(folder):
     assert ask(cluster, "SELECT s FROM k.t")[0].s == "kept"
 
 
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_what_was_acknowledged_survives_kill_9(folder):
     cluster = make(folder)
     ask(cluster, "INSERT INTO k.t (i, s) VALUES (2, 'written last')")
@@ -229,6 +230,7 @@ def segments(cluster):
     return sorted((cluster.nodes[0].directory / "commitlog").glob("*.log"), reverse=True)
 
 
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_it_starts_after_a_write_of_its_commit_log_that_was_cut_short(folder):
     cluster = make(folder)
     cluster.start(die_with_us=True)
@@ -295,6 +297,7 @@ def test_a_table_is_there_or_not_after_kill_9_while_it_was_made(folder):
             assert not ask(cluster, f"SELECT * FROM made.{row.table_name}")
 
 
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_a_taken_port_is_refused_with_its_owner(folder):
     cluster = make(folder)
     cluster.stop()
@@ -457,7 +460,11 @@ def count_on(cluster, number, table):
     host = cluster.settings.address(number)
     profile = ExecutionProfile(WhiteListRoundRobinPolicy([host]), request_timeout=180)
     driver = Cluster(
-        [host], port=cluster.settings.port, execution_profiles={EXEC_PROFILE_DEFAULT: profile}
+        [host],
+        port=cluster.settings.port,
+        execution_profiles={EXEC_PROFILE_DEFAULT: profile},
+        connect_timeout=180,
+        control_connection_timeout=180,
     )
     try:
         asked = SimpleStatement(
@@ -529,7 +536,10 @@ def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch, capsys):
         cluster.repair()
         assert not list(tmp_path.glob("node2/jmx_*"))
         assert count_on(cluster, 2, table) == 20
-        assert local_cassandra.main(["status", "--dir", str(tmp_path)]) == 0
+        await_answers(cluster)
+        capsys.readouterr()
+        words = ["status", "--wait", "180", "--dir", str(tmp_path)]
+        assert local_cassandra.main(words) == 0
         out = capsys.readouterr().out
         assert len(re.findall(r"node \d .* answers, pid \d+, [\d.]+ MB of memory, ", out)) == 3
         assert len(re.findall(r"  keyspaces: robot [\d.]+ [kKM]?B", out)) == 3

@@ -184,8 +184,11 @@ def test_run_lets_clients_go_before_it_stops(env, tmp_path):
         assert "answers at" in process.stdout.readline()
         with socket.create_connection(("127.0.0.1", port)):
             process.send_signal(signal.SIGINT)
+            begun = time.monotonic()
             time.sleep(1.5)
-            assert answers_cql("127.0.0.1", port, timeout_sec=60)
+            # On a machine so busy that the answer comes too late, it has waited as long as it may.
+            answers = answers_cql("127.0.0.1", port, timeout_sec=60)
+            assert answers or time.monotonic() - begun > local_cassandra.CLIENTS_SEC
         assert process.wait(300) == 0
         assert not answers_cql("127.0.0.1", port)
     finally:
@@ -194,6 +197,7 @@ def test_run_lets_clients_go_before_it_stops(env, tmp_path):
         LocalCluster(tmp_path / "cassandra_ros").stop()
 
 
+@pytest.mark.suite("all", "it starts a Cassandra")
 @pytest.mark.parametrize(
     "number", sparing([signal.SIGINT, signal.SIGTERM, signal.SIGKILL], kept=[signal.SIGKILL])
 )

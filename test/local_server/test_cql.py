@@ -27,7 +27,7 @@ def test_who_does_not_speak_cql():
     with server:
         thread = threading.Thread(target=answer)
         thread.start()
-        assert not answers_cql("127.0.0.1", port, timeout_sec=2)
+        assert not answers_cql("127.0.0.1", port, timeout_sec=60)
         thread.join()
     assert not answers_cql("127.0.0.1", port)
 

@@ -10,6 +10,8 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+from nodes.children import await_true
+
 from cassandra_ros.local_server import ports, processes
 
 
@@ -25,7 +27,8 @@ def test_a_port_with_a_listener_is_not_free():
     with server:
         assert not ports.is_free("127.0.0.1", port)
         assert ports.is_free("127.0.0.2", port)
-    assert ports.is_free("127.0.0.1", port)
+    # Another test may listen there for a moment, since the system gives free ports to all.
+    await_true(lambda: ports.is_free("127.0.0.1", port))
 
 
 def test_a_listener_on_all_addresses_counts():
@@ -86,5 +89,5 @@ def test_a_free_port_is_none_that_clients_get():
     low = int(Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()[0])
     for _ in range(20):
         port = ports.free_port()
-        assert ports.is_free("127.0.0.1", port)
+        await_true(lambda: ports.is_free("127.0.0.1", port))  # noqa: B023 - another test may try it
         assert 1024 < port < max(low, 32_768)

@@ -23,6 +23,8 @@ from cassandra_ros.nodes import query_node, recorder_services
 from cassandra_ros.tables.role_grants import ROLES
 from cassandra_ros.viewing.routes import ROUTES
 
+pytestmark = pytest.mark.suite("all", "it starts a Cassandra")
+
 PAGE = ROOT / "doc/login.md"
 BEGIN, END = "<!-- roles:tried -->", "<!-- /roles:tried -->"
 WRITES = "CASSANDRA_ROS_WRITE_ROLES" in os.environ

@@ -38,11 +38,18 @@ from cassandra_ros.local_server.server_security import Security, write_private
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
 
+pytestmark = pytest.mark.suite("all", "it starts a Cassandra")
+
 
 @pytest.fixture(scope="module", autouse=True)
 def first_message(cqlshrc, users):
     with RosCassandra(cqlshrc=cqlshrc, keyspace=KEYSPACE) as ours:
         ours.addTopic("/a").addData(String("first"), key=1)
+
+
+def await_answer(cluster):
+    """Wait until the server answers: a busy one may take longer than status waits."""
+    await_true(lambda: [status.answers for status in cluster.status()] == [True])
 
 
 def test_what_it_writes_is_its_owners_alone(cluster, capsys):
@@ -52,8 +59,9 @@ def test_what_it_writes_is_its_owners_alone(cluster, capsys):
     assert {path.stat().st_mode & 0o777 for path in private} == {0o600}
     # The data are protected, too: a user who could read the files would need no login.
     assert cluster.nodes[0].directory.stat().st_mode & 0o777 == 0o700
-    assert [status.answers for status in cluster.status()] == [True]
-    assert local_cassandra.main(["status", "--dir", str(cluster.directory)]) == 0
+    await_answer(cluster)
+    words = ["status", "--wait", "180", "--dir", str(cluster.directory)]
+    assert local_cassandra.main(words) == 0
     assert f"export CASSANDRA_ROS_CQLSHRC={cluster.security.cqlshrc}" in capsys.readouterr().out
     # Nothing of the passwords is in what every user of the machine can see.
     shown = Path(f"/proc/{cluster.status()[0].pid}/cmdline").read_text()
@@ -129,7 +137,7 @@ def test_it_answers_when_its_user_is_made(cluster, monkeypatch, capsys):
         assert "secrets.json is gone" in capsys.readouterr().out
     finally:
         write_private(kept, text)
-    assert [status.answers for status in cluster.status()] == [True]
+    await_answer(cluster)
     made = []
     monkeypatch.setattr(Security, "ensure_users", lambda self: made.append(self))
     assert not cluster.start()  # one that was cut short may have left it without

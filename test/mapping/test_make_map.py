@@ -350,6 +350,7 @@ def test_a_recorded_map_is_shown_as_it_is(bags, fresh, tmp_path):
     assert np.array_equal(found.cells.ravel(), np.array(message.data, np.int8))
 
 
+@pytest.mark.suite("all", "a drive of a real lidar")
 def test_figure_4_is_drawn_of_a_real_lidar(bags, cassandra, rosCas, ros_env, tmp_path):
     """And of a simulated laser; of both the stamps lie far from the times of reception."""
     words = ("--host", cassandra.host, "--port", str(cassandra.port))

@@ -101,6 +101,12 @@ def await_true(condition, timeout_sec=180):
         time.sleep(0.2)
 
 
+def told(child):
+    """Return the lines of a node but those that a master causes which a busy machine delays."""
+    late = ("the ROS master ", "not all publishers of ")
+    return [line for line in child.lines if not any(text in line for text in late)]
+
+
 def start_node(roscore, name, *arguments, env=()):
     """Start an executable of the package, as rosrun finds it."""
     return Child([PROGRAMS / name, *arguments], {**roscore.env, **dict(env)})

@@ -113,10 +113,12 @@ class RawPublisher:
         self._sockets = every
 
     def close(self):
-        """Unregister and hang up."""
+        """Unregister and hang up; who comes again meanwhile is refused."""
         self._master.unregisterPublisher(self.name, self.topic, self.uri)
-        self.hang_up()
+        with contextlib.suppress(OSError):  # it is shut down already
+            self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
+        self.hang_up()
         self._rpc.shutdown()
         self._rpc.server_close()
 

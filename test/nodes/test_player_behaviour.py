@@ -20,7 +20,7 @@ from types import SimpleNamespace
 
 import pytest
 from geometry_msgs.msg import PointStamped
-from nodes.children import PROGRAMS, Child, await_true, start_node
+from nodes.children import PROGRAMS, Child, await_true, start_client, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from nodes.raw_subscriber import RawSubscriber
 from nodes.test_registration import listed, master  # noqa: F401 - a fixture
@@ -57,6 +57,7 @@ def number(wire):
     return struct.unpack("<i", wire)[0]
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     topic = rosCas.addTopic("/big", format="binary")
     for n in range(40):
@@ -127,6 +128,7 @@ def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):
     assert child.lines[-1] == "played 24 messages of 1 topic"
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_master_that_is_started_anew(master, where, numbers):  # noqa: F811
     options = ("-l", "--wait-for-subscribers")
     with start_node(master, "player", *where, *options) as child, RawSubscriber(
@@ -145,6 +147,18 @@ def test_a_master_that_is_started_anew(master, where, numbers):  # noqa: F811
     assert found == [n % COUNT for n in range(len(found))]  # no message was missed meanwhile
 
 
+def controlling(ns):
+    """A message that lets the replay go on until a second after this time."""
+    late = PointStamped()
+    late.header.stamp.secs, late.header.stamp.nsecs = divmod(ns, SEC)
+    return message(late)
+
+
+def nanoseconds(tick):
+    secs, nsecs = struct.unpack("<II", tick)
+    return secs * SEC + nsecs
+
+
 def test_time_is_published_and_consumers_are_waited_for(roscore, rosCas, where, numbers):
     clock = rosCas.addTopic("/clock", msg_type="rosgraph_msgs/Clock")
     from rosgraph_msgs.msg import Clock
@@ -161,28 +175,30 @@ def test_time_is_published_and_consumers_are_waited_for(roscore, rosCas, where, 
         "-s",
         "0.05",
     )
+    begun = time.monotonic()  # before the first tick
     try:
         with start_node(roscore, "player", *where, *options) as child, RawPublisher(
             roscore.uri, "/control", header_of(PointStamped)
         ) as control, RawSubscriber(roscore.uri, "/clock") as ticks:
             control.await_subscribers()
-            begun = time.monotonic()
             with RawSubscriber(roscore.uri, "/n") as heard:
                 first = [number(heard.read()) for _ in range(10)]
                 for _ in range(3):  # it waits, a second after the stamp that controls it
                     assert child.process.poll() is None
                     stood = ticks.read()
-                late = PointStamped()
-                late.header.stamp.secs = T0 // SEC + 1
-                control.publish(message(late))
+                control.publish(controlling(T0 + 7 * STEP))
+                times = [stood]
+                while nanoseconds(times[-1]) <= T0 + 15 * STEP:  # until it stands again
+                    times.append(ticks.read())
+                control.publish(controlling(T0 + SEC))
                 rest = [number(wire) for wire in heard.rest()]
             assert child.wait() == 0, child.output
-            times = [stood, *ticks.rest()]
+            times += ticks.rest()
             assert len(times) < (time.monotonic() - begun) * 100 + 10
     finally:
         parameters.deleteParam("/test", "/use_sim_time")
     assert first + rest == list(range(1, COUNT))
-    stamps = [secs * SEC + nsecs for secs, nsecs in (struct.unpack("<II", t) for t in times)]
+    stamps = [nanoseconds(tick) for tick in times]
     assert stamps == sorted(stamps)
     assert T0 + STEP <= stamps[0] <= T0 + SEC + 2 * STEP
     assert T0 + 15 * STEP < stamps[-1] <= T0 + COUNT * STEP
@@ -296,16 +312,20 @@ def test_a_store_that_is_away_is_waited_for(roscore, cassandra, rosCas, keyspace
         topic.addData(UInt8MultiArray(data=bytes([n]) * (1 << 20)), key=T0 + n * STEP // 2)
     with Proxy(cassandra.host, cassandra.port) as proxy, ThreadPoolExecutor(1) as pool:
         where = ("--host", proxy.host, "--port", proxy.port, "--keyspace", keyspace)
-        options = ("--read-ahead", "1", "--wait-for-subscribers")
+        # Paused, or a busy machine might have read all before the store is away.
+        options = ("--read-ahead", "1", "--wait-for-subscribers", "--pause")
         with start_node(roscore, "player", *where, *options) as child, RawSubscriber(
             roscore.uri, "/big"
-        ) as heard:
+        ) as heard, start_client(roscore) as client:
+            await_true(lambda: client.call("/player/status")["state"] == "paused")
+            assert client.call("/player/step")["success"]
             found = [heard.read()]
             rest = pool.submit(heard.rest)
             proxy.cut()
+            assert client.call("/player/resume")["success"]
             child.await_line("the store does not answer, the replay waits for it")
             proxy.mend()
-            found += rest.result(120)
+            found += rest.result(180)
             assert child.wait() == 0, child.output
     assert [wire[-1] for wire in found] == list(range(40))
     assert "the replay stood for" in child.output

@@ -13,6 +13,7 @@ import time
 import uuid
 
 import pytest
+from conftest import NO_MASTER
 from nodes.children import start_client, start_node
 from nodes.raw_publisher import message
 from sensor_msgs.msg import Image, NavSatFix
@@ -22,7 +23,6 @@ from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import KeyspaceNotFound
-from cassandra_ros.local_server import free_port
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.tables.registry import Run
 
@@ -446,10 +446,10 @@ def test_a_keyspace_that_a_recorder_makes_later(roscore, cassandra, connect, new
         assert child.end() == 0
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 @pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGINT]))
 def test_it_can_be_interrupted_while_there_is_no_master(roscore, number):
-    uri = ("ROS_MASTER_URI", f"http://127.0.0.1:{free_port()}")
-    with start_node(roscore, "query_server", env=[uri]) as child:
+    with start_node(roscore, "query_server", env=[("ROS_MASTER_URI", NO_MASTER)]) as child:
         child.await_line("Unable to register with master node")
         assert child.end(number) == 130
         assert "Traceback" not in child.output

@@ -8,7 +8,6 @@ import signal
 import struct
 import subprocess
 import sys
-import time
 import xmlrpc.client
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,7 +15,7 @@ from pathlib import Path
 import genpy
 import pytest
 import rosbag
-from nodes.children import Child, await_true, start_node
+from nodes.children import Child, await_true, start_client, start_node, told
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Int32, String
@@ -41,10 +40,30 @@ def publisher(roscore, topic_name, msg_class=String, name="/raw", **fields):
     return RawPublisher(roscore.uri, topic_name, header_of(msg_class, name, **fields), name)
 
 
+def await_stored(rosCas, **counts):
+    """Wait until topics have so many messages, as they are counted."""
+
+    def stored(topic):
+        return sum(info.count for info in rosCas.info() if info.topic == f"/{topic}")
+
+    await_true(lambda: {topic: stored(topic) for topic in counts} == counts)
+
+
+def end(child, topic):
+    """End a recorder that has lost nothing.
+
+    A busy machine may tell it later of a publisher that has come again than its connection ends,
+    which looks broken then: the recorder warns, though nothing is missing.
+    """
+    broken = f"a connection of {topic} was broken" in child.output
+    assert child.end() == broken, child.output
+
+
 PLAYED = "turtlesim_tf.bag"
 RENAMED = {"/rosout": "/turtle/rosout", "/rosout_agg": "/turtle/rosout_agg"}
 
 
+@pytest.mark.suite("test", "promise 1, with a real player")
 @pytest.mark.parametrize("fmt", sparing(["binary", "ros"], kept=["ros"]))
 def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, rosCas, fmt):
     expected = {}
@@ -90,6 +109,7 @@ def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, r
     assert child.lines[-1].split()[1:4] == [str(total + own), str(total + own), "0"]
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_the_end_of_a_burst_is_read(roscore, recorder, rosCas):
     sent = [message(String("x" * 300 + str(n))) for n in range(30_000)]
     child = recorder("/burst")
@@ -98,14 +118,15 @@ def test_the_end_of_a_burst_is_read(roscore, recorder, rosCas):
     first.hang_up()
     with publisher(roscore, "/burst", name="/second") as second:
         second.await_subscribers().publish(text("last"))
-        time.sleep(1.2)
+        await_stored(rosCas, burst=len(sent) + 1)
     first.close()
-    assert child.end() == 0, child.output
+    end(child, "/burst")
     found = wires(rosCas, "/burst")
     found.remove(text("last"))  # may overtake messages in the other connection
     assert found == sent
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_publishers_that_come_at_once(roscore, recorder, rosCas):
     """Each update of the publishers lists all of them; rospy then connects to some twice."""
     child = recorder("/many")
@@ -114,11 +135,11 @@ def test_publishers_that_come_at_once(roscore, recorder, rosCas):
         publishers = list(pool.map(lambda name: publisher(roscore, "/many", name=name), names))
     for one in publishers:
         one.await_subscribers()
-    time.sleep(0.5)
-    assert [len(one._sockets) for one in publishers] == [1] * len(names)
     for n in range(50):
         for one in publishers:
             one.publish(text(f"{one.name} {n}"))
+    await_stored(rosCas, many=50 * len(names))
+    assert [len(one._sockets) for one in publishers] == [1] * len(names)
     for one in publishers:
         one.close()
     assert child.end() == 0, child.output
@@ -129,6 +150,7 @@ def test_publishers_that_come_at_once(roscore, recorder, rosCas):
         assert own == [text(f"{name} {n}") for n in range(50)]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_publisher_that_comes_again_under_its_uri(roscore, recorder, rosCas):
     """rospy still counts as connected while it reads earlier messages."""
     child = recorder("/again")
@@ -140,7 +162,7 @@ def test_a_publisher_that_comes_again_under_its_uri(roscore, recorder, rosCas):
         one._master.registerPublisher(one.name, one.topic, "std_msgs/String", one.uri)
         one.await_subscribers()
     one.close()
-    assert child.end() == 0, child.output
+    end(child, "/again")
     found = wires(rosCas, "/again")
     assert len(found) == 100_000
     for round_ in range(5):  # a new connection may overtake what lies in the old one
@@ -153,7 +175,7 @@ def test_a_header_that_is_not_utf8(roscore, recorder, rosCas):
     definition = b"# angle in \xb0\nstring data\n"
     with publisher(roscore, "/latin", message_definition=definition) as one:
         one.await_subscribers().publish(text(1))
-        time.sleep(0.3)
+        await_stored(rosCas, latin=1)
     assert child.end() == 0, child.output
     (row,) = rosCas.getTopic("/latin").rows()
     assert row.wire == text(1)
@@ -169,7 +191,7 @@ def test_types_that_differ_on_one_topic(roscore, recorder, rosCas):
         for n in range(20):
             s.await_subscribers().publish(text(n))
             i.await_subscribers().publish(message(Int32(n)))
-        time.sleep(0.3)
+        await_stored(rosCas, mixed=40)
     assert child.end() == 0, child.output
     rows = list(rosCas.getTopic("/mixed").rows())
     assert sorted(row.type for row in rows) == ["std_msgs/Int32"] * 20 + ["std_msgs/String"] * 20
@@ -192,7 +214,7 @@ def test_a_publisher_that_changes_its_type(roscore, recorder, rosCas):
         one.await_subscribers().publish(message(Int32(2)))
         other.publish(text(2))
         child.await_line("/changes was stored with type std_msgs/String")
-    assert child.end() == 0, child.output
+    end(child, "/changes")
     rows = list(rosCas.getTopic("/changes").rows())
     assert [(row.type, row.message().data) for row in rows] == [
         ("std_msgs/String", "1"),
@@ -213,7 +235,7 @@ def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
     thing.part.name = "wheel"
     with publisher(roscore, "/lost", **other) as one:
         one.await_subscribers().publish(message(thing))
-        time.sleep(0.3)
+        await_stored(rosCas, lost=1)
     assert child.end() == 0, child.output
     (row,) = rosCas.getTopic("/lost").rows()
     assert (row.type, row.wire, row.table.metadata.format) == (
@@ -235,7 +257,7 @@ def test_headers_without_the_optional_fields(roscore, recorder, rosCas):
     fields = {"callerid": None, "latching": None, "message_definition": None, "topic": None}
     with publisher(roscore, "/bare", **fields) as one:
         one.await_subscribers().publish(text(1))
-        time.sleep(0.3)
+        await_stored(rosCas, bare=1)
     assert child.end() == 0, child.output
     (row,) = rosCas.getTopic("/bare").rows()
     assert (row.wire, row.connection.callerid) == (text(1), "")
@@ -261,7 +283,7 @@ def test_a_hostile_definition_runs_nothing(roscore, recorder, rosCas, tmp_path, 
     ) as good:
         one.await_subscribers().publish(text("evil"))
         good.await_subscribers().publish(text("good"))
-        time.sleep(0.5)
+        await_stored(rosCas, hostile=1, good=1)
     assert child.end() == 0, child.output
     assert "kept as binary" in child.output
     (row,) = rosCas.getTopic("/hostile").rows()
@@ -297,6 +319,7 @@ def test_signals_drain(roscore, recorder, rosCas, number):
     assert "5000" in child.lines[-1]
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_a_message_that_never_comes_to_its_end_is_told(roscore, recorder, rosCas):
     child = recorder("/whole", "/torn")
     with publisher(roscore, "/whole", name="/w") as whole, publisher(
@@ -315,9 +338,14 @@ def test_a_message_that_never_comes_to_its_end_is_told(roscore, recorder, rosCas
 
 def test_rosnode_kill_drains(roscore, recorder, rosCas):
     child = recorder("/killed", "__name:=to_be_killed")
-    with publisher(roscore, "/killed") as one:
+    with publisher(roscore, "/killed") as one, start_client(roscore) as client:
         one.await_subscribers().publish(*[text(n) for n in range(100)])
-        time.sleep(0.5)
+
+        def received():
+            topics = client.call("/to_be_killed/status")["topics"]
+            return sum(each["received"] for each in topics if each["topic"] == "/killed") == 100
+
+        await_true(received)
         killed = subprocess.run(
             ["rosnode", "kill", "/to_be_killed"], env=roscore.env, capture_output=True, check=False
         )
@@ -340,7 +368,7 @@ def test_simulated_time(roscore, recorder, rosCas):
             clock.await_subscribers().publish(*ticks)
             await_true(lambda: {i.topic: i.count for i in rosCas.info()}.get("/clock") == 500)
             one.publish(text("in time"))
-            time.sleep(0.5)
+            await_stored(rosCas, sim=1)
         assert child.end() == 1, child.output
     finally:
         master.deleteParam("/test", "/use_sim_time")
@@ -361,17 +389,19 @@ def test_limit_and_duration(roscore, recorder, rosCas):
     assert wires(rosCas, "/a") == wires(rosCas, "/b") == [text(n) for n in range(3)]
 
 
+@pytest.mark.suite("test", "-a and -x, which look at the master again and again")
 def test_all_and_exclude(roscore, recorder, rosCas):
     with publisher(roscore, "/old", name="/old", latching="1") as old:
         child = recorder("-a", "-x", "/(secret|rosout_agg).*")
         old.await_subscribers().publish(text("old"))
-        with publisher(roscore, "/new/topic", name="/new") as new, publisher(
-            roscore, "/secret/x", name="/secret"
-        ):
+        # In this order: who has found the new topic has seen the secret one, too.
+        with publisher(roscore, "/secret/x", name="/secret") as secret, publisher(
+            roscore, "/new/topic", name="/new"
+        ) as new:
             new.await_subscribers().publish(text("new"))
-            time.sleep(0.5)
             child.await_line("/new/topic")
-    assert child.end() == 0, child.output
+            assert child.end() == 0, child.output
+            assert not secret._sockets
     names = {topic.name for topic in rosCas.getAllTopics()}
     assert {"/old", "/new/topic"} <= names
     assert not any("secret" in name or name == "/rosout_agg" for name in names)
@@ -383,19 +413,19 @@ def test_regular_expressions(roscore, recorder, rosCas):
     ) as info:
         child = recorder("-e", "/cam/[0-9]")
         one.await_subscribers().publish(text(1))
-        time.sleep(0.5)
+        assert child.end() == 0, child.output
         assert not info._sockets
-    assert child.end() == 0, child.output
     assert [topic.name for topic in rosCas.getAllTopics()] == ["/cam/1"]
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_no_name_of_a_living_node_is_taken(roscore, recorder, rosCas):
     first = recorder("/x")
     second = recorder("/x")
     assert "a node /recorder runs already; this one is /recorder_" in second.output
     with publisher(roscore, "/x") as one:
         one.await_subscribers(2).publish(text(1))
-        time.sleep(0.3)
+        await_stored(rosCas, x=2)
     assert (first.end(), second.end()) == (0, 0)
     assert len(wires(rosCas, "/x")) == 2
 
@@ -405,9 +435,10 @@ def test_quiet(roscore, recorder):
         child = recorder("/x", "-q", "--limit", "1", ready="")
         one.await_subscribers().publish(text(1))
         assert child.wait() == 0
-    assert child.output == ""
+    assert told(child) == []
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_a_name_that_nobody_publishes(roscore, recorder):
     """The recorder reports it at once, with a similar name, and at the end with its exit status."""
     with publisher(roscore, "/front/scan") as one:
@@ -472,6 +503,7 @@ def test_scripts_are_thin():
     assert live_connection("/x", {}).header == b""
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_connection_that_breaks_is_made_again(recorder, roscore, rosCas):
     """A network that was away: the publisher goes on, and the master has nothing to tell."""
     with RawPublisher(roscore.uri, "/a", header_of(String)) as publisher, RawPublisher(

@@ -72,7 +72,7 @@ class SlowMaster(ThreadingMixIn, SimpleXMLRPCServer):
     """A proxy of a master that holds back the answer to getSystemState until a node has ended."""
 
     def __init__(self, uri):
-        super().__init__(("127.0.0.1", free_port()), logRequests=False, allow_none=True)
+        super().__init__(("127.0.0.1", 0), logRequests=False, allow_none=True)
         self.uri = f"http://127.0.0.1:{self.server_address[1]}/"
         self.holds, self.asked, self.unregistered = (threading.Event() for _ in range(3))
         self._behind = uri
@@ -107,6 +107,11 @@ def listed_node(master, name):
     return xmlrpc.client.ServerProxy(master.uri).lookupNode("/test", name)[2]
 
 
+AWAY, UNKNOWN = "the ROS master does not answer", "the ROS master does not know this node any more"
+BACK = "the ROS master answers again"
+
+
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
     """New publishers are heard again, services are found, and missed messages are reported."""
@@ -143,8 +148,10 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
         text(n) for n in (1, 2, 3, 4)
     ]
     assert "publishers of /a were not heard" in child.lines[-1]
-    assert child.output.count("the ROS master does not answer") == 1
-    assert child.output.count("the ROS master does not know this node any more") == 1
+    said = [text for line in child.lines for text in (AWAY, UNKNOWN, BACK) if text in line]
+    assert {AWAY, UNKNOWN} <= set(said)
+    # Each time is told once. On a busy machine the master may answer late, and so be away again.
+    assert all(one != other for one, other in zip(said, said[1:])), child.output
     (loss,) = rosCas.catalog.keyspace.registry.losses()
     assert (loss.topic, loss.kind, loss.count) == ("/a", LossKind.UNHEARD, 0)
     assert loss.first_ns < before < loss.last_ns

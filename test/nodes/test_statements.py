@@ -163,6 +163,7 @@ def test_hostile_names_and_values_stay_data(write, store):
     assert store.getTopic("numbers").countTopicData() == 40
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.parametrize("end", sparing([signal.SIGINT, signal.SIGKILL], kept=[signal.SIGKILL]))
 def test_cursors_outlive_the_node(roscore, cassandra, store, client, end):
     topic = store.addTopic("/tf", format="ros")

@@ -24,6 +24,7 @@ def fleet(fresh, request):
         yield rosCas
 
 
+@pytest.mark.suite("all", "it types the whole page")
 def test_the_questions_have_these_answers(fleet, cassandra, monkeypatch, ros_env):
     monkeypatch.setenv("CASSANDRA_ROS_HOST", cassandra.host)
     monkeypatch.setenv("CASSANDRA_ROS_PORT", str(cassandra.port))

@@ -50,6 +50,7 @@ def with_ports(text, cassandra, viewer):
     return text.replace("cassandra_ros viewer\n", f"cassandra_ros viewer --port {viewer}\n")
 
 
+@pytest.mark.suite("all", "it types the whole tutorial")
 def test_every_command_of_the_tutorial_does_what_it_shows(home):
     walk = Walk(home)
     try:

@@ -8,6 +8,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from nodes.children import await_true
 from playing.robots import Robot
 from std_msgs.msg import Int32, String
 
@@ -229,9 +230,7 @@ def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
         PlaySelection(topics=["/gap"]), lambda t: t > T0 and not behind.is_set(), skip_empty=1.0
     )
     run.into.await_count(1)
-    deadline = threading.Event()
-    while run.playback.state != "delayed":
-        assert not deadline.wait(0.01)
+    await_true(lambda: run.playback.state == "delayed")
     assert len(run.into.got) == 1
     behind.set()
     run.playback.wake()
@@ -243,14 +242,12 @@ def test_gaps_are_skipped_and_what_controls_is_waited_for(playing, store):
 def test_a_step_ends_the_wait_for_what_controls(playing):
     behind = threading.Event()
     run = playing(lags=lambda t: t > T0 and not behind.is_set(), rate=1000.0)
-    deadline = threading.Event()
-    while run.playback.state != "delayed":
-        assert not deadline.wait(0.01)
+    await_true(lambda: run.playback.state == "delayed")
     run.playback.pause()
     run.playback.step(1)
     behind.set()
     run.playback.resume()
-    run.thread.join(60)
+    run.thread.join(180)
     assert run.into.numbers == list(range(COUNT))
 
 
@@ -260,7 +257,7 @@ def test_what_is_not_done_in_time_is_told(playing, monkeypatch):
     answers, real = threading.Event(), Stream.messages
 
     def messages(self, t):
-        answers.wait(60)
+        answers.wait(180)
         return real(self, t)
 
     def latched(self, t):
@@ -276,7 +273,7 @@ def test_what_is_not_done_in_time_is_told(playing, monkeypatch):
     with pytest.raises(InvalidOption, match="the replay is not there after"):
         run.playback.seek(T0 + 30 * STEP)
     answers.set()
-    monkeypatch.setattr(playback_module, "COMMAND_SEC", 60.0)
+    monkeypatch.setattr(playback_module, "COMMAND_SEC", 180.0)
     run.playback.step(1)
     assert run.into.numbers == [30]
 
@@ -291,9 +288,7 @@ def test_time_jumps_before_the_first_message_of_a_window(playing):
 def test_it_pauses_before_messages_of_a_topic(playing):
     run = playing(BOTH, rate=1000.0, pause_topics=["/s"])
     run.into.await_count(3)
-    deadline = threading.Event()
-    while run.playback.state != "paused":
-        assert not deadline.wait(0.01)
+    await_true(lambda: run.playback.state == "paused")
     assert "/s" not in {p.topic for p in run.into.got}
     run.playback.resume()
     run.thread.join(180)
@@ -405,7 +400,7 @@ def test_no_more_is_read_ahead_than_the_budget(store):
     assert begun.wait(180)
     got = 0
     with changed:
-        while reader.await_next(60):
+        while reader.await_next(180):
             played = reader.take()
             if played is None:
                 break

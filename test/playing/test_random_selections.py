@@ -164,7 +164,7 @@ SELECTIONS = st.builds(
 )
 
 
-@search(50)
+@search(30)
 @given(selection=SELECTIONS, at=HALVES)
 def test_what_is_played(recordings, selection, at):
     store, every = recordings

@@ -111,6 +111,7 @@ def test_nothing_is_latched_anew_where_nothing_changed(filled):
     ]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_store_that_goes_away_between_what_was_latched_in_a_gap(rosCas, monkeypatch):
     monkeypatch.setattr(read_ahead, "RETRY_SEC", 0.001)
     with Robot(rosCas, 1, "r1") as robot:
@@ -143,7 +144,7 @@ def taken(begin, t):
     changed, found = threading.Condition(), []
     reader = ReadAhead(begin, t, 1 << 20, changed, lambda played, exc: None)
     with changed:
-        while reader.await_next(60):
+        while reader.await_next(180):
             found.append(reader.take())
             if found[-1] is None:
                 return found[:-1]

@@ -182,6 +182,7 @@ sys.exit(status)
 """
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 @pytest.mark.parametrize("form", ["table", "csv", "ndjson", "json"])
 def test_rows_are_written_value_by_value(env, store, tmp_path, form):
     columns = ", ".join(f"data as c{n}" for n in range(100))

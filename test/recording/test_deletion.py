@@ -62,6 +62,12 @@ def recorded(rosCas, connect):
     ended.set()
 
 
+def outages(caplog):
+    """What was told of a store that does not answer, but for a busy server that is late."""
+    told = [text for text in caplog.messages if "has not answered" in text]
+    return [text for text in told if "timed out" not in text and "timeout" not in text]
+
+
 HOW = {
     "removeData": lambda store: store.getTopic("/a").removeData(0, END),
     "delete": lambda store: store.upkeep.delete(["/a"], 0, END)["/a"],
@@ -85,7 +91,7 @@ def test_what_is_told_is_what_is_gone(rosCas, connect, recorded, caplog, form, h
         left = sum(1 for _ in other.getTopic("/a").rows())
     assert told > 1000
     assert told == stored - left
-    assert "has not answered" not in caplog.text
+    assert outages(caplog) == []
 
 
 def test_what_arrives_between_counting_and_deleting_stays(rosCas, connect, cassandra, keyspace):
@@ -130,7 +136,7 @@ def test_a_recorder_says_once_that_its_table_was_replaced(rosCas, connect, recor
     await_true(lambda: recorded.stored() > before + 500)
     recorded.end()
     assert caplog.text.count("removed or replaced by another client") == 1
-    assert "has not answered" not in caplog.text
+    assert outages(caplog) == []
 
 
 @pytest.mark.parametrize("form", ["packed", "ros"])

@@ -10,6 +10,7 @@ import pytest
 from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
+from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
 from std_msgs.msg import Int32
 
@@ -167,8 +168,9 @@ def test_events_wait_for_the_store(rosCas, monkeypatch):
     marks.mark("a", 2 * SEC)
     marks.mark("b", 3 * SEC)
     store.set_result(rosCas.catalog)
-    writer.close()
-    assert [(e.name, e.end_ns) for e in rosCas.events()] == [("a", 2 * SEC), ("b", None)]
+    wanted = [("a", 2 * SEC), ("b", None)]
+    await_true(lambda: [(e.name, e.end_ns) for e in rosCas.events()] == wanted)
+    writer.close()  # waits for some seconds, no more
 
 
 def test_events_that_are_lost_are_told(rosCas, monkeypatch, caplog):

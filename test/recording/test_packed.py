@@ -47,10 +47,11 @@ def test_a_block_is_stored_when_it_is_old(rosCas, cql):
     for n in range(3):
         assert running.received("/a", told, serialize(String(data=f"text {n}")))
     await_true(lambda: running.reports()[0].stored == 3)
-    assert [n for n, *_ in blocks(cql, rosCas, "/a")] == [3]
+    first = [n for n, *_ in blocks(cql, rosCas, "/a")]
+    assert sum(first) == 3  # in one, unless a busy machine took longer for them
     assert running.received("/a", told, serialize(String(data="text 3")))
     await_true(lambda: running.reports()[0].stored == 4)
-    assert [n for n, *_ in blocks(cql, rosCas, "/a")] == [3, 1]
+    assert [n for n, *_ in blocks(cql, rosCas, "/a")] == [*first, 1]
     (report,) = running.close()
     assert (report.received, report.stored, report.lost) == (4, 4, 0)
 
@@ -66,6 +67,7 @@ def test_what_waits_in_blocks_is_stored_at_the_end(rosCas, cql):
     assert (report.received, report.stored, report.lost) == (3000, 3000, 0)
     found = blocks(cql, rosCas, "/imu")
     assert sum(n for n, *_ in found) == 3000
+    assert len(found) < 30
     (table,) = rosCas.catalog.keyspace.tables.of_topic("/imu")
     span_ns = table.metadata.span_ns
     assert 0 < span_ns <= 10**10

@@ -27,7 +27,7 @@ def keeping(future, quota):
     try:
         yield keeper
     finally:
-        keeper.stop(60)
+        keeper.stop(180)
 
 
 def sizes(keeper):
@@ -55,7 +55,8 @@ def test_the_store_is_kept_under_its_size_while_it_grows(rosCas, home, caplog): 
     assert times(rosCas, "/b") == []
     assert len(times(rosCas, "/a")) == len(times(rosCas, "/c")) == 100
     # One warning; a check may have come in the middle of the writing.
-    (warned,) = (record.message for record in caplog.records)
+    # A busy server may be late with an answer, which others warn of.
+    (warned,) = (text for text in caplog.messages if "maximum size" in text)
     assert re.fullmatch(r"messages that no other store has take \d+% of the maximum size", warned)
     assert rosCas.losses() == []
     assert messages(home, "/b") == every

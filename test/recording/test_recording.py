@@ -262,15 +262,19 @@ def test_a_context_is_kept_when_the_store_is_back(rosCas, monkeypatch):
     assert rosCas.runContext(recorder.writer_id).params == {"robot": "husky"}
 
 
-def test_what_is_given_up_is_counted(rosCas):
-    recorder = Recording(rosCas.catalog)
+def test_what_is_given_up_is_counted(far, proxy, rosCas):
+    held = proxy.catch(lambda frame: frame.opcode == BATCH, failed=False).hold()
+    recorder = Recording(far.catalog)
     recorder.received("/text", header_of(String), text(0))
-    (report,) = recorder.abandon()  # before its table was made
+    (report,) = recorder.abandon()
     assert (report.stored, report.reasons) == (0, {LossKind.AT_END: 1})
+    await_true(rosCas.losses)  # the loss is stored meanwhile
     assert [(loss.kind, loss.count) for loss in rosCas.losses()] == [(LossKind.AT_END, 1)]
+    held.release()
     recorder.close()
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 @pytest.mark.parametrize(("failures", "lost"), [(4, 0), (2**31, 1)])
 def test_only_the_end_gives_up(cassandra, keyspace, monkeypatch, failures, lost):
     """A request is retried without limit in the recording, and for a limited time after it."""
@@ -365,7 +369,8 @@ def test_a_topic_that_cannot_have_a_table(rosCas):
 
 
 def test_the_first_second_fixes_the_bucket(rosCas):
-    recorder = Recording(rosCas.catalog)
+    ticks = itertools.count(T0, 10**5)  # ten thousand a second
+    recorder = Recording(rosCas.catalog, clock=ticks.__next__)
     imu = message(Imu())
     header = header_of(Imu)
     for _ in range(6000):
@@ -457,6 +462,7 @@ def test_a_recording_without_messages_ends_without_a_store():
     assert (report.received, report.lost) == (0, 0)
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_topics_with_a_table_go_on_while_that_of_another_cannot_be_made(cassandra, keyspace):
     """Beyond half of the buffer only messages of a topic that gets no table are dropped."""
     held = threading.Event()

@@ -56,9 +56,12 @@ def test_a_split_goes_on_in_a_new_run(rosCas):
     series.begin(labels={"site": "lab"})
     series.received("/map", LATCHED, text("map"))
     sent = [message(String(f"{n:>9}" + "x" * 10_000)) for n in range(30)]
-    for wire in sent:
+    for number, wire in enumerate(sent, 1):
         series.received("/t", HEADER, wire)
         assert not series.poll()
+        runs = min(number // 10, 2) + 1
+        # A run goes on until the store has taken the next one.
+        await_true(lambda runs=runs: not series.poll() and len(begun) == runs)
     series.end()
     assert [run.name for run in begun] == ["drive_0", "drive_1", "drive_2"]
     parts = [stored(rosCas, "/t", run.name) for run in begun]
@@ -148,6 +151,7 @@ def test_a_pause_does_not_push_out_earlier_runs(rosCas, bound):
     assert len(begun) <= 2
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_no_run_begins_while_the_store_is_away(cassandra, keyspace, tmp_path):
     """It could not be deleted in its turn; the one before goes on in the spool."""
     options = {"split": True, "size": 1000, "max_splits": 2, "output_name": "r"}
@@ -215,7 +219,7 @@ def test_what_is_given_up_in_the_end_counts_in_all_runs(refusing):
     series.begin()
     for n in range(2):
         series.received("/t", HEADER, message(String(str(n) * 1000)))
-        series.poll()
+        await_true(lambda n=n: series.poll() or len(begun) == n + 2)
     assert len(begun) == 3
     series.end(lambda: True)
     (report,) = series.reports()

@@ -7,9 +7,12 @@ from __future__ import annotations
 import subprocess
 import time
 
+import pytest
+
 from cassandra_ros.local_server import LocalCluster, free_port
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_rostest_runs_the_launch_file_and_asks_the_services(ros_env, tmp_path):
     folder = tmp_path / "server"
     arguments = [f"port:={free_port()}", f"dir:={folder}"]
@@ -20,7 +23,7 @@ def test_rostest_runs_the_launch_file_and_asks_the_services(ros_env, tmp_path):
             capture_output=True,
             text=True,
             env=ros_env,
-            timeout=400,
+            timeout=900,
         )
         assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-3000:]
         assert "TESTS: 2" in done.stdout

@@ -487,8 +487,8 @@ def test_a_topic_called_like_a_table_needs_its_slash(fresh):
 
 def test_ctrl_c_stops_a_statement(robot):
     timer = threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT))
-    timer.start()
     with pytest.raises(KeyboardInterrupt):
+        timer.start()
         robot.sql(ENDLESS).fetchall()
     timer.join()
 
@@ -530,6 +530,7 @@ def test_duckdb_itself_is_locked(text):
     assert frame_of_this_test.num_rows == 1
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_endless_recursion_ends_at_the_bound(robot, monkeypatch):
     monkeypatch.setattr(duck_database, "SPILL", "1MB")
     inner = "SELECT 1 AS n UNION ALL SELECT n + 1 FROM r"

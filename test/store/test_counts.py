@@ -42,7 +42,7 @@ def counts(rosCas):
     return len(list(topic.rows())), topic.countTopicData(), rosCas.info(["/a"])[0].count
 
 
-def test_a_closed_bucket_of_one_writer_does_not_speak_for_the_other(rosCas):
+def test_a_closed_bucket_of_one_writer_does_not_speak_for_the_other(rosCas, still):
     """One has closed the bucket that both have written to; of the other's rows nothing is known."""
     with rosCas.messageWriter(writer_id=1) as first:
         write(first, range(10))
@@ -281,7 +281,7 @@ def test_rows_that_are_written_while_others_are_deleted_stay(rosCas, around_dele
     assert counts(rosCas) == (6, 6, 6)
 
 
-def test_the_note_of_a_node_outlives_the_rows_that_rely_on_it(rosCas, monkeypatch):
+def test_the_note_of_a_node_outlives_the_rows_that_rely_on_it(rosCas, still, monkeypatch):
     noted, ttl = [], 1000
     add_node = directory.Directory.add_node
 

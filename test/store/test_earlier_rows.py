@@ -19,6 +19,8 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.metadata import SCHEMA_VERSION
 
+pytestmark = pytest.mark.suite("all", "rows of each earlier release")
+
 HERE = Path(__file__).parent
 FOLDERS = [HERE / f"rows_v{version}" for version in range(1, SCHEMA_VERSION + 1)]
 

@@ -110,6 +110,7 @@ def test_a_value_stays_as_long_as_its_row(rosCas, cql):
     assert all(900 < value <= 1900 for row in rows for value in row)
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
     # The rows must live until the index is there, and then soon expire.
     for ttl in (5, 20, 80):
@@ -464,7 +465,7 @@ def watch_a_build(rosCas, monkeypatch, topic, rows):
             made = other.submit(
                 cassandra.schema_change, f"CREATE INDEX {index} USING 'sai'", what="making an index"
             )
-            files.await_builds(names, 60)
+            files.await_builds(names, 600)
             made.result()
     monkeypatch.undo()
     return [look for look in seen if any(look[1].values())]

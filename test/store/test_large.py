@@ -324,8 +324,9 @@ def _chunks(rosCas, host, port):
     # For keys alone the server gathers the whole chunks, the driver's 5000 of them at once: 200 MB
     # in one answer end it with OutOfMemoryError.
     keys = SimpleStatement(f'SELECT "_chunk" FROM robot."{table.name}_c"', fetch_size=8)
-    with Cluster([host], port=port) as cluster:
-        return sum(1 for _ in cluster.connect().execute(keys))
+    patience = {"connect_timeout": 180, "control_connection_timeout": 180}
+    with Cluster([host], port=port, **patience) as cluster:
+        return sum(1 for _ in cluster.connect().execute(keys, timeout=180))
 
 
 def _huge(rosCas, host, port):

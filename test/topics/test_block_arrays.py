@@ -70,6 +70,7 @@ def test_blocks_give_what_their_rows_give(rosCas, monkeypatch):
     assert all(as_blocks)
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_large_messages_that_were_turned_into_arrays_are_let_go(rosCas, monkeypatch):
     definition = definition_of(Header)
     with rosCas.messageWriter(format="packed") as writer:

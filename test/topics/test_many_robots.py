@@ -154,6 +154,7 @@ def place_of(store, fleet):
     return table, store.catalog.keyspace.directory
 
 
+@pytest.mark.suite("all", "rows of an earlier release")
 @pytest.mark.parametrize("form", FORMATS)
 def test_a_table_of_an_earlier_release_is_read_by_robot_until_it_is_repaired(
     rosCas, connect, cql, form

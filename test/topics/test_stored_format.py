@@ -68,13 +68,19 @@ def formats(rosCas):
     return sorted(table.metadata.format for table in rosCas.getTopic("/scan").tables)
 
 
+def said(caplog):
+    """What was said of the topic; of a store that is busy more may be."""
+    texts = [record.getMessage() for record in caplog.records]
+    return [text for text in texts if "/scan" in text]
+
+
 @pytest.mark.parametrize("another", WRITERS)
 def test_unasked_a_topic_stays_in_its_format(rosCas, tmp_path, caplog, another):
     rosCas.addTopic("/scan", "json").addData(String("first"), key=1)
     another(rosCas, tmp_path, None)
     assert formats(rosCas) == ["json"]
     assert len(list(rosCas.getTopic("/scan").items())) == 2
-    assert not caplog.records
+    assert not said(caplog)
 
 
 @pytest.mark.parametrize("another", WRITERS)
@@ -83,8 +89,8 @@ def test_a_format_that_is_named_is_taken_and_said(rosCas, tmp_path, caplog, anot
     another(rosCas, tmp_path, "yaml")
     assert formats(rosCas) == ["json", "yaml"]
     assert len(list(rosCas.getTopic("/scan").items())) == 2
-    (warning,) = caplog.records
-    assert "/scan is stored in format json and goes on in format yaml" in warning.getMessage()
+    (warning,) = said(caplog)
+    assert "/scan is stored in format json and goes on in format yaml" in warning
 
 
 @pytest.mark.parametrize("another", WRITERS)

@@ -137,6 +137,7 @@ with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as store:
 """
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_what_a_killed_client_left_is_completed(rosCas, cassandra, cql):
     rosCas.messageWriter().close()  # makes the side tables
     place = [cassandra.host, str(cassandra.port), rosCas.keyspace, os.path.dirname(__file__)]

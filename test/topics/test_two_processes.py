@@ -18,6 +18,7 @@ from cassandra_ros.messages.definition import definition_of
 SEC = 10**9
 
 
+@pytest.mark.suite("all", "it starts many programs")
 @pytest.mark.fault
 def test_two_processes_make_a_topic_at_once(rosCas, cassandra, keyspace, cql):
     with children(2, cassandra, keyspace) as pair:
@@ -76,6 +77,7 @@ def rows_of_the_last_table(cql, keyspace):
     return name, comment, [tuple(row) for row in found]
 
 
+@pytest.mark.suite("all", "it starts many programs")
 @pytest.mark.parametrize("how", sparing(["addData", "messageWriter"], kept=["messageWriter"]))
 @pytest.mark.fault
 def test_a_writer_goes_on_while_its_topic_is_dropped_and_made_anew(

@@ -279,8 +279,11 @@ def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch)
         handle = writer.connect(api_connection("/t", definition_of(JointState), "/x"))
         stop = threading.Event()
 
+        # So that it is being written to when the conversion begins, however late the thread comes.
+        writer.write(handle, T0, 0, serialize(joint_state(0)))
+
         def write():
-            number = 0
+            number = 1
             while not stop.wait(0.01):
                 writer.write(handle, T0 + number, number, serialize(joint_state(number)))
                 number += 1
@@ -322,6 +325,7 @@ def test_a_table_whose_conversion_was_given_up_takes_messages_again(rosCas, form
     assert [msg.data for _, msg in topic.items()] == ["before", "after"]
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_large_messages_and_bytes_that_are_no_message(rosCas):
     with rosCas.messageWriter(writer_id=9, format="ros") as writer:
         handle = writer.connect(api_connection("/t", definition_of(String), "/x"), bucket_ns=SEC)

@@ -28,6 +28,8 @@ from cassandra_ros.tables import replacement, schema
 from cassandra_ros.upkeep import conversion as convert
 from cassandra_ros.upkeep import table_copy as copying
 
+pytestmark = pytest.mark.suite("all", "other clients read and write while it converts")
+
 TARGETS = {"test": ["packed", "ros"], "all": ["binary", "packed", "yaml", "ros"]}
 TARGETS["campaign"] = TARGETS["all"] * 3
 

@@ -11,8 +11,9 @@ import threading
 import tracemalloc
 
 import pytest
+from nodes.children import await_true
 from viewers import running_viewer
-from viewing.test_handler_threads import MIB, Endless, await_true, route
+from viewing.test_handler_threads import MIB, Endless, route
 
 from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.viewer_settings import Limits
@@ -47,6 +48,19 @@ def is_closed(sock):
         return True
 
 
+def asked_in_time(viewer, begun):
+    """Ask /api/slow until a head has come in time, which a busy machine may delay."""
+    while True:
+        asking = viewer.connect()
+        asking.request("GET", "/api/slow")
+        while not begun.wait(0.2):
+            if is_closed(asking.sock):
+                break
+        else:
+            asking.sock.settimeout(180)
+            return asking
+
+
 def test_who_trickles_a_head_is_disconnected():
     begun, go_on = threading.Event(), threading.Event()
 
@@ -56,9 +70,7 @@ def test_who_trickles_a_head_is_disconnected():
 
     limits = Limits(head_sec=0.3)
     with running_viewer(None, [route("/api/slow", slow)], limits=limits) as viewer:
-        asking = viewer.connect()
-        asking.request("GET", "/api/slow")
-        assert begun.wait(180)
+        asking = asked_in_time(viewer, begun)
         with connected(viewer, 20, b"GET /api/slow HTTP/1.1\r\nHost: 127.0.0.1\r\nX-A: ") as many:
             left = list(many)
 
@@ -144,10 +156,21 @@ def test_answers_that_are_not_read_are_held_within_a_bound():
 
 def test_one_that_does_not_read_gives_back_what_it_held():
     limits = Limits(answers_bytes=len(BIG), stalled_sec=0.5)
-    with running_viewer(None, [route("/big", lambda call: Bytes(BIG))], limits=limits) as viewer:
-        with connected(viewer, head=b"GET /big HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", buffer=4096):
-            await_true(lambda: viewer.ask("/big", method="HEAD").status == 503)
-            await_true(lambda: viewer.ask("/big", method="HEAD").status == 200)
+    head = b"GET /big HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+    with running_viewer(
+        None, [route("/big", lambda call: Bytes(BIG))], limits=limits
+    ) as viewer, contextlib.ExitStack() as clients:
+
+        def status():
+            return viewer.ask("/big", method="HEAD").status
+
+        def is_held():
+            # One more each time: a busy machine may ask when the one before it has given it back.
+            clients.enter_context(connected(viewer, head=head, buffer=4096))
+            return status() == 503
+
+        await_true(is_held)
+        await_true(lambda: status() == 200)
 
 
 def test_a_stream_that_finds_no_room_is_refused_and_never_sent_in_part():

@@ -209,7 +209,8 @@ def test_what_takes_too_much_room_goes_the_oldest_first(cache, monkeypatch):
     assert cache.latest("l") is None
 
 
-def test_what_is_in_use_does_not_go(cache):
+def test_what_is_in_use_does_not_go(cache, monkeypatch):
+    monkeypatch.setattr(module, "_KEPT_SEC", 600.0)
     first, second = Writing(b"1" * 600), Writing(b"2" * 600)
     first.let()
     second.let()
@@ -219,7 +220,8 @@ def test_what_is_in_use_does_not_go(cache):
     assert get(cache, first, "a") == b"1" * 600
 
 
-def test_what_took_long_to_write_is_opened_before_it_goes(cache):
+def test_what_took_long_to_write_is_opened_before_it_goes(cache, monkeypatch):
+    monkeypatch.setattr(module, "_KEPT_SEC", 600.0)
     first, second = Writing(b"1" * 600), Writing(b"2" * 600)
     first.let()
     second.let()

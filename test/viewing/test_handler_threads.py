@@ -8,7 +8,6 @@ import http.client
 import itertools
 import json
 import threading
-import time
 
 import pytest
 from viewers import running_viewer
@@ -25,13 +24,6 @@ MIB = 2**20
 
 def route(path, answer, *parameters, **options):
     return Route(path, answer, "X.", parameters, **options)
-
-
-def await_true(condition):
-    deadline = time.monotonic() + 180
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 class Endless:
