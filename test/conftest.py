@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 import xmlrpc.client
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,12 +73,16 @@ ONE_BY_ONE = {
         "test_player_windows.py",
         "test_examples.py",
     },
-    "programs": {"nodes", "rostest", "cli", "test_import_process.py"},
-    "servers": {"local_server", "test_slow_faults.py"},
+    "recorders": {"test_recorder.py", "test_recorder_control.py", "test_query_server.py"},
+    "programs": {"nodes", "rostest", "test_import_process.py"},
+    "servers": {"local_server"},
     "faults": {"test_faults.py"},
     "pages": {"browser"},
     "sources": {"test_imports.py"},
 }
+"""Tests that run one after the other on a worker, by folder or file."""
+PARTS = {"faults": 3}
+"""Number of workers for such tests where it is not one: these wait most of the time."""
 
 
 @dataclass(frozen=True)
@@ -163,14 +168,14 @@ def pytest_xdist_make_scheduler(config, log):
     from xdist.scheduler import LoadScopeScheduling
 
     class Scheduling(LoadScopeScheduling):
-        # What starts programs and waits for them shares a worker, what replays another one: more at
-        # a time are too many for a small machine. So does what starts servers, in two parts; and
-        # what looks at all sources, which are parsed once then.
+        # What starts programs and waits for them shares few workers: more at a time are too many
+        # for a small machine. So does what looks at all sources, which are parsed once then.
         def _split_scope(self, nodeid):
             module = nodeid.split("::")[0]
             for scope, places in ONE_BY_ONE.items():
                 if places.intersection(module.split("/")):
-                    return scope
+                    part = zlib.crc32(nodeid.encode()) % PARTS.get(scope, 1)
+                    return f"{scope} {part}"
             return module if _shares(module) else nodeid
 
     return Scheduling(config, log)
