@@ -258,8 +258,8 @@ class Cassandra:
         for each in (session, raw_session):
             # Clocks of robots are wrong, and rows stamped by a fast clock would hide later rows.
             each.use_client_timestamp = False
-            # Bounds the preparing of a statement, for which the driver has no argument: 10 s else.
-            each._default_timeout = self._request_sec
+            # Bounds how long preparing a statement takes, for which the driver has no argument.
+            each._default_timeout = self._connect_sec
         raw_session.client_protocol_handler = RawProtocolHandler
         return Link(cluster, session, raw_session)
 
