@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""The whole benchmark runs with next to nothing to measure, and the page shows its last full run."""
+"""The whole benchmark runs with little to measure, and the page shows its last full run."""
 
 from __future__ import annotations
 

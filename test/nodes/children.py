@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import subprocess
@@ -79,6 +80,13 @@ class Child:
 
 class Client(Child):
     """Calls services from a process of its own, for pytest's must not be a node."""
+
+    def __exit__(self, *exc_info):
+        # It leaves the master's lists: later its port is another's.
+        with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+            self.process.stdin.close()
+            self.process.wait(30)
+        super().__exit__(*exc_info)
 
     def call(self, service, timeout_sec=180, **request):
         """Return the response as a dictionary."""

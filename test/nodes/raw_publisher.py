@@ -60,6 +60,9 @@ class RawPublisher:
         self._master.registerPublisher(name, topic, kind, self.uri)
 
     def _request_topic(self, caller, topic, protocols):
+        # A node that was killed stays listed at the master, and our port may have been its own.
+        if topic != self.topic:
+            return [0, f"{topic} is not published here", []]
         return [1, "", ["TCPROS", "127.0.0.1", self._listener.getsockname()[1]]]
 
     def _accept(self):

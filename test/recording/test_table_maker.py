@@ -10,7 +10,7 @@ from nodes.children import await_true
 from nodes.raw_publisher import header_of
 from std_msgs.msg import String
 
-from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.errors import StoreUnavailable, WriteFailed
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.recording import table_maker
 from cassandra_ros.recording.message_buffer import MessageSource
@@ -56,3 +56,21 @@ def test_a_table_that_the_next_recorder_makes_is_no_error(caplog):
     await_true(lambda: waiting.error)
     # The driver's threads of earlier tests may log that their server went away.
     assert [each for each in caplog.records if each.name == table_maker.__name__] == []
+
+
+def test_a_topic_that_is_removed_while_its_table_is_made_is_recorded_all_the_same(monkeypatch):
+    monkeypatch.setattr(table_maker, "PAUSE_SEC", 0.01)
+    answers = [WriteFailed("the table was dropped as soon as it was made"), object()]
+
+    def connect(each):
+        answer = answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    maker = TableMaker(lambda sources: None, connect, lambda: None)
+    waiting = source(0)
+    maker.make(waiting)
+    await_true(lambda: maker.decided)
+    maker.close()
+    assert waiting.handle is not None, waiting.error

@@ -27,6 +27,8 @@ def installed_class(msg_type: str) -> Any | None:
     if not _has_message(package, name):
         return None
     try:
+        # The whole package first: threads that begin with two of its modules wait for each other.
+        importlib.import_module(f"{package}.msg")
         cls = getattr(importlib.import_module(f"{package}.msg._{name}"), name)
         if cls._type == msg_type:
             return cls

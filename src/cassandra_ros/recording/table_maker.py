@@ -21,6 +21,7 @@ from cassandra_ros.errors import (
     InvalidOption,
     SchemaConflict,
     StoreUnavailable,
+    WriteFailed,
 )
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import TopicMetadata
@@ -118,8 +119,8 @@ class TableMaker:
         try:
             source.stand(self._connect(source))
             return True
-        except (StoreUnavailable, SchemaConflict) as exc:
-            if isinstance(exc, SchemaConflict):
+        except (StoreUnavailable, SchemaConflict, WriteFailed) as exc:
+            if not isinstance(exc, StoreUnavailable):
                 source.note_conflict()
             if source.conflicts < MAX_CONFLICTS and time.monotonic() <= self._deadline:
                 if source.tell():
