@@ -367,6 +367,7 @@ def answers(fleet):
     yield fleet.info(), 1
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 def test_a_store_that_is_away_is_named_and_asked_again(away, proxied):
     first, second, fleet, name = away
@@ -451,6 +452,7 @@ def is_whole(rows):
     return not rows.partial
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 def test_large_messages_come_from_the_store_that_still_answers(stores, proxied):
     """The first store goes away after their rows were read, and before their chunks are."""

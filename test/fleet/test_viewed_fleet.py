@@ -307,6 +307,7 @@ def test_a_store_that_does_not_answer_is_in_each_answer(fresh, proxied):  # noqa
                 assert (status, name in told["text"]) == (404, True)
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_store_that_answers_again_is_asked_again(fresh, proxied):  # noqa: F811
     """Though requests end meanwhile that began while it was away, or lost it long ago."""
     with fresh() as first, fresh() as second:

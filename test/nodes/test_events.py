@@ -71,6 +71,7 @@ def test_a_recorder_marks_and_watches(roscore, recorder, rosCas, client, tmp_pat
     assert rows == [(8,), (9,), (7,)]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_an_event_of_a_killed_recorder_lasts(recorder, rosCas, client, call_verb):
     child = recorder("/n")
     begun = client.call("/recorder/mark", name="door")

@@ -210,6 +210,7 @@ def test_a_recording_ends_without_its_master(master, cassandra, keyspace, rosCas
     assert [row.wire for row in rosCas.getTopic("/a").rows()] == [text(1), text(2)]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_history_subscriber_hears_who_comes_after_the_master_did(master, cassandra, keyspace):
     env = dict(master.env, CASSANDRA_ROS_HOST=cassandra.host, CASSANDRA_ROS_KEYSPACE=keyspace)
     env["CASSANDRA_ROS_PORT"] = str(cassandra.port)

@@ -144,6 +144,7 @@ def test_a_message_that_is_too_large_is_refused_by_the_viewer(viewer):
     assert status == 200 and answer["size"] > MAX_ANSWER_BYTES
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_answers_of_the_query_server_are_bounded(server):
     rows = server.ask("executeCQL", statement="select data from text")["rows"]
     assert [len(row["values"][0]) for row in rows] == [7, MB + 2, MB + 2, MB + 2]

@@ -191,6 +191,7 @@ def test_one_thread_makes_the_table_after_a_removal(rosCas, connect, monkeypatch
         assert writer.current(second).table is writer.current(handle).table
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_recording_goes_on_after_its_keyspace_was_dropped(rosCas, connect, recorded, cql):
     """The keyspace is made anew with its side tables, and the topic in it."""
     recorded.begin("ros")

@@ -318,6 +318,7 @@ def test_headers_that_lack_or_lie(rosCas, header):
     assert rows[0].connection == live_connection("/text", header)
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 @pytest.mark.fault
 @pytest.mark.parametrize("how", sparing(["truncateTopic", "removeTopic"], kept=["removeTopic"]))
 def test_a_topic_that_is_emptied_while_it_is_recorded(rosCas, connect, keyspace, how):

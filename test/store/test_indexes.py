@@ -471,6 +471,7 @@ def watch_a_build(rosCas, monkeypatch, topic, rows):
     return [look for look in seen if any(look[1].values())]
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_a_build_is_known_by_its_name(rosCas, monkeypatch):
     """What a real server lists while it builds an index of many rows."""
     # A build may end between two looks; that of more rows takes longer.

@@ -196,6 +196,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.parametrize(("where", "chunks"), [("before the row", 6), ("between chunks", 2)])
 @pytest.mark.fault
 def test_a_writer_that_is_killed_leaves_no_torn_message(

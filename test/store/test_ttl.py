@@ -117,6 +117,7 @@ def asked(rosCas, monkeypatch):
     return found
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_reading_an_expired_stretch_asks_for_none_of_it(rosCas, cql, asked):
     with rosCas.messageWriter(ttl=2) as writer:
         fill(writer, 200)

@@ -69,6 +69,7 @@ def told(store):
     return {run.name: (run.state, dict(run.stored), run.ended is None) for run in store.runs()}
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_killed_run_shows_what_it_stored(cassandra, connect, cql, keyspace):
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(RECORDER)]
