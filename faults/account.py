@@ -6,7 +6,7 @@ It shares no code with the package: what was published is read from the logs of 
 is stored by Cassandra's own driver, with the schema as doc/formats.md and the comments of the
 tables describe it. What was told as lost is read from the table cr_loss.
 
-Of each number that was published one of these is true:
+One of these is true for each number that was published:
 
 - stored: it is in a table.
 - removed: a verb was asked to delete it, and it is gone.

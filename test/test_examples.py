@@ -56,6 +56,7 @@ def positions(messages, robot, low, high):
     }
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_results_under_names(cassandra, keyspace, ros_env, tmp_path):
     """The place of the store comes out of a cqlshrc here, and the login out of its file."""
     cqlshrc, credentials = tmp_path / "cqlshrc", tmp_path / "credentials"
@@ -127,6 +128,7 @@ def test_what_writes_does_so_into_a_keyspace_of_its_own(ros_env, name):
     assert "precious" not in done.stdout
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_the_storyboard_finds_what_the_bag_holds(cassandra, keyspace, ros_env):
     compiled("tf2_py")
     messages = messages_of_the_turtles()
@@ -213,6 +215,7 @@ def test_two_robots_copy_themselves_home(ros_env):
     assert "Nothing is left running." in done.stdout
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_figure_3b_has_a_map_of_the_scans_and_says_where_to_look(cassandra, new_keyspace, bags):
     """The bag has no tf: its odometry tells where the scans lie, and that is stored as tf."""
     store = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", new_keyspace)

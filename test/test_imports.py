@@ -9,6 +9,8 @@ import functools
 import re
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
@@ -130,6 +132,7 @@ def test_every_folder_has_its_place_among_the_layers():
     assert layers == set(BELOW)
 
 
+@pytest.mark.suite("test", "it reads all sources")
 def test_imports_point_downwards():
     for path in modules():
         layer = layer_of(path)

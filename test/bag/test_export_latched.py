@@ -153,6 +153,7 @@ def test_a_window_is_imported_as_it_stands(stored, fresh, tmp_path):
         ]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_windows_of_a_real_bag(rosCas, bags, tmp_path):
     """rosbag decides what a late subscriber of /tf_static and /rosout would have been sent."""
     path, out = bags / "turtlesim_tf.bag", tmp_path / "out.bag"

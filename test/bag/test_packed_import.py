@@ -139,6 +139,7 @@ def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
     assert sum(1 for _ in rosCas.getTopic("/a").items()) == expected["/a"]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.parametrize(
     ("form", "remade"), [("packed", False), ("packed", True), ("binary", False)]
 )

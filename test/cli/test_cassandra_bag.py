@@ -32,6 +32,7 @@ def test_every_verb_explains_itself(verb, capsys):
         assert option in text or verb == "completion"
 
 
+@pytest.mark.suite("all", "it converts several times")
 def test_convert(call, tmp_path):
     with BagWriter(tmp_path / "a.bag") as writer:
         numbers = [writer.connection(string_connection(name)) for name in ("/a", "/b")]
@@ -305,6 +306,7 @@ def test_an_empty_export_is_an_error_and_leaves_the_old_bag(call, bags, tmp_path
     assert call("verify", path, "--content", "--start", "0", "--end", "18.999")[0] == 1
 
 
+@pytest.mark.suite("test", "promise 2")
 def test_errors_are_one_line_and_status_1(type_in, bags, tmp_path):
     cases = [
         (("import", bags / "truncated_header_only.bag"), "rosbag reindex"),

@@ -120,6 +120,7 @@ def stored(call, rosCas, texts, numbers, bags):
     return rosCas
 
 
+@pytest.mark.suite("test", "each output of each kind of statement")
 def test_every_output_is_what_executecql_returns(call, stored, tmp_path):
     for number, statement in enumerate(STATEMENTS):
         rows = stored.executeCQL(statement)
@@ -343,6 +344,7 @@ def test_a_failed_answer_leaves_no_file(call, rosCas, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.suite("test", "promise 2")
 def test_errors_show_the_spot_and_are_status_1(type_in, texts):
     for arguments, text in [
         (("select x from texts",), "has no field x"),
@@ -439,6 +441,7 @@ with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace={keyspace!r}) as store
     assert not path.exists()
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.parametrize("output", ["table", "csv", "json", "ndjson"])
 def test_a_reader_that_leaves_is_no_error(env, rosCas, output):
     topic = rosCas.addTopic("/many")

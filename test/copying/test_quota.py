@@ -172,6 +172,7 @@ def test_a_topic_that_is_removed_leaves_there_what_was_deleted_for_room(rosCas, 
     assert times(home, "/a") == [n // 10 for n in range(50)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_a_rule_took_stays_there_when_the_rest_is_deleted_for_room(
     rosCas,
     home,  # noqa: F811

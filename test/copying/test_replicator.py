@@ -142,6 +142,7 @@ def test_only_what_is_new_is_copied(rosCas, home, cql):
     assert rows_of(cql, home) == rows_of(cql, rosCas)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_the_copy_of_a_copy_is_the_original(rosCas, home, fresh, cql):
     fill(rosCas, "ros", 50)
     fill(rosCas, "packed", 50, topic="/p")

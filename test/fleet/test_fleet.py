@@ -225,6 +225,7 @@ def fill(store, topic, numbers, **added):
     store.catalog.adder.close()
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_copies_are_the_same_messages_also_under_names(stores, connect):
     robot, home, other = stores
     fill(robot, "/s", range(6))

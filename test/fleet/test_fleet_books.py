@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from proxy import Proxy
 from sensor_msgs.msg import Image
-from suites import search
+from suites import search, sparing
 
 from cassandra_ros import Fleet
 from cassandra_ros.copying.replicator import Replicator
@@ -167,7 +167,7 @@ def given_by(fleet, robot, topic="/s", **asked):
     return len(rows), sum(place(robot) in row.stores for row in rows)
 
 
-@pytest.mark.parametrize("format", ["ros", "packed"])
+@pytest.mark.parametrize("format", sparing(["ros", "packed"], kept=["packed"]))
 def test_only_what_home_lacks_or_may_lack_is_read_from_the_robot(stores, format):
     home, husky, _ = stores.values()
     write(husky, "/s", format, numbered("husky", range(40)))
@@ -192,6 +192,7 @@ def test_only_what_home_lacks_or_may_lack_is_read_from_the_robot(stores, format)
         assert given_by(fleet, husky) == (49, 49)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("reverse", [False, True])
 def test_what_is_copied_while_it_is_read_is_given_once(stores, reverse):
     """Home was read to its end before the copy: the robot gives what home has not given."""
@@ -315,6 +316,7 @@ def proxied(cassandra):
         yield proxy
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("door", ["info", "count", "rows"])
 def test_the_robot_sends_no_message_for_what_home_has(stores, proxied, door):
     home, husky, _ = stores.values()

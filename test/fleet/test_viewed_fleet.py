@@ -149,6 +149,7 @@ def test_the_timeline_of_several_stores_is_that_of_all_messages(mixed):
             assert found["messages"] == lane["messages"] or not found["exact"]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_copy_is_counted_once_in_the_timeline(fresh):
     with fresh() as robot, fresh() as home:
         write(robot, "/t", "packed", messages(2, 200))
@@ -354,6 +355,7 @@ def test_pages_go_on_in_copies(fresh, first_made):
             assert len(wanted) == 51
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_moment_is_that_of_one_store_with_all(fresh):
     """Versions of a named message that came later, and transforms of another drive."""
     with fresh() as first, fresh() as second, fresh() as whole:
@@ -387,6 +389,7 @@ def test_a_loss_that_has_grown_is_shown_once(fresh):
             assert [mark["count"] for mark in marks] == [9]
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_the_program_names_who_does_not_answer_and_refuses_what_asks_one_store(fresh, ros_env):
     away = "127.0.0.1:9/ros"
     with fresh() as first:

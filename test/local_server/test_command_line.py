@@ -97,6 +97,7 @@ def test_errors_are_one_line_on_stderr_and_status_1(type_in):
     assert "loopback" in done.stderr
 
 
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_a_start_that_is_refused_leaves_no_directory(type_in, env, tmp_path):
     folder = tmp_path / "made/for/nothing"
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -179,6 +179,7 @@ def test_the_topic_that_covers_most_of_the_messages_tells_the_poses(several):
     assert [offer.topic for offer in named.offers][0] == "/wheels"
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_each_run_has_the_poses_that_cover_its_messages(fresh):
     with fresh() as made:
         for later, odom in ((0, "/z"), (YEAR, "/y")):

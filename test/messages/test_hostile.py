@@ -229,6 +229,7 @@ def test_no_format_uses_a_hostile_definition(name):
         assert f"topic {connection.topic} is kept as binary" in warning
 
 
+@pytest.mark.suite("test", "promise 3")
 def test_topics_with_hostile_definitions_are_kept_as_binary(rosCas, caplog):
     wires = [b"", b"\0\xff" * 3, b"x" * 5000]
     connections = list(hostileConnections())

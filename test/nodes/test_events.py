@@ -102,6 +102,7 @@ def call_verb(cassandra, keyspace, capsys):
     return call
 
 
+@pytest.mark.suite("test", "each door of events")
 def test_every_door_makes_an_event_of_the_same_name(
     roscore, cassandra, keyspace, recorder, rosCas, client, call_verb, fresh, tmp_path
 ):

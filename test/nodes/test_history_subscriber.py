@@ -133,6 +133,7 @@ def goes_over(stage, count, rate_hz, pause=False, **options):
     return listener
 
 
+@pytest.mark.suite("test", "the past and the present, with a real publisher")
 def test_the_past_goes_over_into_the_present(stage):
     listener = goes_over(stage, 5000, 2500)
     listener.await_line("live")

@@ -148,6 +148,7 @@ def test_a_bag_is_recorded_as_it_was(roscore, start, beginning, tmp_path):
     record_again(roscore, start, beginning, tmp_path, tuple(beginning.expected))
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_several_stores_are_played_as_one(roscore, fresh):
     with fresh() as home, fresh() as robot:
         numbers = robot.addTopic("/n", format="packed")
@@ -169,6 +170,7 @@ def test_several_stores_are_played_as_one(roscore, fresh):
     assert child.lines[-1].startswith("player: store 127.0.0.1:1 did not answer")
 
 
+@pytest.mark.suite("test", "the services of the player")
 def test_steered_by_services(roscore, player, rosCas):
     numbers = rosCas.addTopic("/n", format="binary")
     for n in range(40):
@@ -219,6 +221,7 @@ def test_steered_by_services(roscore, player, rosCas):
     assert child.lines[-1] == "played 33 messages of 1 topic"
 
 
+@pytest.mark.suite("test", "promise 1, with a real subscriber")
 def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, rosCas):
     writer = rosCas.messageWriter()
     counter = iter(range(100))

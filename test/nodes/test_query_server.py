@@ -219,6 +219,7 @@ def test_a_number_as_time_went_through_a_float(get):
     assert "secs" not in get(topic="fix", key=T0 + 300)["message"]
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_the_same_on_the_command_line(roscore, server, store):
     def call(request):
         words = ["rosservice", "call", "/cassandra_ros/getData", request]
@@ -403,6 +404,7 @@ def test_cursors_from_elsewhere(ask):
     assert "not a cursor" in ask("select KEY from fix", cursor="x.y.z")["message"]
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_a_second_server_does_not_take_the_name(roscore, cassandra, store, server):
     where = ("--port", cassandra.port, "--keyspace", store.keyspace)
     second = start_node(roscore, "query_server", *where)

@@ -170,6 +170,7 @@ def test_a_publisher_that_comes_again_under_its_uri(roscore, recorder, rosCas):
         assert [wire for wire in found if wire[4:5] == sent[0][4:5]] == sent
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_header_that_is_not_utf8(roscore, recorder, rosCas):
     child = recorder("/latin")
     definition = b"# angle in \xb0\nstring data\n"
@@ -183,6 +184,7 @@ def test_a_header_that_is_not_utf8(roscore, recorder, rosCas):
     assert row.message().data == "1"
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_types_that_differ_on_one_topic(roscore, recorder, rosCas):
     child = recorder("/mixed")
     with publisher(roscore, "/mixed", name="/s") as s, publisher(
@@ -198,6 +200,7 @@ def test_types_that_differ_on_one_topic(roscore, recorder, rosCas):
     assert {row.message().data for row in rows if row.type == "std_msgs/Int32"} == set(range(20))
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_publisher_that_changes_its_type(roscore, recorder, rosCas):
     """The publisher comes again with its name and URI; the topic goes on in a second table."""
     child = recorder("/changes", "/other")
@@ -252,6 +255,7 @@ def test_a_type_that_is_not_installed(roscore, recorder, rosCas, form):
     assert rosCas.executeCQL("select part.name from lost where ranges[0] > 1") == [("wheel",)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_headers_without_the_optional_fields(roscore, recorder, rosCas):
     child = recorder("/bare", "--format", "ros")
     fields = {"callerid": None, "latching": None, "message_definition": None, "topic": None}
@@ -267,7 +271,7 @@ def test_headers_without_the_optional_fields(roscore, recorder, rosCas):
 SIGNATURE = "_md5sum;open({!r},'w').write('x');B"
 
 
-@pytest.mark.parametrize("place", ["name", "value", "type"])
+@pytest.mark.parametrize("place", sparing(["name", "value", "type"], kept=["name"]))
 def test_a_hostile_definition_runs_nothing(roscore, recorder, rosCas, tmp_path, place):
     trap = tmp_path / "trap"
     code = SIGNATURE.format(str(trap))
@@ -294,6 +298,7 @@ def test_a_hostile_definition_runs_nothing(roscore, recorder, rosCas, tmp_path, 
     assert not trap.exists()
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_warnings_reach_rosout(roscore, recorder, rosCas):
     child = recorder("/rosout", "/broken")
     with publisher(roscore, "/broken", message_definition="no definition") as one:
@@ -308,7 +313,7 @@ def test_warnings_reach_rosout(roscore, recorder, rosCas):
     assert child.end() == 0, child.output
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGINT]))
 def test_signals_drain(roscore, recorder, rosCas, number):
     sent = [message(String("y" * 1000 + str(n))) for n in range(5000)]
     child = recorder("/late")
@@ -336,6 +341,7 @@ def test_a_message_that_never_comes_to_its_end_is_told(roscore, recorder, rosCas
     assert (loss.topic, loss.kind, loss.count) == ("/torn", LossKind.NOT_READ, 1)
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_rosnode_kill_drains(roscore, recorder, rosCas):
     child = recorder("/killed", "__name:=to_be_killed")
     with publisher(roscore, "/killed") as one, start_client(roscore) as client:
@@ -354,6 +360,7 @@ def test_rosnode_kill_drains(roscore, recorder, rosCas):
     assert len(wires(rosCas, "/killed")) == 100
 
 
+@pytest.mark.suite("test", "the clock of a simulation")
 def test_simulated_time(roscore, recorder, rosCas):
     master = xmlrpc.client.ServerProxy(roscore.uri)
     master.setParam("/test", "/use_sim_time", True)

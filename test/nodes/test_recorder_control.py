@@ -53,6 +53,7 @@ def data_of(rosCas, topic, run=None):
     return [row.message().data for row in rosCas.getTopic(topic).rows(run=run)]
 
 
+@pytest.mark.suite("test", "the services of the recorder")
 def test_start_stop_pause_resume(roscore, recorder, rosCas, client):
     child = recorder("/a", "/b", "-O", "one", "--label", "site=lab", "--node-id", "husky")
     with publisher(roscore, "/a", name="/pa") as a, publisher(roscore, "/b", name="/pb") as b:
@@ -108,6 +109,7 @@ def test_wrong_requests_are_answered(recorder, client):
         assert said in answer["message"]
 
 
+@pytest.mark.suite("test", "the services of the recorder")
 def test_a_snapshot_before_and_after(roscore, recorder, rosCas, client):
     child = recorder("/a", "--snapshot", "5000s", "--name", "drive")
     with publisher(roscore, "/a") as a:
@@ -162,6 +164,7 @@ def test_all_leaves_out_what_the_recorder_says_itself(roscore, recorder, rosCas)
     assert not rosCas.getAllTopics("/diagnostics")
 
 
+@pytest.mark.suite("test", "options of the recorder")
 def test_node_where_rate_and_context(roscore, recorder, rosCas, client):
     """The subscriptions of a node; a condition; the parameters and the node graph of the run."""
     master = xmlrpc.client.ServerProxy(roscore.uri)

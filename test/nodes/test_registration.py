@@ -157,6 +157,7 @@ def test_a_master_that_is_started_anew(master, cassandra, keyspace, rosCas):
     assert loss.first_ns < before < loss.last_ns
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 def test_a_node_that_shuts_down_is_not_one_that_is_unknown(
     master, slow_master, cassandra, keyspace
 ):

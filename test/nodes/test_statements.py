@@ -206,6 +206,7 @@ def typed(roscore, service, request):
     return yaml.safe_load(done.stdout)
 
 
+@pytest.mark.suite("test", "services as a person types them")
 def test_a_message_typed_into_a_shell_is_stored_told_and_removed(roscore, write, store):
     """By rosservice alone."""
     what = "topic: /typed, type: std_msgs/String, yaml: 'data: hello'"

@@ -463,6 +463,7 @@ def test_without_places_nothing_is_noted(rosCas, monkeypatch):
     assert asked(rosCas, "NEAR(20, 0, 2)") == [T0 + 2 * SEC + 1]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_each_robot_of_a_fleet_by_its_own_poses(rosCas):
     lane(rosCas, "ant", run="a")
     lane(rosCas, "bee", run="b", y=50.0)
@@ -540,6 +541,7 @@ def two_runs(rosCas):
     return rosCas
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_near_goes_by_the_poses_of_the_run_and_the_robot_that_are_asked_for(two_runs):
     store, near = two_runs, "NEAR(2, 0, 0.5, 'odom')"
     with pytest.raises(InvalidQuery, match="/vision and /wheels tell poses in frame 'odom'"):
@@ -608,6 +610,7 @@ def detour(writer, topic="/odom"):
     writer.put("/n", DETOUR, Int32(1))
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_where_poses_are_deleted_the_robot_went_straight(rosCas):
     """Between the poses that stay it comes by where the index has never seen it."""
     straight, aside = "NEAR(50, 0, 2)", "NEAR(50, 100, 2)"

@@ -161,6 +161,7 @@ def test_start_and_end_bound_the_windows(filled):
     ]
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_long_windows_are_played_in_pieces(filled, monkeypatch):
     whole = Stream(
         PlayedKeyspace(filled.catalog),

@@ -13,6 +13,7 @@ from cassandra.protocol import PrepareMessage
 from nodes.children import await_true
 from proxy import Proxy
 from std_msgs.msg import String
+from suites import sparing
 from threads import together
 
 from cassandra_ros import RosCassandra
@@ -75,7 +76,7 @@ HOW = {
 }
 
 
-@pytest.mark.parametrize("form", ["packed", "ros"])
+@pytest.mark.parametrize("form", sparing(["packed", "ros"], kept=["packed"]))
 @pytest.mark.parametrize("how", HOW)
 def test_what_is_told_is_what_is_gone(rosCas, connect, recorded, caplog, form, how):
     recorded.begin(form)

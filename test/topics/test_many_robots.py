@@ -203,6 +203,7 @@ def test_a_writer_that_was_killed_before_its_first_message_hides_nothing(rosCas,
     fleet.close()
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_an_entry_that_is_missing_by_time_is_found_and_listed_again(rosCas, connect, cql):
     fleet = filled(rosCas)
     fleet.close()

@@ -89,6 +89,7 @@ def check_conversion(rosCas, source, target):
     assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
 
 
+@pytest.mark.suite("test", "each format")
 def test_a_topic_goes_through_all_formats(rosCas):
     every = [*FORMATS, *list(FORMATS)[:1]]
     fill(rosCas, every[0], 60)
@@ -121,6 +122,7 @@ def test_each_format_becomes_each_other(rosCas, source, target):
     check_conversion(rosCas, source, target)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_keys_and_cursors_of_the_old_table_stay_good(rosCas):
     fill(rosCas, "ros", 120)
     topic = rosCas.getTopic("/t")
