@@ -144,7 +144,7 @@ class Store:
         return newest
 
     def newest_number(self, topic: str) -> int:
-        """Return the number of the last stored message of a topic; -1 if there is none."""
+        """Return the number of the last stored message of a topic; -1 = no message is stored."""
         numbers = [-1]
         for name, metadata in self.tables().items():
             if metadata["topic"] == topic and metadata["format"] == "packed":
