@@ -68,14 +68,14 @@ viewer: setup
 screenshots: setup
 	@$(IN_WORKSPACE) $(PYTHON) examples/screenshots.py $(ARGS)
 
-PYTEST = $(PYTHON) -m pytest --durations=25
+# Four workers on two cores: many tests wait for programs and for the server.
+PYTEST = $(PYTHON) -m pytest -n 4 --durations=25
 
 test: setup
-	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=test $(PYTEST) -n 3 $(ARGS)
+	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=test $(PYTEST) $(ARGS)
 
-# Many of its tests wait most of the time.
 test-all: setup
-	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=all $(PYTEST) -n 4 $(ARGS)
+	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=all $(PYTEST) $(ARGS)
 
 # What the tests need of the workspace comes from make setup; the rest is made for that Python.
 test-python: PYTHON = python3.8
@@ -85,7 +85,7 @@ test-python: setup
 # A search takes longer than pytest waits before it prints the stacks of running threads, which may
 # crash the interpreter.
 campaign: setup
-	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=campaign $(PYTEST) -n 3 -o faulthandler_timeout=0 $(ARGS)
+	@$(IN_WORKSPACE) CASSANDRA_ROS_SUITE=campaign $(PYTEST) -o faulthandler_timeout=0 $(ARGS)
 
 faults: setup
 	@$(IN_WORKSPACE) $(PYTHON) -m faults $(ARGS)

@@ -365,6 +365,7 @@ def test_importing_twice_changes_nothing(rosCas, cql, bags, tmp_path):
     assert len(rosCas.runs()) == 1
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_part_and_then_the_whole_is_the_whole(rosCas, cql, bags):
     path = bags / "turtlesim_tf.bag"
     part = import_bag(rosCas, path, topics=["tf", "/rosout"])
@@ -396,6 +397,7 @@ def long_bag(path, changed=-1, count=2500):
     return path
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_bags_that_differ_in_the_middle_lie_side_by_side(rosCas, cql, tmp_path):
     paths = [long_bag(tmp_path / "a.bag"), long_bag(tmp_path / "b.bag", changed=1250)]
     first = import_bag(rosCas, paths[0])

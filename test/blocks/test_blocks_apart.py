@@ -307,6 +307,7 @@ def test_messages_of_packed_and_other_tables_come_in_one_order(rosCas):
     assert isinstance(at[0], Position)
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_expired_blocks_are_gone(rosCas):
     table, conn = make_table(rosCas, ttl=1)
     put_block(rosCas, table, NODE, conn, texts(0, 10))

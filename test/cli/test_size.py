@@ -66,6 +66,7 @@ def test_rates_and_topics_are_those_given(capsys):
     assert tf["stored_format"] == "" and tf["measured"] is None
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_three_nodes_need(capsys):
     found = of_bag(capsys, "--days", "10", "--format", "packed")
     need, day = found["cluster"], [each["bytes_a_day"]["packed"] for each in found["topics"]]

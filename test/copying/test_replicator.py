@@ -280,6 +280,7 @@ def test_formats_are_converted_on_the_way(rosCas, home):
     assert {each.format for each in home.info()} == {"packed"}
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_topic_converted_on_either_side_stays_one(rosCas, home, monkeypatch):
     monkeypatch.setattr("cassandra_ros.tables.replacement.SETTLE_SEC", 0.05)
     monkeypatch.setattr("cassandra_ros.tables.schema.CACHE_SEC", 0.03)

@@ -309,6 +309,7 @@ def test_a_taken_port_is_refused_with_its_owner(folder):
     assert not cluster.status()[0].pid
 
 
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_a_port_of_another_cassandra_is_refused_with_what_to_do(folder, cassandra, monkeypatch):
     make(folder).stop()
     patient = functools.partial(answers_cql, timeout_sec=60)
@@ -338,6 +339,7 @@ def test_data_are_read_where_there_is_little_space(folder, little_space):
     cluster.stop()
 
 
+@pytest.mark.suite("all", "it starts a Cassandra")
 def test_data_of_another_cluster_are_refused(folder):
     cluster = make(folder)
     cluster.stop()

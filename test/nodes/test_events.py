@@ -154,6 +154,7 @@ def test_every_door_makes_an_event_of_the_same_name(
     assert rows == [(3,), (8,)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_query_server_marks_if_it_may_write(roscore, cassandra, keyspace, rosCas, client):
     where = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
     with start_node(roscore, "query_server", *where) as child:

@@ -203,6 +203,7 @@ def test_play_launch_plays(launched, roscore, rosCas):
     assert "Traceback" not in child.output
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_play_launch_plays_several_stores_and_names_one_that_is_away(
     launched, roscore, rosCas, cassandra, tmp_path
 ):

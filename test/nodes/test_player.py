@@ -138,6 +138,7 @@ def record_again(roscore, start, played, folder, topics, *options):
     assert child.lines[-1].startswith(f"played {total} messages of {len(topics)} topics")
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_is_played_is_recorded_as_it_was(roscore, start, beginning, tmp_path):
     few = ("/tf_static", "/turtle1/cmd_vel")
     record_again(roscore, start, beginning, tmp_path, few, "-r", "20")

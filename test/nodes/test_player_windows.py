@@ -33,6 +33,7 @@ def play(roscore, cassandra, keyspace):
     return play
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_gaps_between_windows_are_jumped_over(rosCas, play):
     with Robot(rosCas, 1, "r1") as robot:
         for hour in range(5):
@@ -64,6 +65,7 @@ def test_two_topics_may_go_out_as_one(rosCas, play):
     assert "1 latched" in said
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_robots_of_different_days_play_at_once(rosCas, play):
     for writer, node, begin in ((1, "robot-1", 0), (2, "robot-2", 86_400)):
         with Robot(rosCas, writer, node) as robot:

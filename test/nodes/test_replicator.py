@@ -78,6 +78,7 @@ def test_it_copies_and_answers(rosCas, home, roscore, cassandra, client):
         assert child.end() == 0
 
 
+@pytest.mark.suite("all", "it starts many programs")
 def test_wrong_usage_is_told(roscore):
     with start_node(roscore, "replicator", "__name:=replicator_without_target") as child:
         assert child.wait() == 2

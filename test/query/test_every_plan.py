@@ -49,7 +49,7 @@ def waysOf(seed):
     return [*(("ros", plan) for plan in PLANS), *some]
 
 
-IN_EVERY_RUN = ("mixed", "tf")
+IN_EVERY_RUN = ("mixed",)
 """Kinds that make test asks, too: they take longer to store than to ask."""
 
 

@@ -378,6 +378,7 @@ def test_an_interrupted_index_is_made_anew(rosCas, cql, monkeypatch, caplog):
     assert compaction(cql, rosCas, table) == before
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 @pytest.mark.parametrize("again", ["its own", "another", "of another type", "removed"])
 def test_an_index_that_no_comment_lists_is_waited_for(rosCas, cql, busy, again):
     """Its client died after it had made the index, before it let files be merged again."""

@@ -155,6 +155,7 @@ def everything(n):
     return b"".join(parts) + value(rng, "bool")
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_columns_of_format_ros_give_what_the_messages_give(rosCas, monkeypatch):
     """Also of messages of which a column does not hold the field, and of one with long arrays."""
     definition = parse_definition("t/Everything", EVERYTHING, None)

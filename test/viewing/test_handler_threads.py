@@ -252,6 +252,7 @@ def test_the_end_closes_streams_handlers_and_what_was_kept():
         connection.close()
 
 
+@pytest.mark.suite("all", "it waits for seconds")
 def test_the_end_waits_for_no_handler_that_does_not_listen(connect, keyspace, monkeypatch):
     monkeypatch.setattr(handler_threads, "PATIENCE_SEC", 0.05)
     raised, begun = [], threading.Event()
