@@ -11,9 +11,7 @@ from cassandra_ros.tables.side_tables import LATER_TABLES
 
 MOST_TABLES = 50
 """What a keyspace may hold of earlier tests: each change of its schema goes through all of it."""
-HIDE = (
-    "UPDATE system_schema.tables SET comment = '' WHERE keyspace_name = %s AND table_name = %s"
-)
+HIDE = "UPDATE system_schema.tables SET comment = '' WHERE keyspace_name = %s AND table_name = %s"
 """Statement that takes a table's comment, by which it is found."""
 KEYS = {
     "cr_connection": ("tbl", "conn"),
