@@ -12,7 +12,7 @@ import subprocess
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Callable
+from typing import Callable, Sequence
 
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import preflight, processes
@@ -251,10 +251,10 @@ class LocalCluster:
             )
         with locked(self.directory / "lock"):
             self._load()
-            silent = [node for node in self.nodes if not node.answers()]
-            if silent:
+            silent = self._silent_of(self.nodes)
+            if silent is not None:
                 raise ServerError(
-                    f"Cassandra node {silent[0].number} does not answer: its copies cannot be "
+                    f"Cassandra node {silent.number} does not answer: its copies cannot be "
                     "compared; start it with local_cassandra start, or local_cassandra replace if "
                     "its data are lost"
                 )
@@ -281,13 +281,25 @@ class LocalCluster:
                 f"Cassandra node {node.number} has data in {node.directory}: start it; where they "
                 "cannot be used move that folder away first"
             )
-        silent = [other for other in self.nodes if other.number != node.number]
-        silent = [other for other in silent if not other.answers()]
-        if silent:
+        silent = self._silent_of([other for other in self.nodes if other.number != node.number])
+        if silent is not None:
             raise ServerError(
-                f"Cassandra node {silent[0].number} does not answer: all the others are needed; "
+                f"Cassandra node {silent.number} does not answer: all the others are needed; "
                 "start them with local_cassandra start, which ends at the node without data"
             )
+
+    def _silent_of(self, nodes: Sequence[Node]) -> Node | None:
+        """Return a node that does not answer; None = all answer.
+
+        A node that runs may be busy: it is asked again for up to _NEIGHBOUR_TIMEOUT_SEC.
+        """
+        deadline = time.monotonic() + _NEIGHBOUR_TIMEOUT_SEC
+        for node in nodes:
+            while not node.answers():
+                if not self._pid(node) or time.monotonic() > deadline:
+                    return node
+                time.sleep(_POLL_SEC)
+        return None
 
     def clear(self) -> bool:
         """Delete data, logs and settings of the stopped cluster, but not the jars.
