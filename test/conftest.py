@@ -22,7 +22,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from keyspaces import Keyspaces, new_name
 from proxy import Proxy
-from suites import FURTHER, ROUNDS, SLOW_SEC, SUITE, runs
+from suites import FURTHER, ROUNDS, SLOW_SEC, SUITE, runs, suite_mark
 
 ROOT = Path(__file__).resolve().parent.parent
 WORKSPACE = Path(os.environ.get("CASSANDRA_ROS_TEST_WORKSPACE", ROOT / ".ws"))
@@ -158,7 +158,7 @@ def pytest_collection_modifyitems(config, items):
     config.hook.pytest_deselected(items=[item for item in items if not runs(item)])
     items[:] = filter(runs, items)
     for item in items:
-        mark = item.get_closest_marker("suite")
+        mark = suite_mark(item)
         if mark is not None:
             item.user_properties.append((REASON, mark.args[1]))
 

@@ -41,9 +41,20 @@ FEW_FORMATS = ("ros", "packed")
 field, one with many messages in a row. The others keep a message as one value."""
 
 
+def suite_mark(item):
+    """Return the mark that says where a test belongs; None = it has no such mark.
+
+    That of one of its parameters counts if it names a larger suite than that of the test; both
+    count before that of the module.
+    """
+    of_test = [mark for mark in item.own_markers if mark.name == "suite"]
+    marks = of_test or list(item.iter_markers("suite"))[:1]
+    return max(marks, key=lambda mark: SUITES.index(mark.args[0]), default=None)
+
+
 def runs(item):
     """Return whether a test belongs to this run."""
-    mark = item.get_closest_marker("suite")
+    mark = suite_mark(item)
     place = "test" if mark is None else mark.args[0]
     if CAMPAIGN:
         return place != "test" or any(map(item.get_closest_marker, ("search", "fault")))

@@ -31,6 +31,7 @@ def one(roscore):
         yield publisher
 
 
+@pytest.mark.suite("test", "--no-spool")
 @pytest.mark.fault
 def test_a_store_that_goes_away(roscore, proxy, keyspace, rosCas, one):
     """Two warnings, and messages are kept meanwhile; a second Ctrl-C drops them."""
@@ -80,6 +81,7 @@ def await_number(client, count, of="received"):
     await_true(is_there)
 
 
+@pytest.mark.suite("test", "--wait")
 @pytest.mark.fault
 def test_what_comes_before_the_store_answers_is_recorded(roscore, proxy, keyspace, rosCas, one):
     proxy.cut()

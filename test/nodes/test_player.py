@@ -149,7 +149,7 @@ def test_a_bag_is_recorded_as_it_was(roscore, start, beginning, tmp_path):
     record_again(roscore, start, beginning, tmp_path, tuple(beginning.expected))
 
 
-@pytest.mark.suite("all", "it starts many programs")
+@pytest.mark.suite("test", "--store")
 def test_several_stores_are_played_as_one(roscore, fresh):
     with fresh() as home, fresh() as robot:
         numbers = robot.addTopic("/n", format="packed")

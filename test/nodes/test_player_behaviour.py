@@ -57,7 +57,7 @@ def number(wire):
     return struct.unpack("<i", wire)[0]
 
 
-@pytest.mark.suite("all", "it waits for seconds")
+@pytest.mark.suite("test", "--queue")
 def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     topic = rosCas.addTopic("/big", format="binary")
     for n in range(40):
@@ -111,7 +111,7 @@ def test_a_subscriber_that_leaves_while_its_topic_is_left():
     assert publication.subscribers == 0
 
 
-@pytest.mark.suite("all", "it waits for seconds")
+@pytest.mark.suite("test", "--immediate")
 def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):
     topic = rosCas.addTopic("/big", format="binary")
     for n in range(24):
@@ -160,7 +160,7 @@ def nanoseconds(tick):
     return secs * SEC + nsecs
 
 
-@pytest.mark.suite("all", "it waits for seconds")
+@pytest.mark.suite("test", "--clock and --rate-control-topic")
 def test_time_is_published_and_consumers_are_waited_for(roscore, rosCas, where, numbers):
     clock = rosCas.addTopic("/clock", msg_type="rosgraph_msgs/Clock")
     from rosgraph_msgs.msg import Clock

@@ -189,7 +189,7 @@ def test_node_where_rate_and_context(roscore, recorder, rosCas, client):
     master.deleteParam("/test", "/robot")
 
 
-@pytest.mark.suite("all", "it waits for seconds of recording")
+@pytest.mark.suite("test", "--split, --publish and --repeat-latched")
 def test_splits_and_begin_write(roscore, recorder, rosCas, client):
     arguments = ("--split", "--size", "1", "--repeat-latched", "-p", "-O", "r", "--tcpnodelay")
     with publisher(roscore, "/map", name="/map", latching="1") as latched:
@@ -214,7 +214,6 @@ def test_splits_and_begin_write(roscore, recorder, rosCas, client):
     assert names[-3:] == ["r_1", "r_2", "r_3"]
 
 
-@pytest.mark.suite("all", "it waits for seconds of recording")
 def test_dry_run(roscore, recorder, rosCas, tmp_path):
     config = tmp_path / "settings.yaml"
     config.write_text("topics: [{pattern: /cam.*, format: binary, ttl: 1h, rate_limit: 5}]")

@@ -31,6 +31,16 @@ from cassandra_ros.tables.registry import LossKind
 pytestmark = pytest.mark.suite("all", "it kills or cuts something, and waits")
 
 FORMATS = ("ros", "binary", "packed")
+IN_EVERY_RUN = pytest.mark.suite("test", "promise 1, while the store is away")
+WAYS = [
+    pytest.param(
+        format,
+        journal,
+        marks=[IN_EVERY_RUN] * ((format, journal) in [("packed", False), ("ros", True)]),
+    )
+    for format in FORMATS
+    for journal in (False, True)
+]
 TOPICS = 30
 
 
@@ -75,8 +85,7 @@ def drain(rosCas, folder):
     return done
 
 
-@pytest.mark.parametrize("journal", [False, True])
-@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize(("format", "journal"), WAYS)
 def test_a_store_that_goes_away_and_comes_back(proxy, store, rosCas, folder, format, journal):
     recorder = Recording(store.catalog, format=format, spool=SpoolPlan(folder, journal=journal))
     header = header_of(String)
@@ -300,7 +309,7 @@ def test_a_damaged_file_costs_what_it_hits(proxy, store, rosCas, folder):
     assert folder.runs() == []
 
 
-@pytest.mark.parametrize("newest", [False, True])
+@pytest.mark.parametrize("newest", [False, pytest.param(True, marks=IN_EVERY_RUN)])
 def test_a_full_spool_tells_what_it_drops(proxy, store, rosCas, tmp_path, newest):
     folder = SpoolFolder(tmp_path / "spool", max_bytes=100_000)
     recorder = Recording(store.catalog, spool=SpoolPlan(folder, drops_newest=newest))
