@@ -22,7 +22,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from keyspaces import Keyspaces, new_name
 from proxy import Proxy
-from suites import FURTHER, ROUNDS, SLOW_SEC, SUITE, runs, suite_mark
+from suites import CAMPAIGN, ROUNDS, SLOW_SEC, SUITE, runs, suite_mark
 
 ROOT = Path(__file__).resolve().parent.parent
 WORKSPACE = Path(os.environ.get("CASSANDRA_ROS_TEST_WORKSPACE", ROOT / ".ws"))
@@ -140,7 +140,7 @@ def pytest_sessionstart(session):
 # examples take long.
 settings.register_profile(
     "suite",
-    max_examples=50 if FURTHER else 25,
+    max_examples=50 if CAMPAIGN else 25,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
 )

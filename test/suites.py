@@ -25,7 +25,7 @@ SUITE = os.environ.get("CASSANDRA_ROS_SUITE") or "test"
 FURTHER = SUITE != "test"
 """Whether this is more than make test."""
 CAMPAIGN = SUITE == "campaign"
-SHARES = {"test": 0.1, "all": 0.5, "campaign": 10}
+SHARES = {"test": 0.1, "all": 0.2, "campaign": 10}
 """Share of a search's number of examples that is used, by suite."""
 ROUNDS = 10 if CAMPAIGN else 1
 """How often a test of a fault runs."""

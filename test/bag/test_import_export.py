@@ -90,20 +90,19 @@ OF_LARGE_BAGS = {"backpack_multiecho_bz2": ("packed",), "husky_gps_data": ("ros"
 OF_ONE_BAG = {"turtlesim_tf": ("binary", "string", "json", "ros", "packed")}
 
 
-def in_every_run(name, form):
-    """Whether make test asks for this format of this bag."""
-    return form in {**OF_LARGE_BAGS, **OF_ONE_BAG}.get(name, ("packed",))
+def suites_of(name, form):
+    """Return the mark that leaves this format of this bag to a larger suite, in a list."""
+    if form in {**OF_LARGE_BAGS, **OF_ONE_BAG}.get(name, ("packed",)):
+        return []
+    if name == "backpack_multiecho_bz2" and form in ("json", "string"):
+        return [pytest.mark.suite("campaign", "the largest bag in the slowest formats")]
+    return [pytest.mark.suite("all", "large bags in their slowest formats")]
 
 
 @pytest.mark.parametrize(
     ("name", "form"),
     [
-        pytest.param(
-            name,
-            form,
-            marks=[pytest.mark.suite("all", "large bags in their slowest formats")]
-            * (not in_every_run(name, form)),
-        )
+        pytest.param(name, form, marks=suites_of(name, form))
         for name, form in product(READABLE, FORMATS)
         if (name, form) != ("backpack_multiecho_bz2", "yaml")
     ],

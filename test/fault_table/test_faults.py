@@ -14,11 +14,23 @@ from faults.results import RESULTS, Results
 from faults.table import FAULTS, SHORT, try_fault
 from faults.world import World
 
+LONGEST = (
+    *("store_away_with_a_spool", "robot_store_killed", "deletions_repeated", "home_killed"),
+    *(
+        "topic_removed_at_robot",
+        "copy_source_killed",
+        "copy_target_killed",
+        "home_full",
+        "disk_full",
+    ),
+)
+"""Faults that take more than a minute also in their short form."""
+
 
 def suite_of(fault):
     """Return the mark of a fault of the table."""
-    if fault.group == "cluster":
-        return pytest.mark.suite("campaign", "three Cassandras, and minutes")
+    if fault.group == "cluster" or fault.name in LONGEST:
+        return pytest.mark.suite("campaign", "several Cassandras, or more than a minute")
     return pytest.mark.suite("all", "it kills or cuts something, and waits until all is stored")
 
 

@@ -477,7 +477,7 @@ def count_on(cluster, number, table):
         driver.shutdown()
 
 
-@pytest.mark.suite("all", "it starts or kills Cassandras")
+@pytest.mark.suite("campaign", "three Cassandras, and minutes")
 def test_a_node_whose_data_are_lost_comes_back(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(cluster_module, "START_TIMEOUT_SEC", 600.0)
     monkeypatch.setattr(cluster_module, "_NEIGHBOUR_TIMEOUT_SEC", 120.0)

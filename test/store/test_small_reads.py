@@ -226,14 +226,14 @@ def test_what_matches_in_numbers_is_not_fetched_by_its_keys(rosCas, monkeypatch)
         for n in range(3000):
             writer.write(handle, T0 + n * SEC // 1000, n, serialize(UInt32(data=n % 1000)))
     topic = rosCas.getTopic("/a")
-    for least, requests in ((0, 12), (500, 12), (900, 12), (999, 10)):
+    for least in (0, 500, 900, 999):
         for what in ("KEY, data", "*", "count(*)"):
             statement = f"select {what} from a where data >= {least}"
             rosCas.executeCQL(statement)
             ask = partial(rosCas.executeCQL, statement)
             found, told = asked(monkeypatch, topic, ask)
             assert (found[0][0] if what == "count(*)" else len(found)) == 3 * (1000 - least)
-            assert 0 < told.requests <= requests
+            assert 0 < told.requests <= 12
             # Each row once, and once the keys of the buckets that were begun before the first had
             # been read: on a busy machine all three.
             assert told.rows <= 6 * (1000 - least) + 20
