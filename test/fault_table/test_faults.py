@@ -16,13 +16,8 @@ from faults.world import World
 
 LONGEST = (
     *("store_away_with_a_spool", "robot_store_killed", "deletions_repeated", "home_killed"),
-    *(
-        "topic_removed_at_robot",
-        "copy_source_killed",
-        "copy_target_killed",
-        "home_full",
-        "disk_full",
-    ),
+    *("topic_removed_at_robot", "copy_source_killed", "copy_target_killed"),
+    *("home_full", "disk_full"),
 )
 """Faults that take more than a minute also in their short form."""
 
