@@ -15,9 +15,15 @@ from faults.table import FAULTS, SHORT, try_fault
 from faults.world import World
 
 LONGEST = (
-    *("store_away_with_a_spool", "robot_store_killed", "deletions_repeated", "home_killed"),
-    *("topic_removed_at_robot", "copy_source_killed", "copy_target_killed"),
-    *("home_full", "disk_full"),
+    "copy_source_killed",
+    "copy_target_killed",
+    "deletions_repeated",
+    "disk_full",
+    "home_full",
+    "home_killed",
+    "robot_store_killed",
+    "store_away_with_a_spool",
+    "topic_removed_at_robot",
 )
 """Faults that take more than a minute also in their short form."""
 
