@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker
 from messages.test_message_stacks import manyWires
-from suites import search, sparing
+from suites import search
 
 from cassandra_ros import CassandraRosError
 from cassandra_ros.errors import (
@@ -191,7 +191,7 @@ BOUNDS = [
 WHERES = [None, "x > 3 AND x < 9", ("x = ?", [2.0]), "d > 1 AND NOT x < 15"]
 
 
-@pytest.mark.parametrize("bounds", sparing(BOUNDS, kept=BOUNDS[::2]))
+@pytest.mark.parametrize("bounds", BOUNDS)
 def test_what_is_pushed_is_what_a_filter_leaves(stored, bounds):
     """Times, robots, runs and conditions that the executors ask for, against those of toArrow."""
     fields = ["KEY", "NODE", "RUN", "x", "s.v"]
