@@ -29,7 +29,7 @@ help:
 	@echo "make screenshots    take the README's pictures of the viewer anew"
 	@echo "make test           every promise once, on a real Cassandra and a real roscore: 8 minutes"
 	@echo "                    (ARGS='-k name')"
-	@echo "make test-all       that, and what kills, cuts, waits, starts servers, browsers, installations: 30 minutes"
+	@echo "make test-all       that, and what kills, cuts, waits, starts servers, browsers, installations: over half an hour"
 	@echo "make test-python    the tests under another Python (PYTHON=python3.8, the default, to python3.13),"
 	@echo "                    with the reasons and numbers of those that cannot run there"
 	@echo "make campaign       the searches with many examples, and each fault ten times (hours)"
