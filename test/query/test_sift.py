@@ -140,7 +140,7 @@ def test_nothing_that_matches_is_left_out(name, caplog):
     tables = list({table.name: table for table, *_ in blocks}.values())
     seen = {"sifted": 0, "skipped": 0, "matching": 0}
 
-    @random_statements(120)
+    @random_statements(120, least=80 if FURTHER else 1)
     @given(Asker(kind.types, messages, kind.indexes).statements(), st.integers(0, 2**32))
     def check(statement, seed):
         writer = Writer(seed)
