@@ -109,20 +109,6 @@ def test_all_kinds_of_requests_find_the_new_session(rosCas, shut_down):
         use()
 
 
-def test_a_driver_that_no_longer_looks_for_its_node_is_replaced(rosCas, monkeypatch, caplog):
-    monkeypatch.setattr(link, "NO_NODE_SEC", 1.0)
-    topic = rosCas.addTopic("/a")
-    topic.addData(String("x"), key=1)
-    cluster = rosCas.cassandra._cluster
-    for host in cluster.metadata.all_hosts():
-        host.set_down()  # so that no answer starts to look for it
-        cluster.profile_manager.on_down(host)
-        for session in cluster.sessions:
-            session.remove_pool(host)
-    assert topic.getData(1).data == "x"
-    assert "has answered nothing for" in caplog.text
-
-
 def test_a_closed_connection_makes_no_other_session(connect):
     store = connect()
     links = store.cassandra._links

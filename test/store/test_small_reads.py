@@ -27,24 +27,31 @@ SLOT = 4096 * SEC
 T0 = 390_625 * SLOT  # a slot begins, of buckets of a second
 
 
-def is_about(future, topic):
-    """Say whether a request reads a topic or the directory.
+def is_about(future, keyspace):
+    """Say whether a request reads a topic of a keyspace or its directory.
 
     Others ask in this process, too; and the list of tables is read again when it is 2 s old.
     """
     query = getattr(future.query, "prepared_statement", future.query)
-    keyspace, _, _ = topic.tables[0].qualified.partition(".")
     return f"{keyspace}." in (getattr(query, "query_string", None) or "")
+
+
+def keyspace_of(topic):
+    """Return the keyspace of a topic.
+
+    It may be asked of the server, which the driver's own thread must not do: no answer would come.
+    """
+    return topic.tables[0].qualified.partition(".")[0]
 
 
 @contextmanager
 def metered(monkeypatch, topic):
     """Count the answers of the server that are about a topic, and their rows."""
-    told = SimpleNamespace(requests=0, rows=0)
+    told, keyspace = SimpleNamespace(requests=0, rows=0), keyspace_of(topic)
     original = ResponseFuture._set_final_result
 
     def final(future, answer):
-        if is_about(future, topic):
+        if is_about(future, keyspace):
             told.requests += 1
             told.rows += len(answer) if isinstance(answer, list) else 0
         return original(future, answer)
@@ -125,15 +132,15 @@ def test_what_was_stored_meanwhile_before_the_first_slot_hides_nothing(rosCas):
 @contextmanager
 def counted_before_an_answer(monkeypatch, topic):
     """Count the requests about a topic that are sent before the first answer is waited for."""
-    told = SimpleNamespace(sent=0, waited=False)
+    told, keyspace = SimpleNamespace(sent=0, waited=False), keyspace_of(topic)
     send, result = ResponseFuture.send_request, ResponseFuture.result
 
     def sending(future, *args, **kwargs):
-        told.sent += not told.waited and is_about(future, topic)
+        told.sent += not told.waited and is_about(future, keyspace)
         return send(future, *args, **kwargs)
 
     def waiting(future):
-        told.waited |= is_about(future, topic)
+        told.waited |= is_about(future, keyspace)
         return result(future)
 
     with monkeypatch.context() as patch:

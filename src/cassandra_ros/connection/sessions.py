@@ -23,9 +23,6 @@ _log = logging.getLogger(__name__)
 
 SILENT_SEC = 60.0
 """How long all requests may fail before the sessions are replaced, s."""
-NO_NODE_SEC = 10.0
-"""The same while the driver has called all nodes down, s. It looks for them itself, at most every
-10 s, but on a busy machine it was seen to stop."""
 FIRST_PAUSE_SEC = 0.5
 LAST_PAUSE_SEC = 30.0
 """Pauses between two attempts to replace the sessions, doubled from the first to the last, s."""
@@ -41,10 +38,6 @@ class Link(NamedTuple):
     """Session that returns decoded values."""
     raw_session: Session
     """Session that returns the bytes of each value."""
-
-    def knows_no_node(self) -> bool:
-        """Return whether the driver has called all nodes down, and so sends no request."""
-        return not all(tuple(session.get_pools()) for session in (self.session, self.raw_session))
 
     def is_shut_down(self) -> bool:
         """Return whether the cluster or a session has ended for good and can send no request."""
@@ -98,7 +91,7 @@ class Links:
             silent_sec: Time since which every request has failed without any answer, s.
         """
         link, silent_sec = self.current, min(silent_sec, time.monotonic() - self._since)
-        silent = silent_sec >= (NO_NODE_SEC if link.knows_no_node() else SILENT_SEC)
+        silent = silent_sec >= SILENT_SEC
         if not (silent or link.is_shut_down()):
             return
         with self._changed:
