@@ -257,6 +257,17 @@ def test_writing(kind, store, tmp_path):
             bag.write("/out", String())
 
 
+def test_what_is_being_written_is_counted(store):
+    """Count, size, times and types include each message that was written, without a flush."""
+    with cassandra_ros.Bag("counted.bag", "w", rosCas=store) as bag:
+        for n in range(3):
+            bag.write("/counted", String(data=str(n)), rospy.Time(5 + n))
+            assert bag.get_message_count() == bag.get_message_count("/counted") == n + 1
+            assert bag.get_end_time() == 5.0 + n
+            assert bag.get_type_and_topic_info().topics["/counted"].message_count == n + 1
+        assert bag.size == 3 * len(string_wire("0"))
+
+
 SCRIPT = """
 import sys
 out = Bag(sys.argv[2], "w")

@@ -61,6 +61,18 @@ def test_colours(colours, padding):
         assert (found == np.rint(wide[:, :, order] / 257)).all()
 
 
+@pytest.mark.parametrize("padding", [1, 3, 64])
+def test_the_padding_of_the_last_row_may_be_missing(padding):
+    """Some drivers send no bytes after the last pixel; a pixel that is missing is a damage."""
+    samples = random("u1", 3)
+    msg = image(samples, "rgb8", padding)
+    msg.data = msg.data[:-padding]
+    assert (drawn(msg) == samples).all()
+    msg.data = msg.data[:-1]
+    with pytest.raises(CorruptMessage, match="is damaged"):
+        drawn(msg)
+
+
 @pytest.mark.parametrize("encoding", ["mono8", "8UC1", "mono16", "8UC3", "8UC4", "16UC3", "MONO8"])
 def test_grey_and_the_names_of_opencv(encoding):
     channels = int(encoding[-1]) if "C" in encoding else 1

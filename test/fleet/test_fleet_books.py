@@ -192,6 +192,21 @@ def test_only_what_home_lacks_or_may_lack_is_read_from_the_robot(stores, format)
         assert given_by(fleet, husky) == (49, 49)
 
 
+@pytest.mark.parametrize("format", sparing(["ros", "packed"], kept=["packed"]))
+def test_what_a_second_writer_adds_to_a_copied_bucket_is_read(stores, format):
+    """Home has all of the first writer's messages of that time, and none of the second's."""
+    home, husky, _ = stores.values()
+    rows = numbered("husky", range(12))
+    write(husky, "/s", format, rows)
+    copy(husky, home, "/s")
+    later = [(t + 1, node, 9, number, msg) for t, node, _, number, msg in rows[4:8]]
+    write(husky, "/s", format, later)
+    with Fleet([place(home), place(husky)]) as fleet:
+        assert given_by(fleet, husky) == (16, 8)  # the bucket of both is read from the robot
+        assert [row.t for row in fleet.rows("s")] == sorted(row[0] for row in (*rows, *later))
+        assert fleet.executeCQL("SELECT count(*) FROM s") == [(16,)]
+
+
 @pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("reverse", [False, True])
 def test_what_is_copied_while_it_is_read_is_given_once(stores, reverse):

@@ -124,6 +124,20 @@ def test_texts_that_are_no_message(text):
     check_refused(CassandraTopic_json, text)
 
 
+@pytest.mark.parametrize(
+    "data", ["iVBO Rw0K", "iVBORw0K!", "iVB-Rw0K", "iVB_Rw0K", "iVBORw0", "iVBORw0K\\n", "é"]
+)
+def test_a_text_that_is_not_base64_is_refused(data):
+    """A damaged text gives no message, rather than one with other bytes."""
+    storage = json_format("sensor_msgs/CompressedImage")
+    header = '{"seq":0,"stamp":{"secs":7,"nsecs":0},"frame_id":""}'
+    text = f'{{"header":{header},"format":"png","data":"{data}"}}'
+    with pytest.raises(CorruptMessage, match="CompressedImage"):
+        storage.decode_wire((text.encode(),), None)
+    sound = text.replace(data, "iVBORw0K")
+    assert storage.decode_wire((sound.encode(),), None).endswith(b"\x89PNG\r\n")
+
+
 def test_arrays_are_shortened_before_strings():
     storage = json_format("diagnostic_msgs/DiagnosticStatus")
     value = message_class(installed_definition("diagnostic_msgs/KeyValue"))

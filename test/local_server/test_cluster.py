@@ -36,6 +36,7 @@ from cassandra_ros.cli import cassandra_bag, local_cassandra
 from cassandra_ros.errors import ServerError, StoreUnavailable
 from cassandra_ros.local_server import LocalCluster, free_port, node_tool, preflight, processes
 from cassandra_ros.local_server import cluster as cluster_module
+from cassandra_ros.local_server.cluster_settings import change_settings, new_settings, save_settings
 from cassandra_ros.local_server.commit_log import cut_torn_end
 from cassandra_ros.local_server.cql import answers_cql
 
@@ -327,6 +328,31 @@ def little_space(monkeypatch):
 def test_no_space(tmp_path, little_space):
     with pytest.raises(ServerError, match="no space: .* has 100 MiB free.*make room"):
         make(tmp_path / "new", port=free_port()).start()
+
+
+def test_each_node_needs_its_space(tmp_path, monkeypatch):
+    """There is enough for two nodes, and not for three: refused before anything is made."""
+    usage = shutil.disk_usage("/")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=2000 << 20))
+    assert preflight.make_directory(tmp_path / "two", 2) == ""
+    with pytest.raises(ServerError, match="2000 MiB free, Cassandra needs 2304 MiB; make room"):
+        preflight.make_directory(tmp_path / "three", 3)
+    assert not (tmp_path / "three").exists()
+
+
+def test_a_cluster_with_data_is_started_where_there_is_little_space(
+    tmp_path, little_space, monkeypatch
+):
+    """What is stored can be read then, and deleted; the warning says what is missing."""
+    started = []
+    monkeypatch.setattr(LocalCluster, "_start_nodes", lambda self, nodes, _: started.append(nodes))
+    for name in ("_await_answer", "_await_neighbours"):
+        monkeypatch.setattr(LocalCluster, name, lambda *_: None)
+    save_settings(tmp_path, change_settings(new_settings(), port=free_port()))
+    cluster = make(tmp_path)
+    assert cluster.exists and cluster.start()
+    assert [node.number for nodes in started for node in nodes] == [1]
+    assert "has 100 MiB free, Cassandra needs 768 MiB; make room" in cluster.said[0]
 
 
 @pytest.mark.suite("all", "it starts or kills Cassandras")

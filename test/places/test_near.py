@@ -355,6 +355,28 @@ def test_poses_that_are_not_in_the_index_count(rosCas):
     assert asked(rosCas, "NEAR(200, 0, 2)") == [T0 + n * SEC + 1 for n in (20, 61)]
 
 
+def test_who_asks_for_a_time_finds_a_robot_that_came_before_it(rosCas):
+    """A robot stands at one place for ten minutes; only a part of that time is asked for."""
+    with Writer(rosCas, "", "stands") as writer:
+        for n in range(61):
+            writer.put("/odom", T0 + 10 * n * SEC, odometry(1.0, 2.0, "map"))
+            writer.put("/n", T0 + 10 * n * SEC, Int32(n))
+        # It drives away, so that not all of the recording is near the place.
+        writer.put("/odom", T0 + 620 * SEC, odometry(900.0, 900.0, "map"))
+        writer.put("/n", T0 + 620 * SEC, Int32(61))
+
+    def check():
+        for first, last in ((0, 61), (3, 5), (30, 30), (58, 61)):
+            times = [T0 + 10 * first * SEC, T0 + 10 * last * SEC]
+            found = asked(rosCas, "NEAR(1, 2, 3) and KEY >= ? and KEY <= ?", times)
+            assert found == [T0 + 10 * n * SEC for n in range(first, min(last, 60) + 1)]
+
+    check()
+    rosCas.upkeep.indexPlaces()
+    assert noted_of(rosCas) == [(T0, T0 + 620 * SEC)]
+    check()
+
+
 def test_frames_that_are_fixed_in_another_way_since(rosCas):
     """What was noted holds for the frames as they were: a map that is moved moves the robot."""
     with Writer(rosCas, "", "still") as writer:

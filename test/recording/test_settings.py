@@ -97,6 +97,18 @@ def test_a_rate_is_kept_also_where_messages_jitter():
     assert 48 <= len(passed(filters, again)) <= 52
 
 
+@pytest.mark.parametrize("pause_sec", [1, 10, 1000])
+def test_after_a_pause_no_burst_is_recorded(pause_sec):
+    """What was not sent in the pause is not made up for: one message more, and the rate holds."""
+    filters = Filters(RecorderOptions(rate_limit=[("/t", 1.0)]).settings)
+    early = [SEC * n // 10 for n in range(50)]
+    late = [early[-1] + pause_sec * SEC + SEC * n // 10 for n in range(1, 51)]
+    assert len(passed(filters, early)) == 5
+    kept = passed(filters, late)
+    assert kept[0] == late[0] and 5 <= len(kept) <= 6
+    assert all(b - a >= SEC * 9 // 10 for a, b in zip(kept[1:], kept[2:]))
+
+
 def test_a_condition_is_that_of_the_query_language():
     filters = Filters(RecorderOptions(where=[("/n", "data > 5 and data != 7")]).settings)
     header = header_of(Int32)

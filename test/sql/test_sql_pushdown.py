@@ -508,3 +508,29 @@ def test_a_time_as_parameter_has_all_digits(stored):
     asked = "SELECT KEY FROM a WHERE KEY >= ? - INTERVAL 1 HOUR AND KEY <= ? ORDER BY KEY"
     assert store.sql(asked, [key, key]).fetchall() == [(key,)]
     assert SqlResult(store.catalog, "SELECT 1", (), EVERYBODY).fetchall() == [(1,)]
+
+
+EITHER = [
+    "RUN = '1' OR RUN = '2'",
+    "RUN = '1' OR i = 7",
+    "i = 7 OR RUN = '1'",
+    "RUN = '1' OR NODE = 'r2'",
+    "NODE = 'r1' OR NODE = 'r2'",
+    "NODE = 'r1' OR i = 7",
+    "KEY < '2020-09-13 12:26:40.45' OR KEY > '2020-09-13 12:26:42.5'",
+    "KEY < '2020-09-13 12:26:40.45' OR i = 7",
+    "'bump' IN EVENT OR 'turn' IN EVENT",
+    "'turn' IN EVENT OR NODE = 'r2'",
+    "s = 'map' OR i = 7",
+]
+"""Pairs of conditions. Some messages satisfy only the first, and some only the second."""
+
+
+@pytest.mark.parametrize("either", EITHER)
+def test_a_message_that_satisfies_one_of_two_conditions_is_found(stored, either):
+    store, whole = stored
+    asked = f"SELECT KEY, NODE, RUN FROM a WHERE {either}"
+    wanted = answer(lambda: rows_of(whole.sql(asked).to_arrow_table()))
+    assert answer(lambda: SqlResult(store.catalog, asked).fetchall()) == wanted
+    one, other = (f"SELECT KEY FROM a WHERE {part}" for part in either.split(" OR "))
+    assert len(wanted) > max(len(rows_of(whole.sql(q).to_arrow_table())) for q in (one, other))

@@ -21,6 +21,9 @@ from cassandra_ros.errors import (
     InvalidOption,
     RunNotFound,
 )
+from cassandra_ros.messages.classes import serialize
+from cassandra_ros.messages.connection_header import api_connection
+from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.read import ALWAYS, Read, TimeRange, Whose
 from cassandra_ros.tables.event_table import SLOT_NS, Event, Names
 from cassandra_ros.tables.registry import Run
@@ -263,3 +266,45 @@ def test_parts_hold_exactly_the_messages_of_the_events(ranges, before, after, lo
             assert found.holds(node, "", t) == expected
             in_span = any(a <= t <= b for a, b in found.spans(low, low + length))
             assert in_span >= expected
+
+
+def test_the_time_before_and_after_an_event_counts_where_the_event_is_not_read(rosCas):
+    """An event ends before the time that is read, or begins after it; its margins reach into it."""
+    topic = rosCas.addTopic("/a")
+    for n in range(40):
+        topic.addData(String(str(n)), key=T0 + n * SEC)
+    rosCas.addEvent("early", T0 + 5 * SEC, T0 + 10 * SEC)
+    rosCas.addEvent("late", T0 + 30 * SEC, T0 + 35 * SEC)
+
+    def read(*event):
+        rows = rosCas.readMessages("/a", T0 + 12 * SEC, T0 + 28 * SEC, event=event)
+        return [int(row.message().data) for row in rows]
+
+    assert read("early", 0, 4) == [12, 13, 14]
+    assert read("late", 3, 0) == [27, 28]
+    for event in (("early", 4, 1), ("late", 1, 3)):
+        with pytest.raises(EventNotFound):
+            read(*event)
+
+
+@pytest.mark.parametrize("order", ["", " ORDER BY KEY DESC"])
+def test_pages_inside_events_leave_no_message_out(rosCas, order):
+    """Messages of several robots at one time are on different pages."""
+    for node in ("", "husky", "jackal"):
+        with rosCas.messageWriter(nodeID=node) as writer:
+            handle = writer.connect(api_connection("/a", definition_of(String), "/x"))
+            for n in range(8):
+                writer.write(handle, T0 + n * SEC, n, serialize(String(str(n))))
+    rosCas.addEvent("bump", T0 + SEC, T0 + 2 * SEC)
+    rosCas.addEvent("bump", T0 + 5 * SEC, T0 + 6 * SEC)
+    asked = f"SELECT KEY, NODE FROM /a WHERE EVENT 'bump'{order}"
+    whole = list(rosCas.executeCQL(asked))
+    assert len(whole) == 4 * 3
+    for size in (1, 2, 5):
+        found, cursor, page = [], "", whole
+        while page:
+            with rosCas.statements.select(asked, limit=size, after=cursor) as result:
+                page = list(result)
+                cursor = result.cursor
+            found += page
+        assert found == whole

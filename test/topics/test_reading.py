@@ -10,7 +10,7 @@ import pytest
 from std_msgs.msg import String, UInt32
 
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import Position, decode_cursor, encode_cursor
+from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import definition_of
@@ -137,3 +137,26 @@ def test_times_at_the_ends_of_the_world(rosCas):
     assert topic.first().ns == 0
     assert topic.last().ns == MAX_NS
     assert topic.countTopicData(0, MAX_NS) == 4
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("table", ["t_a", "t_z"])
+def test_a_cursor_holds_where_another_table_has_replaced_that_of_its_row(table, reverse):
+    """The row is not read again and no other row is left out, whatever the new table is called."""
+    read = Position(T0, "r1", 7, "t_m")
+    cursor = decode_cursor(encode_cursor(read)).among([table], reverse)
+    before = (
+        Position(T0 - 1, "z", 9, table),
+        Position(T0, "", 9, table),
+        Position(T0, "r1", 6, table),
+    )
+    after = (
+        Position(T0, "r1", 8, table),
+        Position(T0, "r2", 1, table),
+        Position(T0 + 1, "", 1, table),
+    )
+    assert not is_after(read._replace(table=table), cursor, reverse)
+    assert {is_after(each, cursor, reverse) for each in after} == {not reverse}
+    assert {is_after(each, cursor, reverse) for each in before} == {reverse}
+    # While the table is there, its name counts: a row of another table may have the same place.
+    assert read.among(["t_a", "t_m"], reverse) == read

@@ -143,6 +143,19 @@ def test_robots_runs_conditions_and_what_was_latched(store, viewer, tmp_path):
     assert "/tf_static" not in counts(**late, latched="false")
 
 
+def test_a_condition_with_or_does_not_let_other_robots_in(viewer, tmp_path):
+    """Robots turtle and third sent /tf_static, husky did not. Two of the three are selected."""
+
+    def count(condition, nodes):
+        asked = {"topics": "/tf_static", "where": f"/tf_static: {condition}"}
+        return len(messages_in(bag_of(viewer, tmp_path, **asked, nodes=nodes)))
+
+    of_each = [count("KEY > 0", node) for node in ("turtle", "third")]
+    for condition in ("KEY > 0 OR KEY < 0", "KEY < 0 OR KEY > 0"):
+        assert [count(condition, nodes) for nodes in ("husky,turtle", "third,husky")] == of_each
+        assert count(condition, "turtle,third") == sum(of_each)
+
+
 def test_what_is_stored_since_makes_another_file(store, viewer, tmp_path):
     topic = store.addTopic("/notes", msg_type="std_msgs/String")
     topic.addData(String("one"), key=10**18)

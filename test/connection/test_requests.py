@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Pauses between attempts double up to a maximum, however long the store is away; a clock of ours.
+
+After hours without a store it is asked again soon, and before that it is not asked all the time.
+"""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+from cassandra import OperationTimedOut
+from cassandra.connection import ConnectionBusy
+
+from cassandra_ros.connection import requests, sessions
+from cassandra_ros.connection.requests import Flight, Patience, retried
+from cassandra_ros.connection.sessions import Link, Links
+from cassandra_ros.errors import StoreUnavailable
+
+DOUBLED_SEC = [0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0, 5.0, 5.0]
+"""Pauses between the first attempts of a request."""
+
+
+class Clock:
+    """A monotonic clock that a sleep moves on."""
+
+    def __init__(self):
+        self.now = 1000.0
+
+    def monotonic(self):
+        return self.now
+
+    def sleep(self, seconds):
+        self.now += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    for module in (requests, sessions):
+        monkeypatch.setattr(module, "time", clock)
+    return clock
+
+
+class Store:
+    """A store that answers a request at a time, and fails with an error before it."""
+
+    def __init__(self, clock, since, error):
+        self._clock, self._since, self._error = clock, since, error
+        self.asked = []
+
+    def ask(self, *_):
+        self.asked.append(self._clock.now)
+        if self._clock.now < self._since:
+            raise self._error
+        return "answer"
+
+    @property
+    def pauses(self):
+        return [later - before for before, later in zip(self.asked, self.asked[1:])]
+
+
+def test_a_request_that_waits_is_repeated_at_least_every_5_s(clock):
+    store = Store(clock, clock.now + 3600, OperationTimedOut("late"))
+    assert retried("asking", store.ask, seconds=7200) == "answer"
+    assert store.pauses[: len(DOUBLED_SEC)] == pytest.approx(DOUBLED_SEC)
+    assert max(store.pauses) == pytest.approx(5.0)
+
+
+def test_a_request_is_given_up_when_its_time_is_over(clock):
+    began, store = clock.now, Store(clock, clock.now + 3600, OperationTimedOut("late"))
+    with pytest.raises(StoreUnavailable):
+        retried("asking", store.ask, seconds=30)
+    assert began + 20 < clock.now <= began + 30
+
+
+def test_a_full_socket_is_waited_for_without_longer_pauses(clock):
+    store = Store(clock, clock.now + 0.1, ConnectionBusy("full"))
+    assert retried("asking", store.ask) == "answer"
+    assert max(store.pauses) == pytest.approx(0.002)
+
+
+def test_a_statement_on_its_way_is_sent_again_at_least_every_5_s(clock, monkeypatch):
+    class Timer:
+        """Calls a function at once; the time of the pause goes by."""
+
+        def __init__(self, seconds, work, args):
+            self._seconds, self._work, self._args = seconds, work, args
+
+        def start(self):
+            clock.sleep(self._seconds)
+            self._work(*self._args)
+
+    monkeypatch.setattr(requests.threading, "Timer", Timer)
+    store = Store(clock, float("inf"), OperationTimedOut("late"))
+    outcomes = []
+    Flight(store.ask, Patience(120)).submit(None, 1, outcomes.append)
+    assert [type(each) for each in outcomes] == [OperationTimedOut]
+    assert store.pauses[: len(DOUBLED_SEC)] == pytest.approx(DOUBLED_SEC)
+    assert max(store.pauses) == pytest.approx(5.0)
+
+
+def test_a_new_session_is_tried_at_least_every_30_s(clock, monkeypatch):
+    """A session that has ended is replaced half a minute after the store is back, or sooner."""
+    ended = SimpleNamespace(is_shutdown=True, get_pools=tuple, shutdown=lambda: None)
+    tried = []
+
+    def accepts(place):
+        tried.append(clock.now)
+        return False
+
+    monkeypatch.setattr(sessions, "_accepts", accepts)
+    links = Links(lambda: Link(ended, ended, ended), lambda link: None, [("h", 1)], "h")
+    for _ in range(600):
+        links.failed(0.0)
+        for thread in threading.enumerate():
+            if thread.name == "cassandra_ros-session":
+                thread.join()
+        clock.sleep(0.5)
+    links.close()
+    pauses = [later - before for before, later in zip(tried, tried[1:])]
+    assert pauses == [1, 2, 4, 8, 16] + 8 * [30]
