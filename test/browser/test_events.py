@@ -130,6 +130,7 @@ def test_a_dragged_range_and_e_make_an_event(store, show):
 def test_a_viewer_that_only_reads_says_so(store, show):
     home = show()
     home.drag(HUSKY_START + 5 * SEC, HUSKY_START + 8 * SEC)
+    home.window.wait_for(f"return !!document.querySelector('{CANVAS}').timeline.selection")
     home.canvas.send_keys("E")
     home.window.wait_for(
         "return document.getElementById('banner')?.textContent.includes('--allow-writes')"
