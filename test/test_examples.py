@@ -200,7 +200,7 @@ def test_the_storyboard_replays_the_window(cassandra, keyspace, rosCas, roscore)
         rosCas.cassandra.schema_change(f'DROP KEYSPACE "{rosCas.keyspace}"', what="cleaning up")
 
 
-@pytest.mark.suite("all", "it starts two Cassandras")
+@pytest.mark.suite("campaign", "it takes minutes; what it shows, test/fleet and test/copying test")
 def test_two_robots_copy_themselves_home(ros_env):
     done = subprocess.run(
         [sys.executable, str(ROOT / "examples/demo.py"), "--fleet"],

@@ -15,7 +15,9 @@ from faults.table import FAULTS, SHORT, try_fault
 from faults.world import World
 
 LONGEST = (
+    "copies_at_once",
     "copy_source_killed",
+    "copy_store_killed",
     "copy_target_killed",
     "deletions_repeated",
     "disk_full",
@@ -23,6 +25,8 @@ LONGEST = (
     "home_killed",
     "robot_store_killed",
     "store_away_with_a_spool",
+    "topic_converted",
+    "topic_removed_at_home",
     "topic_removed_at_robot",
 )
 """Faults that take more than a minute also in their short form."""
