@@ -141,6 +141,7 @@ def pytest_sessionstart(session):
 settings.register_profile(
     "suite",
     max_examples=50 if CAMPAIGN else 25,
+    derandomize=not CAMPAIGN,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
 )

@@ -8,6 +8,9 @@ CASSANDRA_ROS_SUITE names the suite; make sets it.
 - all: that, and what kills, cuts, waits, or starts servers, browsers, other Pythons.
 - campaign: the searches with many examples, each fault ten times, and all that test leaves out.
 
+The examples of test and all are the same in each run, so that a failure comes from the change that
+is tested; those of the campaign are new in each run.
+
 A test without a mark is in test, and so in all. ``suite("all", reason)`` leaves it to make
 test-all, ``suite("campaign", reason)`` to make campaign. ``suite("test", reason)`` says why a test
 that takes more than SLOW_SEC is in make test all the same.
@@ -25,8 +28,8 @@ SUITE = os.environ.get("CASSANDRA_ROS_SUITE") or "test"
 FURTHER = SUITE != "test"
 """Whether this is more than make test."""
 CAMPAIGN = SUITE == "campaign"
-SHARES = {"test": 0.1, "all": 0.2, "campaign": 10}
-"""Share of a search's number of examples that is used, by suite."""
+SHARE = 10 if CAMPAIGN else 0.1
+"""Share of a search's number of examples that is used."""
 ROUNDS = 10 if CAMPAIGN else 1
 """How often a test of a fault runs."""
 SLOW_SEC = 3.0
@@ -70,14 +73,18 @@ def sparing(values, kept):
 
 def examples(number, least=1):
     """Return the number of examples of a search; the campaign uses ten times ``number``."""
-    return max(least, round(number * SHARES[SUITE]))
+    return max(least, round(number * SHARE))
 
 
 def random_statements(number, repeatable=True, least=1):
-    """Return the settings of a search with this number of random statements."""
+    """Return the settings of a search with this number of random statements.
+
+    Args:
+        repeatable: Whether they are the same in each run, in the campaign too.
+    """
     return settings(
         max_examples=examples(number, least),
-        derandomize=repeatable,
+        derandomize=repeatable or not CAMPAIGN,
         deadline=None,
         database=None,
         suppress_health_check=list(HealthCheck),

@@ -94,9 +94,9 @@ def suites_of(name, form):
     """Return the mark that leaves this format of this bag to a larger suite, in a list."""
     if form in {**OF_LARGE_BAGS, **OF_ONE_BAG}.get(name, ("packed",)):
         return []
-    if name == "backpack_multiecho_bz2" and form in ("json", "string"):
-        return [pytest.mark.suite("campaign", "the largest bag in the slowest formats")]
-    return [pytest.mark.suite("all", "large bags in their slowest formats")]
+    if form == "yaml" or (name == "backpack_multiecho_bz2" and form in ("json", "string")):
+        return [pytest.mark.suite("campaign", "large bags in their slowest formats")]
+    return [pytest.mark.suite("all", "make test asks other formats of this bag")]
 
 
 @pytest.mark.parametrize(
@@ -111,7 +111,7 @@ def test_every_bag_comes_back_as_it_was(rosCas, bags, tmp_path, name, form):
     comes_back(rosCas, bags / f"{name}.bag", tmp_path, form)
 
 
-@pytest.mark.suite("all", "large bags in their slowest formats")
+@pytest.mark.suite("campaign", "large bags in their slowest formats")
 def test_the_largest_bag_comes_back_from_yaml(rosCas, bags, tmp_path):
     # Slow, 50 us a number, and more of the same: not all of it.
     part = 5 if CAMPAIGN else 20

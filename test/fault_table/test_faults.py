@@ -30,12 +30,29 @@ LONGEST = (
     "topic_removed_at_robot",
 )
 """Faults that take more than a minute also in their short form."""
+VARIANTS = (
+    "clock_set_forward",
+    "connections_silent",
+    "conversion_back_killed",
+    "copy_killed_converting",
+    "copy_killed_packed",
+    "deletion_killed_packed",
+    "import_killed_packed",
+    "other_topics_at_home",
+    "recorder_killed_packed",
+    "replicators_at_once",
+    "store_away_longer_than_the_buffer",
+    "topic_renamed_on_both_sides",
+)
+"""Faults of which another one takes the same way through the code."""
 
 
 def suite_of(fault):
     """Return the mark of a fault of the table."""
     if fault.group == "cluster" or fault.name in LONGEST:
         return pytest.mark.suite("campaign", "several Cassandras, or more than a minute")
+    if fault.name in VARIANTS:
+        return pytest.mark.suite("campaign", "another fault takes the same way")
     return pytest.mark.suite("all", "it kills or cuts something, and waits until all is stored")
 
 

@@ -328,7 +328,7 @@ def test_programs_find_their_login_by_the_environment(cqlshrc, users, tmp_path, 
     assert "refuses the user name 'ann'" in err and "secret" not in err
 
 
-@pytest.mark.suite("all", "it starts a Cassandra")
+@pytest.mark.suite("campaign", "it takes minutes; what it shows, the other tests here ask")
 def test_the_demo_over_tls_with_a_login(ros_env, tmp_path):
     done = subprocess.run(
         [sys.executable, str(ROOT / "examples/demo.py"), "--secure", "--out", str(tmp_path)],

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 from sensor_msgs.msg import LaserScan, NavSatFix
 from std_msgs.msg import String
-from suites import FURTHER, search
+from suites import CAMPAIGN, search
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
@@ -226,7 +226,7 @@ def fuzz(store, answered, asked, short):
 def test_fuzz_of_statements(store):
     answered = Counter()
     fuzz(store, answered)
-    least = 10 if FURTHER else 3
+    least = 10 if CAMPAIGN else 3
     for outcome in ("some", "refused"):  # not all of it was nonsense, and not all was right
         # A search may find few with one outcome, because each example resembles the one before.
         assert answered["select", outcome] + answered["delete", outcome] >= least, answered
