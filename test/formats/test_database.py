@@ -8,7 +8,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
-from suites import FEW_FORMATS, FURTHER, SUITE, examples, sparing
+from suites import FEW_FORMATS, SUITE, examples, sparing
 
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import installed_definition
@@ -69,7 +69,8 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
 @pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
 @pytest.mark.search
 def test_random_types_come_back_equal(fresh, name):
-    makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(20 if FURTHER else 5)]
+    number = {"test": 5, "all": 20, "campaign": 40}[SUITE]
+    makers = [DefinitionMaker(seed, depth=seed % 5) for seed in range(number)]
     definitions = [parse_definition(*maker.make()) for maker in makers]
     with fresh() as rosCas:
         checkStored(rosCas, name, definitions, examples(4, least=4))
