@@ -11,11 +11,13 @@ from __future__ import annotations
 import json
 import re
 from numbers import Integral
-from typing import Any, Container, Iterable, Mapping
+from typing import Any, Container, Iterable, Mapping, TypeVar
 
 from cassandra_ros.errors import CassandraRosError, InvalidKey, InvalidName, InvalidOption
 from cassandra_ros.keys import KEY_FORMATS, MAX_WRITER
 from cassandra_ros.metadata import FACTS
+
+_Value = TypeVar("_Value")
 
 MAX_NAME_BYTES = 256
 """Maximum length of a new name of a topic, a robot, a run or a label, and of a label's text, UTF-8
@@ -214,6 +216,18 @@ def check_list(name: str, values: Any, example: str) -> list[Any]:
     if isinstance(values, Iterable) and not isinstance(values, (bytes, bytearray)):
         return list(values)
     raise InvalidName(f"{name}={_shown(values)} is no list of names: give one like {example}")
+
+
+def check_pairs(
+    name: str, pairs: Iterable[tuple[str, _Value]], remedy: str = "give it once"
+) -> dict[str, _Value]:
+    """Return pairs as a mapping, or raise InvalidOption if two of them have the same key."""
+    found: dict[str, _Value] = {}
+    for key, value in pairs:
+        if key in found:
+            raise InvalidOption(f"{name}: {key!r:.80} is given twice: {remedy}")
+        found[key] = value
+    return found
 
 
 def check_limit(limit: Any) -> int | None:

@@ -198,6 +198,10 @@ class InvalidQuery(CassandraRosError, ValueError):
         caret = " " * (self.position - start) + "^"
         super().__init__(f"{reason}\n  {line}\n  {caret}")
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # Of an error pickle gives its constructor the text that is shown.
+        return type(self), (self.statement, self.position, self.reason), vars(self)
+
 
 class AnswerTooLarge(CassandraRosError, ValueError):
     """An answer, or a row or message in it, is larger than the maximum."""

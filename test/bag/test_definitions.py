@@ -7,13 +7,16 @@ from __future__ import annotations
 import logging
 
 import pytest
+import rosbag
 from bag.truth import read_with_rosbag, string_connection, string_wire
 from std_msgs.msg import Int32, String
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.bag.bag_writer import BagWriter
+from cassandra_ros.bag.comparison import verify_bag
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.stored_bag import Bag
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize, to_yaml
@@ -177,3 +180,81 @@ def test_an_installed_name_with_another_definition_is_read_by_the_stored_one(
     assert rosCas.executeCQL("select level from /t where level = 5") == [(5,)]
     export_bag(rosCas, tmp_path / "out.bag")
     assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+def told_by_rosbag(path):
+    with rosbag.Bag(str(path)) as bag:
+        return [(topic, str(message), t.to_nsec()) for topic, message, t in bag]
+
+
+def check_read(rosCas, path):
+    """Check that the messages are as rosbag reads them, and that an export gives the same bag."""
+    with Bag(str(path), rosCas=rosCas) as bag:
+        assert [(topic, str(m), t.to_nsec()) for topic, m, t in bag] == told_by_rosbag(path)
+        raw = [message[:3] for _, message, _ in bag.read_messages(raw=True)]
+    with rosbag.Bag(str(path)) as bag:
+        assert raw == [message[:3] for _, message, _ in bag.read_messages(raw=True)]
+    assert verify_bag(rosCas, path).equal
+    export_bag(rosCas, path.parent / "out.bag")
+    assert read_with_rosbag(path.parent / "out.bag") == read_with_rosbag(path)
+
+
+PART = "=" * 80 + "\nMSG: lost_msgs/Part\ntime stamp\nfloat32 value\n"
+
+
+@two_formats
+def test_a_type_defined_twice_is_read(rosCas, tmp_path, caplog, form):
+    """Some converters append the text of a type each time that the type is used."""
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    fields = {**header("lost_msgs/Thing", THING), "message_definition": THING + "\n" + PART}
+    path = write_bag(tmp_path / "a.bag", [(fields, bytes(4) + THING_WIRE)] * 3)
+    assert import_bag(rosCas, path, format=form).topics["/t"].format == form
+    assert warnings(caplog) == []
+    check_read(rosCas, path)
+    assert rosCas.executeCQL("select parts.value from /t") == [(1.0,)] * 3
+
+
+@two_formats
+@pytest.mark.parametrize("stated", ["0" * 32, "*", Int32._md5sum])
+def test_a_definition_is_read_where_the_md5sum_is_of_another(
+    rosCas, tmp_path, caplog, form, stated
+):
+    """As by rosbag, with one warning however many publishers there are."""
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    wrong = [{**STRING, "md5sum": stated, "callerid": name} for name in ("/x", "/y")]
+    messages = [(wrong[n % 2], string_wire(f"text {n}")) for n in range(5)]
+    messages.append((STRING, string_wire("of a sound connection")))
+    path = write_bag(tmp_path / "a.bag", messages)
+    report = import_bag(rosCas, path, format=form)
+    assert (report.topics["/t"].format, report.messages, report.lost) == (form, 6, {})
+    (warning,) = report.warnings
+    assert warnings(caplog) == [warning]
+    for word in ("/t", "std_msgs/String", repr(stated), String._md5sum):
+        assert word in warning
+    topic = rosCas.getTopic("/t")
+    assert len(topic.tables) == 1
+    assert [type(message) for _, message in topic.items()] == [String] * 6
+    assert rosCas.executeCQL("select data from /t where data = 'text 3'") == [("text 3",)]
+    check_read(rosCas, path)
+    assert import_bag(rosCas, path).messages == 6
+    assert topic.countTopicData() == 6
+    topic.addData(String("by hand"))
+
+
+def test_two_definitions_under_one_md5sum_are_two_tables(rosCas, tmp_path):
+    """rosbag reads both by the first; by their own texts both fit."""
+    wrong = [{**each, "md5sum": "0" * 32} for each in (STRING, INT32)]
+    path = write_bag(tmp_path / "a.bag", [(wrong[0], string_wire("a")), (wrong[1], bytes(4))])
+    import_bag(rosCas, path, format="ros")
+    topic = rosCas.getTopic("/t")
+    assert {type(message) for _, message in topic.items()} == {String, Int32}
+    assert len(topic.tables) == 2
+    assert verify_bag(rosCas, path).equal
+
+
+def test_a_recorded_topic_is_read_where_the_md5sum_is_of_another(rosCas, tmp_path, caplog):
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    fields = {**INT32, "md5sum": "0" * 32}
+    by_recorder(rosCas, tmp_path, [(fields, serialize(Int32(n))) for n in range(3)], "ros")
+    assert [message.data for _, message in rosCas.getTopic("/t").items()] == [0, 1, 2]
+    assert len(warnings(caplog)) == 1

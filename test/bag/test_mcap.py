@@ -214,8 +214,8 @@ def test_damage_is_found_or_changes_nothing(tmp_path):
             assert str(path) in str(exc)
             refused += 1
             with suppress(BagError), open_file(path, salvage=True) as reader:
-                count = reader.message_count
-                assert [m.data for m in reader.messages()] == expected[:count]
+                rest = iter(expected)
+                assert all(m.data in rest for m in reader.messages())
                 salvaged += 1
     assert refused > 100
     assert salvaged > 50
@@ -313,14 +313,14 @@ def test_any_header_comes_back_to_the_bit(fields, definition):
     summary = make_reader(io.BytesIO(stream.getvalue())).get_summary()
     channel, schema = summary.channels[1], summary.schemas[1]
     channel.id = 7
-    assert to_connection(channel, schema, "") == connection
+    assert to_connection(channel, schema) == connection
 
 
 def test_hostile_metadata_is_refused():
     for text in ("x", "1:=", "99999999999999999999999:AAAA", ":"):
         channel = Channel(1, "/a", "ros1", {HEADER: text}, 1)
-        with pytest.raises(BagError, match=r"^a.mcap: channel 1 \(topic /a\) is damaged: "):
-            to_connection(channel, Schema(1, b"", "ros1msg", "std_msgs/String"), "a.mcap")
+        with pytest.raises(BagError, match=r"^channel 1 \(topic /a\) is damaged: "):
+            to_connection(channel, Schema(1, b"", "ros1msg", "std_msgs/String"))
 
 
 def test_what_cannot_be_written_is_an_error(tmp_path):

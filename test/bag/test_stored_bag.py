@@ -9,6 +9,7 @@ import subprocess
 import sys
 from functools import partial
 from io import BytesIO
+from random import Random
 
 import genpy
 import pytest
@@ -32,6 +33,7 @@ from cassandra_ros.errors import (
     RunNotFound,
     TypeMismatch,
 )
+from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.stamps import Stamp
 
@@ -602,3 +604,113 @@ def test_durations_read_as_those_of_rosbag(seconds, text):
     summary = Summary("x", 5 * 2**20, ends, {"std_msgs/String": STRING_MD5}, lines).text()
     assert f"duration: {text}\n" in summary.replace("  ", " ").replace(":  ", ": ")
     assert "5.0 MB" in summary
+
+
+def test_connections_as_rosbag_describes_them(bag, path):
+    """They are not part of rosbag's documentation, but scripts use them."""
+    with rosbag.Bag(str(path)) as truth:
+        expected = [described(c) for c in truth._get_connections()]
+        assert len(expected) == 3
+        assert [described(c) for c in bag._get_connections()] == expected
+        assert [described(c) for c in bag._get_connections("/cmd_vel")] == expected[2:]
+        assert [c.id for c in bag._get_connections(["/chatter"], lambda *facts: True)] == [0, 1]
+        bobs = bag._get_connections(connection_filter=lambda *facts: b"/bob" in facts[4].values())
+        assert [described(c) for c in bobs] == expected[1:2]
+        assert list(bag._get_connections("/none")) == []
+
+
+def described(connection):
+    facts = [connection.id, connection.topic, connection.datatype, connection.md5sum]
+    return [*facts, connection.msg_def, connection.header]
+
+
+def test_connections_of_what_is_being_written(store):
+    with cassandra_ros.Bag("connected.bag", "w", rosCas=store) as bag:
+        assert list(bag._get_connections()) == []
+        for topic in ("/b", "/a"):
+            bag.write(topic, String(data="x"), rospy.Time(5))
+        assert [(c.id, c.topic) for c in bag._get_connections()] == [(0, "/b"), (1, "/a")]
+
+
+def test_a_filter_of_connections_sees_the_present_name_of_a_topic(fresh, tmp_path):
+    with BagWriter(tmp_path / "a.bag") as writer:
+        writer.write(writer.connection(string_connection("/old"), 0), T0, string_wire("x"))
+    with fresh() as store:
+        import_bag(store, tmp_path / "a.bag")
+        store.renameTopic("/old", "/new")
+        with cassandra_ros.Bag(str(tmp_path / "a.bag"), rosCas=store) as bag:
+            assert [c.topic for c in bag._get_connections()] == ["/new"]
+            found = bag.read_messages(connection_filter=lambda topic, *facts: topic == "/new")
+            assert [message.topic for message in found] == ["/new"]
+
+
+RANDOM = Random(38)
+ENDS = [
+    sorted(RANDOM.randrange(low, high) for _ in range(2))
+    for low, high in ((0, 10**6), (10**9, 10**10), (T0, 2 * T0), (4 * 10**18, MAX_NS)) * 3
+]
+ENDS.append([MAX_NS - 1, MAX_NS])
+
+
+def test_the_ends_never_exclude_their_own_message(store):
+    """A float has a step of 240 ns today; a script that takes it as a bound wants all messages."""
+    for n, ends in enumerate(ENDS):
+        with cassandra_ros.Bag(f"ends{n}.bag", "w", rosCas=store) as bag:
+            for ns in ends:
+                bag.write("/ends", String(data=str(ns)), Stamp.from_ns(ns))
+            start, end = bag.get_start_time(), bag.get_end_time()
+            assert start == pytest.approx(ends[0] / SEC, abs=1e-6)
+            assert end == pytest.approx(ends[1] / SEC, abs=1e-6)
+            for kind in (float, rospy.Time, genpy.Time.from_sec):
+                read = times(bag.read_messages("/ends", kind(start), kind(end)))
+                assert read == ends, (kind, start, end)
+            assert int(start * SEC) <= ends[0] and ends[1] <= int(end * SEC)
+
+
+ODD_NAMES = ["/a", "a", "/a/", "//a", "/a/b", "/a//b", "a/b/", "/", "/\u00e4 b", "a b", "/A"]
+
+
+@pytest.fixture(scope="module")
+def odd(fresh, tmp_path_factory):
+    """A bag with names that only a bag may hold, some with two publishers, and its store."""
+    path = tmp_path_factory.mktemp("odd") / "odd.bag"
+    with BagWriter(path) as writer:
+        each = [
+            writer.connection(string_connection(name, callerid=caller), 2 * n + k)
+            for n, name in enumerate(ODD_NAMES)
+            for k, caller in enumerate(CALLERS[: 1 + n % 2])
+        ]
+        for n in range(60):
+            writer.write(RANDOM.choice(each), T0 + n // 3 * SEC, string_wire(f"{n}"))
+        for n, number in enumerate(each):
+            writer.write(number, T0 + n * SEC, string_wire(f"of {number}"))
+    with fresh() as store:
+        import_bag(store, path)
+        yield path, store
+
+
+def everything(bag, topics, start, end):
+    """Return what a bag tells of some topics."""
+    types, facts = bag.get_type_and_topic_info(topics)
+    return (
+        [(t, m.data, at.to_nsec()) for t, m, at in bag.read_messages(topics, start, end)],
+        [described(c) for c in bag._get_connections(topics)],
+        bag.get_message_count(topics),
+        types,
+        {name: tuple(each)[:3] for name, each in facts.items()},
+    )
+
+
+FILTERS = [None, "", [], [""], *ODD_NAMES, "b", "/b", "///", "/a///b", "a/", "//\u00e4 b/"]
+FILTERS += [RANDOM.sample(ODD_NAMES, n % 5 + 1) for n in range(10)]
+
+
+def test_filters_select_what_rosbag_selects(odd):
+    path, store = odd
+    with rosbag.Bag(str(path)) as truth, cassandra_ros.Bag(str(path), rosCas=store) as bag:
+        for n, topics in enumerate(FILTERS):
+            start = rospy.Time(T0 // SEC + n % 7) if n % 3 else None
+            end = rospy.Time(T0 // SEC + 10 + n % 5) if n % 2 else None
+            assert everything(bag, topics, start, end) == everything(truth, topics, start, end), (
+                topics
+            )

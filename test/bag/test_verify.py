@@ -270,6 +270,6 @@ def test_what_an_import_leaves_out_is_missing(rosCas, tmp_path):
     import_bag(rosCas, path)
     report = verify_bag(rosCas, path)
     assert (report.equal, report.differences, report.missing) == (False, 3, 3)
-    assert "/b is not stored: its messages are encoded as 'json'" in report.first[0]
+    assert " messages of /b are not stored: its messages are encoded as 'json'" in report.first[0]
     assert report.extras == {"attachments": 1}
     assert verify_bag(rosCas, path, topics=["/a"]).equal

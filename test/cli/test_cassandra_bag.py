@@ -213,7 +213,7 @@ def test_info_of_a_hundred_million_messages_reads_none_of_them(call, rosCas):
     status, out, _ = call("info", "/many")
     assert status == 0
     assert "messages:  100000001 of 1 topic\n" in out
-    assert "duration:  277777hr 46:40s (1000000000s)" in out
+    assert "duration:  31.7 years (1000000000s)" in out
 
 
 def test_verify_prints_the_first_differences(call, rosCas, bags):

@@ -110,5 +110,6 @@ def test_version_and_wrong_usage_have_one_form():
         assert typed(program, "--version").stdout == shown
     done = typed("cassandra_bag", "info", "--no-such")
     assert done.returncode == 2
-    last = "cassandra_bag: unrecognized arguments: --no-such (see cassandra_bag --help)"
-    assert done.stderr.splitlines()[-1] == last
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("cassandra_bag: unrecognized arguments: --no-such")
+    assert last.endswith("(see cassandra_bag info --help)")

@@ -52,7 +52,7 @@ def test_many_bags_with_a_bad_one_among_them(call, tmp_path):
     assert len(lines) == 2
     assert all(line.startswith("cassandra_bag: ") for line in lines)
     assert f"{bad} is cut short" in lines[0]
-    assert "import --salvage stores what it holds" in lines[0]
+    assert "with --salvage (salvage=True) what it holds is read" in lines[0]
     assert "No such file" in lines[1]
     table = [line.split() for line in out.splitlines()[-5:]]
     assert table == [
@@ -113,7 +113,7 @@ def test_salvage_of_a_bag_that_was_never_closed(call, tmp_path):
         bag.flush()
         shutil.copyfile(path, left)  # its header names no index, the last chunk is open
     expected = read_with_rosbag(path)[1]
-    with pytest.raises(BagUnindexed, match="import --salvage"):
+    with pytest.raises(BagUnindexed, match="with --salvage"):
         BagReader(left)
     status, out, err = call("import", left, "--salvage")
     assert (status, err.count("\n")) == (0, 1)
@@ -170,6 +170,22 @@ def test_a_cut_anywhere_gives_what_stands_before_it(tmp_path, compression):
         found = list(reader.messages())
         assert reader.salvaged.lost_bytes >= 600
     assert 0 < len(found) < 60
+
+
+def test_a_bad_connection_is_named_and_all_others_are_imported(call, tmp_path):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        each = [string_connection("/good"), string_connection("/bad", md5sum="")]
+        for n, connection in enumerate(each):
+            writer.write(writer.connection(connection), 10**18 + n, string_wire("x"))
+    for options in ([], ["--salvage"]):
+        status, out, err = call("import", path, *options)
+        assert (status, err.count("\n")) == (1, 1)
+        assert "1 messages of topic /bad are not stored: " in err and "states no md5sum" in err
+        assert "1 message of 1 topic is in keyspace" in out
+    assert call("import", path, "--topics", "/good", "-q") == (0, "", "")
+    assert call("verify", path, "--topics", "/good")[0] == 0
+    assert call("verify", path)[0] == 1
 
 
 def test_chosen_topics_in_and_out(call, tmp_path):

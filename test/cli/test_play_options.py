@@ -39,8 +39,9 @@ def changed(line):
         (["/a", "/b"], {"topics": ["/a", "/b"]}),
         (["--topics", "/a", "/b"], {"topics": ["/a", "/b"]}),
         (["-e", "/a.*"], {"topics": ["/a.*"], "regex": True}),
-        (["-x", "/b.*"], {"exclude": "/b.*"}),
-        (["--exclude", "/b.*"], {"exclude": "/b.*"}),
+        (["-x", "/b.*"], {"exclude": ["/b.*"]}),
+        (["--exclude", "/b.*"], {"exclude": ["/b.*"]}),
+        (["-x", "/b.*", "-x", "/c"], {"exclude": ["/b.*", "/c"]}),
         (["-s", "12.5"], {"start": "12.5"}),
         (["--start", "2013-05-08T14:06:20Z"], {"start": "2013-05-08T14:06:20Z"}),
         (["-u", "90"], {"duration": 90.0}),
@@ -94,11 +95,3 @@ def test_wrong_values_end_with_usage(line, capsys):
         changed(line)
     assert ended.value.code == 2
     assert line[1] in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("option", ["--run", "--node-id", "--around"])
-def test_an_option_that_is_given_twice_is_refused(option, capsys):
-    with pytest.raises(SystemExit) as ended:
-        changed([option, HIT, option, HIT])
-    assert ended.value.code == 2
-    assert f"{option} is given twice" in capsys.readouterr().err

@@ -307,6 +307,24 @@ def test_only_of_one_node(call, rosCas):
     )
 
 
+@pytest.mark.parametrize("verb", ["query", "sql"])
+def test_the_ending_of_the_file_chooses_the_format(call, texts, tmp_path, verb):
+    def written(name, *more):
+        path = tmp_path / f"{verb}_{name}"
+        assert call(verb, "SELECT data FROM texts", "-O", path, *more) == (0, "", "")
+        return path.read_bytes()
+
+    assert written("a.csv").startswith(b"data\r\n")
+    assert json.loads(written("a.JSON"))[0]["data"] is not None
+    for ending in ("ndjson", "jsonl"):
+        assert "data" in json.loads(written(f"a.{ending}").splitlines()[0])
+    assert written("a.parquet").startswith(b"PAR1")
+    for name in ("a.txt", "a", "csv"):
+        assert written(name).startswith(b"data") and b"\r" not in written(name, "-f")[:6]
+    # An option says it for any name.
+    assert written("b.txt", "--output", "csv").startswith(b"data\r\n")
+
+
 def test_an_output_file_is_whole_or_not_there(call, texts, tmp_path):
     path = tmp_path / "out.csv"
     arguments = ("query", "select data from texts", "--output", "csv", "-O", path)

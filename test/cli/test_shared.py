@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import argparse
 import signal
+import socket
 import threading
 import time
 
 import pytest
 from conftest import ROOT
 
+from cassandra_ros.cli import options as store_options
 from cassandra_ros.cli import player, query_server, recorder, replicator
 from cassandra_ros.cli.options import add_store_options, store_place, strip_remappings
 from cassandra_ros.cli.terminal_text import (
@@ -25,7 +27,7 @@ from cassandra_ros.cli.terminal_text import (
 )
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.connection.outage import HURRY_SEC, Outage
-from cassandra_ros.errors import StoreUnavailable
+from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
 
 
 @pytest.fixture
@@ -77,6 +79,35 @@ def test_invalid_times_to_wait(parse, seconds):
         parse("--wait", seconds)
 
 
+def test_that_there_is_no_store_yet_is_told_again_and_again(monkeypatch):
+    """A recorder waits without limit; with --wait 0 it ends at once."""
+    monkeypatch.setattr(store_options, "TELL_SEC", 0.5)
+    parser = recorder.make_parser()
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    words = ["/a", "--host", "127.0.0.1", "--port", port]
+    told, third = [], threading.Event()
+
+    def tell(text):
+        told.append(text)
+        if len(told) == 3:
+            third.set()
+
+    options = parser.parse_args(words)
+    wait = store_options.StoreWait(tell, ", messages wait")
+    with store_options.awaited_store(options, wait) as store:
+        assert third.wait(60.0)
+        assert not store.done()
+    with pytest.raises(ConnectionFailed):  # it is not tried any more
+        store.result(60.0)
+    assert told[0].startswith("no store yet, messages wait: no Cassandra answers at 127.0.0.1")
+    assert f"port {port}" in told[0] and "local_cassandra start" in told[0]
+    now = parser.parse_args([*words, "--wait", "0"])
+    refused = pytest.raises(ConnectionFailed, match="local_cassandra start")
+    with refused, store_options.awaited_store(now, wait):
+        pass
+
+
 def test_what_roslaunch_adds_is_dropped():
     words = ["verify", "a.bag", "__name:=x", "/a:=/b", "_rate:=3", "--map", "/a:=/c", "--x=1:=2"]
     assert strip_remappings(words) == ["verify", "a.bag", "--map", "/a:=/c", "--x=1:=2"]
@@ -111,6 +142,8 @@ def test_sizes_times_and_lengths():
     assert format_length(5) == "5 ns"
     durations = [format_duration(s * 10**8) for s in (0, 379, 599, 980, 72980)]
     assert durations == ["0.0s", "37.9s", "59.9s", "1:38s (98s)", "2hr 1:38s (7298s)"]
+    durations = [format_duration(s * 10**9) for s in (359_999, 360_000, 4_117_995_776)]
+    assert durations == ["99hr 59:59s (359999s)", "4.2 days (360000s)", "130.5 years (4117995776s)"]
 
 
 def test_text_from_outside_is_escaped():

@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import io
 import math
+import re
 
+import matplotlib
 import numpy as np
 import pytest
 from PIL import Image
@@ -111,6 +113,27 @@ def drawn_xy(*every, names=("x", "y"), size=(400, 300)):
 
 def blue(picture):
     return np.argwhere(picture[:, :, 2] > picture[:, :, 0] + 60)
+
+
+@pytest.mark.parametrize(
+    ("values", "label"),
+    [
+        ([1e6, 3e6], "2000000"),
+        ([1e-7, 3e-7], "2e-07"),
+        ([42.360001, 42.360003], "42.360002"),
+        ([0, 1e300], "1e+300"),
+    ],
+)
+def test_numbers_at_an_axis_are_whole(values, label, monkeypatch):
+    """matplotlib would write +4.236e1 or 1e6 above the axis, where the legend is."""
+    monkeypatch.setitem(matplotlib.rcParams, "svg.fonttype", "none")
+    both = io.BytesIO()
+    draw_xy(both, "svg", curves_of([series([values] * 2, "xy", "mm")], ("x", "y")), (400, 300))
+    for picture in (drawn(series([values]), ending="svg"), both.getvalue()):
+        svg = picture.decode().replace("\N{MINUS SIGN}", "-")
+        texts = re.findall(r">([^<>]+)</text>", svg)
+        assert label in texts
+        assert not [text for text in texts if re.match(r"1e-?[1-9][0-9]*$|[+]", text)]
 
 
 def test_a_way_is_drawn_as_it_was_gone_and_a_metre_is_a_metre():

@@ -84,7 +84,8 @@ def test_connection_headers(give):
         assert join_definition(rest, place, cut) == header
         connection = Connection("/x", header)
         definition, warning = usable_definition(connection, chance.choice(list(FORMATS)))
-        assert (definition is None) == (warning is not None)
+        # A definition whose md5 is another than the connection says is read, with a warning.
+        assert definition is not None or warning is not None
         assert isinstance(connection.latching, bool)
         connection.latched_from(5)
 

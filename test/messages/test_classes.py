@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from messages.random_wire import SEPARATOR, DefinitionMaker, WireMaker
 from std_msgs.msg import Header, String
 from suites import search
+from visualization_msgs.msg import MarkerArray
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
 from cassandra_ros.messages import classes
@@ -23,6 +24,7 @@ from cassandra_ros.messages.classes import (
     deserialize,
     installed_definition,
     message_class,
+    message_of_yaml,
     raw_class,
     serialize,
     to_yaml,
@@ -167,3 +169,46 @@ def test_an_installed_package_that_is_broken_is_passed_over(tmp_path, monkeypatc
     definition = parse_definition("broken_msgs/Thing", "int8 x")
     assert message_class(definition)(5).x == 5
     assert classes.message_class(definition)._type == "broken_msgs/Thing"
+
+
+TIMES = """time stamp
+time[] stamps
+duration[2] two
+duration length
+Part[] parts
+Part one
+================================================================================
+MSG: pkg/Part
+time at
+int32 n
+"""
+WHOLE = st.integers(0, 2**32 * 10**9 - 1)
+SIGNED = st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1)
+
+
+@given(WHOLE, st.lists(WHOLE, max_size=3), SIGNED, SIGNED)
+def test_times_in_yaml_are_exact_to_the_nanosecond(t, others, length, second):
+    """As integers of nanoseconds, in messages, arrays and fixed arrays, by name or in order."""
+    cls = message_class(parse_definition("pkg/Times", TIMES))
+    named = f"{{stamp: {t}, stamps: {others}, length: {length}, two: [{length}, {second}], "
+    named += f"one: {{at: {t}}}}}"
+    ordered = f"[{t}, {others}, [{length}, {second}], {length}, [[{second % 10**9}, 7]], [{t}, 0]]"
+    for text in (named, ordered):
+        msg = message_of_yaml(cls, text)
+        assert msg.stamp.to_nsec() == msg.one.at.to_nsec() == t
+        assert [each.to_nsec() for each in msg.stamps] == others
+        assert [each.to_nsec() for each in msg.two] == [length, second]
+        assert msg.length.to_nsec() == length
+
+
+def test_times_of_messages_in_arrays_are_exact_in_yaml():
+    text = "{markers: [{lifetime: 1368021980238582677, header: {stamp: 1368021980238582676}}]}"
+    (marker,) = message_of_yaml(MarkerArray, text).markers
+    assert marker.header.stamp.to_nsec() == 1368021980238582676
+    assert marker.lifetime.to_nsec() == 1368021980238582677
+
+
+@pytest.mark.parametrize("stamp", ["1.5", "-1", str(2**32 * 10**9), "soon", "[1]", "true"])
+def test_what_is_no_time_is_refused_in_yaml(stamp):
+    with pytest.raises(TypeMismatch):
+        message_of_yaml(Header, f"stamp: {stamp}")

@@ -18,6 +18,7 @@ from cassandra_ros.messages.definition import (
     attribute_name,
     definition_of,
     parse_definition,
+    read_definition,
     render_spec,
 )
 from cassandra_ros.messages.installed_types import installed_class
@@ -241,3 +242,33 @@ def test_arrays_of_inner_types_count_too(inner):
 def test_constants_out_of_range(text):
     with pytest.raises(DefinitionError, match="is not a literal of type"):
         parse_definition("pkg/T", text)
+
+
+TWICE = f"pkg/A a\npkg/B b\n{SEPARATOR}MSG: pkg/A\nint8 x\n\n{SEPARATOR}MSG: pkg/B\npkg/A a\n"
+"""A definition whose writer appends a type each time that it is used, with other blank lines."""
+
+
+@pytest.mark.parametrize("body", ["int8 x", "int8 x\n\n\n", "int8 x\r\n", "int8 x  # a number\n"])
+def test_a_type_may_be_defined_twice_in_the_same_words(body):
+    once = parse_definition("pkg/T", TWICE)
+    twice = parse_definition("pkg/T", f"{TWICE}{SEPARATOR}MSG: pkg/A\n{body}", once.md5sum)
+    assert twice == once
+    assert twice.specs == once.specs
+
+
+def test_a_type_that_is_not_used_may_be_defined_in_any_way():
+    more = "".join(f"{SEPARATOR}MSG: pkg/C\n{body}\n" for body in ("int8 x", "int9 y", "?"))
+    assert parse_definition("pkg/T", TWICE + more) == parse_definition("pkg/T", TWICE)
+
+
+@pytest.mark.parametrize("stated", ["0" * 32, "*", "", "992ce8a1687cec8c8bd883ec73ca41d1"])
+def test_the_text_of_a_connection_counts_where_its_md5sum_is_of_another(stated):
+    with pytest.raises(DefinitionError, match="has md5"):
+        parse_definition("pkg/T", TWICE, stated)
+    assert read_definition("pkg/T", TWICE, stated) == parse_definition("pkg/T", TWICE)
+
+
+@pytest.mark.parametrize("text", ["", "# none\n", "int8 X=1\n", "std_msgs/Header h\n", "int8\n"])
+def test_a_text_that_is_not_complete_does_not_count(text):
+    with pytest.raises(DefinitionError, match="has md5|neither|not"):
+        read_definition("pkg/T", text, "0" * 32)

@@ -40,7 +40,7 @@ def test_a_store_that_goes_away(roscore, proxy, keyspace, rosCas, one):
     with start_recorder(roscore, proxy, keyspace, *arguments) as child, start_client(
         roscore
     ) as client:
-        child.await_line("waiting up to 600 s for the store: no Cassandra answers at")
+        child.await_line("waiting up to 600 s for the store, messages wait in memory: no Cassandra")
         proxy.mend()
         child.await_line("recording 1 topic")
         assert sum("rror" in line for line in told(child)) == 1
@@ -89,7 +89,7 @@ def test_what_comes_before_the_store_answers_is_recorded(roscore, proxy, keyspac
     with start_recorder(roscore, proxy, keyspace, *arguments) as child, start_client(
         roscore
     ) as client:
-        child.await_line("waiting up to 600 s for the store: no Cassandra answers at")
+        child.await_line("waiting up to 600 s for the store, messages wait in memory: no Cassandra")
         child.await_line("recording 1 topic")
         one.await_subscribers().publish(*map(text, range(500)))
         await_number(client, 500)

@@ -25,34 +25,21 @@ from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.playing.read_ahead import ReadAhead
 from cassandra_ros.read import TimeRange
-from cassandra_ros.topics.hit_windows import joined, merge_windows
+from cassandra_ros.tables.registry import Loss, LossKind
+from cassandra_ros.topics.hit_windows import merge_windows
 
 TIMES = st.integers(0, 60)
 
 
-@given(st.lists(TIMES), TIMES, TIMES, TIMES, TIMES, st.integers(1, 30))
-def test_windows_cover_just_what_is_near_a_hit(hits, before, after, low, high, longest):
+@given(st.lists(TIMES), TIMES, TIMES, TIMES, TIMES)
+def test_windows_cover_just_what_is_near_a_hit(hits, before, after, low, high):
     bounds = TimeRange(min(low, high), max(low, high))
     inside = sorted(hit for hit in hits if bounds.low <= hit <= bounds.high)
-    pieces = list(merge_windows(inside, before, after, bounds, longest))
-    covered = [t for piece in pieces for t in range(piece.low, piece.high + 1)]
+    windows = list(merge_windows(inside, before, after, bounds))
+    covered = [t for window in windows for t in range(window.low, window.high + 1)]
     near = {t for hit in inside for t in range(hit - before, hit + after + 1)}
     assert covered == [t for t in range(bounds.low, bounds.high + 1) if t in near]
-    for one, two in zip(pieces, pieces[1:]):
-        # A window begins anew only behind a gap.
-        assert (one.high + 1 == two.low) == (one.window == two.window)
-    whole = list(joined(pieces))
-    assert all(one.high + 1 < two.low for one, two in zip(whole, whole[1:]))
-    assert [t for each in whole for t in range(each.low, each.high + 1)] == covered
-
-
-@given(st.integers(0, 20), st.integers(0, 20), st.integers(1, 10))
-def test_windows_come_while_the_hits_come(before, after, step):
-    taken = itertools.count()
-    hits = (n * step for n in taken)  # without end
-    pieces = merge_windows(hits, before, after, TimeRange(), longest=50)
-    assert len(list(itertools.islice(pieces, 5))) == 5
-    assert next(taken) * step <= 5 * (50 + before + after + 2 * step) + step
+    assert all(one.high + 1 < two.low for one, two in zip(windows, windows[1:]))
 
 
 @pytest.fixture(scope="module")
@@ -161,18 +148,68 @@ def test_start_and_end_bound_the_windows(filled):
     ]
 
 
-@pytest.mark.suite("all", "large messages, to see how much memory they take")
-def test_long_windows_are_played_in_pieces(filled, monkeypatch):
+def test_windows_that_touch_are_one(filled):
     whole = Stream(
         PlayedKeyspace(filled.catalog),
         PlaySelection(around="/battery: data > 'a'", before=0.5, after=0.5),
     )
-    wanted = played(Stream(PlayedKeyspace(filled.catalog), PlaySelection()))
-    monkeypatch.setattr("cassandra_ros.playing.play_stream.PIECE_NS", 3 * SEC)
-    assert played(whole) == wanted
-    assert len({p.window.low for p in whole.messages()}) == 1
-    assert len({p.window.high for p in whole.messages()}) > 20
-    assert len(whole.windows) == 1
+    assert played(whole) == played(Stream(PlayedKeyspace(filled.catalog), PlaySelection()))
+    assert whole.windows == [(T0, whole.end_ns)]
+
+
+def channels(store, **options):
+    stream = Stream(PlayedKeyspace(store.catalog), PlaySelection(**options))
+    return stream, [channel.topic for channel in stream.channels()]
+
+
+def test_what_is_announced_is_what_is_played(filled):
+    around = {"around": "/battery: data = 'low'", "before": 2, "after": 1.5}
+    stream, topics = channels(filled, **around)
+    assert (stream.start_ns, stream.end_ns) == (T0 + 18 * SEC, T0 + 61 * SEC + SEC // 2)
+    times = [(t - T0) / SEC for t in (stream.end_ns, T0 + 19 * SEC, T0 + 40 * SEC)]
+    assert times == [61.5, 19, 40]
+    lengths = [stream.played_ns(t) / SEC for t in (stream.end_ns, T0 + 19 * SEC, T0 + 40 * SEC)]
+    assert lengths == [6.5 + 3.5, 1, 6.5]
+    # /once came later.
+    assert topics == ["/battery", "/map", "/tick"]
+
+
+@pytest.mark.parametrize(
+    ("options", "topics"),
+    [
+        # Each topic has messages before and after, the one at 41.5 s alone in the time.
+        ({"start": 41.2, "end": 41.8}, ["/map", "/tick"]),
+        ({"start": 40.1, "end": 40.3}, ["/map"]),
+        ({"start": 40.6, "end": 41, "exclude": "/map"}, ["/battery"]),
+        ({"start": 19, "end": 24, "where": {"tick": "data = 't30'"}}, ["/battery", "/map"]),
+        (
+            {"start": 19, "end": 24, "where": {"tick": "data = 't20'"}},
+            ["/battery", "/map", "/tick"],
+        ),
+    ],
+)
+def test_a_topic_without_a_message_in_the_time_is_not_announced(filled, options, topics):
+    assert channels(filled, **options)[1] == topics
+
+
+def test_what_is_announced_of_events(rosCas):
+    with Robot(rosCas, 1, "r1") as one, Robot(rosCas, 2, "r2") as two:
+        for n in range(100):
+            one.send("/tick", n, "t")
+            two.send("/other", n, "o")
+        for t in (5, 80):
+            one.send("/rare", t, "r")
+    for begin in (20, 50):
+        rosCas.addEvent("brake", T0 + begin * SEC, T0 + (begin + 2) * SEC, nodeID="r1")
+    for topic, node, t in (("/tick", "r1", 21), ("/tick", "r1", 30), ("/other", "r2", 21)):
+        loss = Loss(topic, node, 1, LossKind.BUFFER_FULL, T0 + t * SEC, T0 + t * SEC, 1)
+        rosCas.catalog.keyspace.registry.put_loss(loss)
+    stream, topics = channels(rosCas, event="brake")
+    assert topics == ["/tick"]
+    assert stream.played_ns(stream.end_ns) == 4 * SEC
+    assert len(played(stream)) == 6
+    assert [(loss.topic, loss.first_ns) for loss in stream.losses()] == [("/tick", T0 + 21 * SEC)]
+    assert channels(rosCas, event=("brake", 0, 28))[1] == ["/rare", "/tick"]
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ import tempfile
 import threading
 from datetime import timedelta
 
+import genpy
 import numpy as np
 import pyarrow as pa
 import pytest
@@ -36,6 +37,7 @@ from cassandra_ros.messages.connection_header import api_connection
 from cassandra_ros.messages.definition import parse_definition
 from cassandra_ros.messages.stamps import Stamp, to_ns
 from cassandra_ros.sql import duck_database
+from cassandra_ros.sql.python_values import printable_value
 from cassandra_ros.sql.sql_result import SqlResult
 from cassandra_ros.topics import event_finder
 
@@ -121,6 +123,32 @@ def test_values_are_exact(robot):
     assert header["stamp"] == Stamp.from_ns(0)
     ((old,),) = robot.sql("SELECT TIMESTAMP_NS '1960-01-01 00:00:00.000000001'").fetchall()
     assert old == np.datetime64("1960-01-01T00:00:00.000000001")
+
+
+def test_differences_of_times_are_durations_that_can_be_computed_with(robot):
+    """Below zero, too; shown as the query language shows a duration."""
+    asked = """SELECT min(KEY) - max(KEY), avg(KEY - TIMESTAMP_NS '2020-09-13 12:26:40') / 2
+        FROM battery WHERE KEY - TIMESTAMP_NS '2020-09-13 12:26:40' >= INTERVAL 0 SECOND"""
+    ((back, mean),) = robot.sql(asked).fetchall()
+    assert (back, mean) == (timedelta(seconds=-8), timedelta(seconds=2))
+    assert printable_value(back) == genpy.Duration(-8, 0)
+    assert printable_value([timedelta(microseconds=-8646)]) == [genpy.Duration(-1, 991354000)]
+    assert printable_value(timedelta(days=10**6)) == "1000000 days, 0:00:00"
+
+
+@pytest.mark.parametrize(
+    "pivot",
+    [
+        "PIVOT battery ON NODE USING count(*)",
+        "PIVOT (SELECT NODE, voltage FROM battery) ON NODE USING max(voltage)",
+        "FROM (PIVOT battery ON NODE USING count(*))",
+        "UNPIVOT (SELECT voltage, charge FROM battery) ON voltage, charge INTO NAME n VALUE v",
+    ],
+)
+def test_pivot_is_a_statement_of_its_own(robot, pivot):
+    whole = SqlResult(robot.catalog, pivot, pushdown=False).fetchall()
+    assert whole
+    assert sorted(robot.sql(pivot).fetchall()) == sorted(whole)
 
 
 def test_odd_names_texts_and_times_are_shown(rosCas):

@@ -73,9 +73,9 @@ def test_messages_arrays_and_odd_values_are_shown(viewer):
         "TIMESTAMP_NS '1960-01-01 00:00:00', NULL FROM \"/base/cmd\" WHERE KEY = "
         f"make_timestamp_ns({T0}) AND NODE = 'one' GROUP BY ALL",
     )
-    assert page["kinds"][:3] == ["struct", "int32[]", "int"]
+    assert page["kinds"][:5] == ["struct", "int32[]", "int", "float64", "duration"]
     (row,) = page["rows"]
-    assert row[:5] == ['{"x": 0.0, "y": 0.0, "z": 0.0}', [1, 2], 1, "nan", "0:00:02"]
+    assert row[:5] == ['{"x": 0.0, "y": 0.0, "z": 0.0}', [1, 2], 1, "nan", str(2 * SEC)]
     assert row[5:] == [str(-315619200 * SEC), None]
     assert page["times"] == [None]
 

@@ -162,6 +162,7 @@ function shown(value, kind) {
     return `[${value.map((each) => shown(each, inner)).join(", ")}]`;
   }
   if (kind === "time" && typeof value === "string") return iso(BigInt(value));
-  if (kind === "duration" && typeof value === "string") return length(BigInt(value));
+  // An interval of DuckDB with months has no length: it comes as its text.
+  if (kind === "duration" && /^-?\d+$/.test(String(value))) return length(BigInt(/** @type {string} */ (value)));
   return String(value);
 }

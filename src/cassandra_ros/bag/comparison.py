@@ -18,6 +18,7 @@ from cassandra_ros.bag.message_file import (
     MessageProgress,
     connections_of_topics,
     read_in_order,
+    topics_of,
 )
 from cassandra_ros.bag.publish_times import count_other_publish_times
 from cassandra_ros.client.ros_cassandra import RosCassandra
@@ -107,7 +108,7 @@ def verify_bag(
         progress: Callback for the messages that were compared, see MessageProgress.
         reading: Callback for the first pass over the bag, which finds its import.
         run: Name or writer id of the recording or import to compare with; None = all.
-        salvage: Compare the messages before the damage of a damaged bag, as import_bag stores them.
+        salvage: Compare what can be read of a damaged bag, as import_bag stores it.
         large_chunks: As in import_bag.
 
     Raises:
@@ -131,8 +132,9 @@ def verify_bag(
                 f" for node {own_import.node}" if own_import.node else ""
             )
         report = VerifyReport(reader.path, scope, extras=dict(reader.extras))
-        for topic, (count, why) in sorted(reader.left_out.items() if topics is None else ()):
-            report.add(f"{topic} is not stored: {why}; its {count} messages are missing", count)
+        for topic in sorted(topics_of(reader, topics) & reader.left_out.keys()):
+            count, why = reader.left_out[topic]
+            report.add(f"{count} messages of {topic} are not stored: {why}", count)
             report.missing += count
         if own_import is None:
             numbers -= _leave_out(reader, numbers, report)
@@ -329,7 +331,7 @@ class _Ranks:
         for rank, c in enumerate(connections):
             self._exact[c.topic, c.header, c.number] = rank
             self._alike.setdefault((c.topic, c.header), rank)
-        self._known: dict[tuple[str, int], tuple[int, str]] = {}
+        self._known: dict[tuple[str, int], tuple[int, str, str]] = {}
 
     def see(self, row: StoredRow) -> Entry:
         """Return the entry of a row. A row that cannot be read is unequal to every message."""
@@ -337,14 +339,15 @@ class _Ranks:
         if key not in self._known:
             c = row.connection
             alike = self._alike.get((c.topic, c.header), _FOREIGN)
-            self._known[key] = (self._exact.get((c.topic, c.header, c.number), alike), c.type)
-        rank, msg_type = self._known[key]
+            rank = self._exact.get((c.topic, c.header, c.number), alike)
+            self._known[key] = (rank, c.type, c.md5sum)
+        rank, msg_type, md5sum = self._known[key]
         position = split_seq(row.seq)[1] if self._positions else row.seq
         try:
             value = fingerprint(row.wire)
         except CorruptMessage:
             value = b""
-        return Entry(row.received, rank, position, msg_type, row.md5sum, value, row.topic)
+        return Entry(row.received, rank, position, msg_type, md5sum, value, row.topic)
 
 
 def _in_order(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:

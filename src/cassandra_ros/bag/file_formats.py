@@ -68,7 +68,7 @@ def open_file(
     """Open a bag or an MCAP for reading. The name of the file does not matter.
 
     Args:
-        salvage: Read the messages before the damage of a damaged file.
+        salvage: Read the messages before the damage of a damaged file, and the chunks after it.
         large_chunks: Also read chunks of more than 256 MiB of content, and files that unpack to
             more than 1000 times their size. Only for files that you trust: a file that was made
             to do harm can fill the memory and the disk.

@@ -86,7 +86,8 @@ class FileWriter(ABC):
         """Append a serialised message of a connection, received at t_ns, ns since 1970.
 
         Args:
-            delay_ns: publish_time minus t_ns, ns; may be negative. Only an MCAP stores it.
+            delay_ns: publish_time minus t_ns, ns, modulo 2**64; may be negative. Only an MCAP
+                stores it.
             sequence: Sequence number that the publisher gave, 0 = unknown. Only an MCAP stores it.
 
         Raises:

@@ -162,7 +162,7 @@ def _length(file: BinaryIO, where: str, most: int = 2**32) -> int:
     if len(raw) < 4 or file_bytes - file.tell() < length:
         raise BagUnindexed(
             f"{where} does not fit into the file, which is cut short after {file_bytes} bytes; "
-            "import --salvage stores what can still be read"
+            "with --salvage (salvage=True) what it holds is read"
         )
     return int(length)
 

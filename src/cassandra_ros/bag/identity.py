@@ -64,7 +64,8 @@ class BagContent(NamedTuple):
 def read_content(reader: MessageFile, reading: MessageProgress | None = None) -> BagContent:
     """Read all messages of a bag and hash them in the order of the file.
 
-    A damaged chunk adds a fixed value to the hash. The import fails when it reaches this chunk.
+    A damaged chunk adds a fixed value to the hash: the import fails when it reaches this chunk,
+    and one with salvage continues it.
 
     Args:
         reading: Callback for the messages that were read, called after each chunk.
@@ -82,8 +83,9 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
             parts: Iterable[_HashInput] = _DAMAGED
             try:
                 content, messages = reader.chunk_content(chunk)
-                parts = _parts(content, messages, rank)
-                sent.update(_sent(reader.chunk_publish_times(chunk)))
+                if chunk not in reader.salvaged.damaged:
+                    parts = _parts(content, messages, rank)
+                    sent.update(_sent(reader.chunk_publish_times(chunk)))
             except BagTooLarge:
                 raise  # nothing of the file is stored yet
             except BagError:
@@ -156,7 +158,8 @@ def _begin(head: bytes, reader: MessageFile) -> tuple[hashlib._Hash, dict[int, i
     for connection in connections.values():
         digest.update(_with_length(connection.topic.encode("utf-8")))
         digest.update(_with_length(connection.header))
-    digest.update(_SUMMARY.pack(reader.message_count, reader.start_ns, reader.end_ns))
+    count = reader.message_count + reader.salvaged.missing
+    digest.update(_SUMMARY.pack(count, reader.start_ns, reader.end_ns))
     return digest, {number: place for place, number in enumerate(connections)}
 
 

@@ -23,6 +23,7 @@ from cassandra_ros.bag.message_file import (
     MessageProgress,
     SalvageReport,
     connections_of_topics,
+    topics_of,
 )
 from cassandra_ros.bag.publish_times import store_publish_times
 from cassandra_ros.blocks.block_builder import limits_for
@@ -46,7 +47,13 @@ from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
 from cassandra_ros.topics.event_finder import Events
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.message_writer import Asked, Handle, MessageWriter, usable_definition
+from cassandra_ros.topics.message_writer import (
+    Asked,
+    Handle,
+    MessageWriter,
+    layout_md5sum,
+    usable_definition,
+)
 from cassandra_ros.topics.removal import delete_time_range
 from cassandra_ros.topics.stored_totals import holds_any
 
@@ -130,9 +137,9 @@ _log = logging.getLogger(__name__)
 
 _WINDOW_NS = 10 * SECOND_NS
 """Minimum length of the windows over which the rate of a topic is measured, ns."""
-_REPAIRED = (
-    "A repaired copy counts as another bag: import it into another keyspace, or remove these "
-    "topics first"
+_SALVAGE = (
+    "The same import with --salvage (salvage=True) adds what can be read after the damage to them. "
+    "A repaired copy counts as another bag: delete this run before you import one"
 )
 
 
@@ -199,15 +206,17 @@ def import_bag(
         progress: Callback for the messages that were stored, see MessageProgress.
         reading: Callback for the first pass over the bag, see MessageProgress.
         salvage: If the bag is cut short, damaged or was not closed, store the messages before the
-            damage; a warning describes the damage. An undamaged bag is imported as usual.
+            damage and of the chunks after it; a warning describes the damage. This continues an
+            import that ended at the damage. An undamaged bag is imported as usual.
         large_chunks: Also read chunks of more than 256 MiB of content, and files that unpack to
             more than 1000 times their size. Only for files that you trust: a file that was made
             to do harm can fill the memory and the disk.
 
     Returns:
         What was stored. A topic whose message definition is empty, broken or hostile is stored as
-        binary, with a warning. A topic whose name cannot be stored is left out, with a warning, and
-        its messages are counted as lost. All other topics are stored.
+        binary, with a warning. Messages that cannot be stored are left out, with a warning, and
+        counted as lost: those of a topic whose name cannot be stored, of a connection without valid
+        topic, type or md5sum, and of a time after the year 2106. All other messages are stored.
 
     Raises:
         BagError: The bag cannot be read to its end. The messages before the damage are stored; the
@@ -257,7 +266,7 @@ def import_bag(
             if is_repeated:
                 _remove_other_blocks(keyspace, handles, run)
             _write_messages(ahead, writer, handles, report, progress)
-            chosen = {reader.connections[n].topic for n in connections_of_topics(reader, topics)}
+            chosen = topics_of(reader, topics)
             others = {topic: n for topic, n in run.lost.items() if topic not in chosen}
             writer.close(lost={**others, **report.lost})
         _store_events(keyspace.events, reader, run, report)
@@ -340,12 +349,13 @@ def _refuse_names(reader: MessageFile, numbers: AbstractSet[int], report: Import
 
 
 def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: ImportReport) -> None:
-    """Report what else than ROS 1 messages an MCAP holds, if all its topics are imported."""
-    for topic, (count, why) in reader.left_out.items() if topics is None else ():
+    """Report what else a file holds: of the chosen topics the messages that cannot be stored."""
+    for topic in sorted(topics_of(reader, topics) & reader.left_out.keys()):
+        count, why = reader.left_out[topic]
         report.lost[topic] = report.lost.get(topic, 0) + count
         report.warnings.append(
-            f"{reader.path}: the {count} messages of topic {topic} are not stored: {why}; choose "
-            "the others with --topics to leave them out on purpose"
+            f"{reader.path}: {count} messages of topic {topic} are not stored: {why}; choose "
+            "others with --topics to leave them out on purpose"
         )
         _log.warning("%s", report.warnings[-1])
     for what, count in reader.extras.items() if topics is None else ():
@@ -388,7 +398,8 @@ def _formats(
     for number in sorted(numbers):
         connection = reader.connections[number]
         stored = _stored_formats(keyspace, connection, run) if is_repeated else set()
-        new = run.format or keyspace.new_tables.format_for(connection.topic, connection.md5sum)
+        md5sum = layout_md5sum(connection)
+        new = run.format or keyspace.new_tables.format_for(connection.topic, md5sum)
         usable, _ = usable_definition(connection, new)
         if run.format and stored - {new if usable is not None else FALLBACK_FORMAT}:
             raise TopicExists(
@@ -406,20 +417,22 @@ def _stored_formats(keyspace: Keyspace, connection: Connection, run: Run) -> set
     """Return the formats of the tables that hold rows of a run from a connection."""
     whose = Whose((run.node,), frozenset((run.writer,)))
     tables = keyspace.tables.of_topic(connection.topic)
+    md5sum = layout_md5sum(connection)
     return {
         table.metadata.format
         for table in tables
-        if table.metadata.md5sum == connection.md5sum
+        if table.metadata.md5sum == md5sum
         and keyspace.connections.has(table.name, connection)
         and holds_any(keyspace.directory, [table], whose)
     }
 
 
 def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run: Run) -> None:
-    """Delete the blocks of an earlier import of the bag that begin at other messages than ours.
+    """Delete what an earlier import of the bag stored that ours will not overwrite.
 
-    They exist after a conversion, or if the topic was removed during the import. Their messages
-    would be stored twice.
+    These are blocks that begin at other messages, after a conversion or if the topic was removed
+    during the import, and rows that release 1.0.0 stored under an md5sum that is not that of the
+    definition. Their messages would be stored twice.
     """
     whose = Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
@@ -428,8 +441,17 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
         # Messages that were deleted since are stored again, but the index does not cover them.
         if placed:
             keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
-        other = table.packed and (table.metadata.replaces or table.metadata.cut)
-        if other and holds_any(keyspace.directory, [table], whose):
+    other = [t for t in tables.values() if t.packed and (t.metadata.replaces or t.metadata.cut)]
+    stated = {
+        (handle.topic, handle.connection.md5sum)
+        for handle in handles.values()
+        if handle.connection.md5sum != handle.table.metadata.md5sum
+    }
+    for topic, md5sum in stated:
+        former = [t for t in keyspace.tables.of_topic(topic) if t.metadata.md5sum == md5sum]
+        other += [t for t in former if t.name not in tables]
+    for table in other:
+        if holds_any(keyspace.directory, [table], whose):
             delete_time_range(keyspace, [table], Read(TimeRange(0, MAX_NS), whose))
 
 
@@ -462,7 +484,7 @@ def _write_messages(
     except BagError as exc:
         writer.flush()
         raise type(exc)(
-            f"{exc}; the {report.messages} messages before it are stored. {_REPAIRED}"
+            f"{exc}; the {report.messages} messages before it are stored. {_SALVAGE}"
         ) from exc
     writer.flush()
 
@@ -507,8 +529,10 @@ def table_lengths(reader: MessageFile, sizes: Mapping[int, int]) -> dict[int, Le
     """
     # Connections of equal topic and kind share a table.
     rates: dict[tuple[str, tuple[str, str]], _Rate] = {}
-    means = {number: sizes[number] / count for number, count in reader.counts.items()}
-    keys = {n: (c.topic, message_kind(c.md5sum, c.type)) for n, c in reader.connections.items()}
+    means = {number: sizes[number] / max(count, 1) for number, count in reader.counts.items()}
+    keys = {
+        n: (c.topic, message_kind(layout_md5sum(c), c.type)) for n, c in reader.connections.items()
+    }
     for chunk in range(reader.chunk_count):
         info = reader.chunk_info(chunk)
         seen = set()

@@ -63,18 +63,18 @@ def to_channel(connection: Connection) -> ChannelText:
     return text
 
 
-def to_connection(channel: Channel, schema: Schema | None, where: str) -> Connection:
+def to_connection(channel: Channel, schema: Schema | None) -> Connection:
     """Return the connection of a ROS 1 channel.
 
     Raises:
         BagError: The metadata fields HEADER or NUMBER are damaged, or the header.
     """
-    connection = unchecked_connection(channel, schema, where)
-    check_header(connection.header, _place(channel, where))
+    connection = unchecked_connection(channel, schema)
+    check_header(connection.header, _place(channel))
     return connection
 
 
-def unchecked_connection(channel: Channel, schema: Schema | None, where: str) -> Connection:
+def unchecked_connection(channel: Channel, schema: Schema | None, where: str = "") -> Connection:
     """Return the connection of a ROS 1 channel, also of a publisher with an odd header.
 
     Raises:
@@ -96,8 +96,8 @@ def unchecked_connection(channel: Channel, schema: Schema | None, where: str) ->
     return Connection(channel.topic, header, number)
 
 
-def _place(channel: Channel, where: str) -> str:
-    return f"{where}: channel {channel.id} (topic {channel.topic})"
+def _place(channel: Channel, where: str = "") -> str:
+    return f"{where + ': ' if where else ''}channel {channel.id} (topic {channel.topic})"
 
 
 def why_foreign(channel: Channel, schema: Schema | None) -> str:

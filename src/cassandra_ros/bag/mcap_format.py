@@ -54,12 +54,16 @@ ENTRY_BYTES = 16
 _CRC_BYTES = 4
 _FOOTER_BYTES = 20
 _READ_BYTES = 1 << 20
+_HALF = 2**63
+"""Half of the range of the times in the format, ns."""
 MAX_TEXT_BYTES = 1 << 24
 """Maximum size of a record that describes the file (header, schema, channel, statistics), bytes.
 Real ones have at most some 100 KB: the definition of a message."""
 Parsed = TypeVar("Parsed", Channel, Footer, Header, Metadata, Schema, Statistics)
 
 
+TOO_LATE = -1
+"""Time of a message whose log_time lies after the last time of ROS 1, in the year 2106."""
 CUT = 0
 """Kind of a Record that marks the end of a file that is cut short. No real record has kind 0."""
 
@@ -94,13 +98,18 @@ class Messages(NamedTuple):
     sequences: Longs
     """Sequence number of each message."""
     times: Longs
-    """log_time of each message, ns."""
+    """log_time of each message, ns; TOO_LATE = after the last time of ROS 1."""
     sent: Longs
-    """publish_time minus log_time of each message, ns."""
+    """publish_time minus log_time of each message, ns; modulo 2**64, so every value fits."""
     starts: Longs
     """Offset at which the serialised message begins, bytes."""
     stops: Longs
     """Offset at which the serialised message ends (not included), bytes."""
+
+    def in_time(self) -> Messages:
+        """Return the messages without those that are too late for ROS 1."""
+        late = self.times == TOO_LATE
+        return Messages(*(column[~late] for column in self)) if late.any() else self
 
 
 def walk(file: BinaryIO, path: str) -> Iterator[Record]:
@@ -187,7 +196,7 @@ def read_chunk_head(
         start = record.start + CHUNK.size + name_bytes + 8
         # Later versions of the format may add fields after the last one.
         fits = (start + length >= record.stop) if cut else (start + length <= record.stop)
-        if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns <= MAX_NS:
+        if len(rest) == name_bytes + 8 and fits and start_ns <= end_ns:
             compression = name.decode("ascii", "replace") or "none"
             head = ChunkHead(start_ns, end_ns, size, crc, compression)
             return head, Record(record.kind, start, min(start + length, record.stop))
@@ -329,7 +338,7 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> M
             and all records are read at once, if the records at these offsets fill the content.
 
     Raises:
-        BagError: A record is damaged, or a time is too large for ROS 1.
+        BagError: A record is damaged.
     """
     if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
         indexed = _messages_at(content, where, offsets)
@@ -347,12 +356,9 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> M
         stop = position + RECORD.size + length
         if stop > end or stop < position + size:
             raise BagError(f"{where} is damaged: a message at byte {position} of it")
-        if t_ns > MAX_NS or sent_ns > 2**63 - 1:
-            raise BagError(
-                f"{where}: the message at byte {position} of it has log_time {t_ns} and "
-                f"publish_time {sent_ns} ns; a time of ROS 1 ends in the year 2106"
-            )
-        found.extend((channel, sequence, t_ns, sent_ns - t_ns, position + size, stop))
+        delay_ns = (sent_ns - t_ns + _HALF) % (2 * _HALF) - _HALF
+        time_ns = t_ns if t_ns <= MAX_NS else TOO_LATE
+        found.extend((channel, sequence, time_ns, delay_ns, position + size, stop))
         position = stop
     columns = len(Messages._fields)
     if not found:

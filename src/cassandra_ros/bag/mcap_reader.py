@@ -8,7 +8,7 @@ import os
 from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, Mapping, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
@@ -29,10 +29,12 @@ from cassandra_ros.bag.message_file import (
 )
 from cassandra_ros.bag.rosbag2 import refusal
 from cassandra_ros.errors import BagError, BagTooLarge, BagUnindexed
+from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.connection_header import Connection
 
 _LOOSE_BYTES = 1 << 20
 """Maximum size of consecutive messages outside of chunks that are read at once, bytes."""
+_LATE = "their log_time lies after the year 2106, in which the time of ROS 1 ends"
 _KINDS = frozenset(map(int, Opcode))
 _EXTRAS = {int(Opcode.ATTACHMENT): "attachments", int(Opcode.METADATA): "records of metadata"}
 """Kinds of records that cannot be stored -> their name in warnings."""
@@ -46,16 +48,28 @@ class _Chunk:
     """Position of the compressed records."""
     head: ChunkHead
     counts: Counter[int] = field(default_factory=Counter)
-    """Number of messages by channel id; empty until they are counted."""
+    """Number of messages by channel id, without late ones; empty until they are counted."""
     index: Record | None = None
     """Position of the message indexes of the chunk."""
     salvaged: bytes | None = None
-    """Unpacked beginning of the chunk, if the file ends inside it."""
+    """Unpacked beginning of the chunk, if the file ends inside it or the chunk is damaged."""
+    damaged: bool = False
+    """Whether the messages that ``counts`` counts cannot be read."""
 
     @property
     def loose(self) -> bool:
         """Whether these are messages outside of chunks."""
         return self.record.kind == Opcode.MESSAGE
+
+    @property
+    def readable(self) -> Counter[int]:
+        """Number of messages that can be read, by channel id."""
+        return Counter() if self.damaged else self.counts
+
+    @property
+    def counted(self) -> bool:
+        """Whether the message indexes tell the messages that can be stored."""
+        return bool(self.counts) and self.salvaged is None and self.head.end_ns <= MAX_NS
 
 
 class _ChunkContent(NamedTuple):
@@ -76,13 +90,15 @@ class McapReader(MessageFile):
 
     Args:
         salvage: If the file is cut short, damaged or was not closed, read the messages before the
-            damage. All chunks are read to find it. An undamaged file is read as usual.
+            damage and in chunks after it. All chunks are read to find it. An undamaged file is read
+            as usual.
         large_chunks: Also read chunks and files that an Allowance refuses by default. A file that
             was made to do harm can then fill the memory.
 
     Attributes:
         salvaged: The damage that was found when the file was opened with ``salvage``, if any.
-        left_out: Messages of channels with other encodings, see MessageFile.
+        left_out: Messages of channels with other encodings or damaged headers, and messages with
+            a later time than ROS 1 has, see MessageFile.
         extras: Number of attachments and metadata records that are no events, see MessageFile.
 
     Raises:
@@ -105,6 +121,8 @@ class McapReader(MessageFile):
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._chunks: list[_Chunk] = []
+        self._late: Counter[int] = Counter()
+        """Number of messages that are too late for ROS 1, by channel id."""
         self._last: _ChunkContent | None = None
         try:
             with ExitStack() as opened:
@@ -133,7 +151,7 @@ class McapReader(MessageFile):
     def chunk_info(self, chunk: int) -> ChunkInfo:
         """Return the index entry of a chunk, see MessageFile."""
         entry = self._chunks[chunk]
-        counts = {self._numbers[c]: n for c, n in entry.counts.items() if c in self._numbers}
+        counts = {self._numbers[c]: n for c, n in entry.readable.items() if c in self._numbers}
         return ChunkInfo(entry.record.start, *self.chunk_times(chunk), counts, self._first[chunk])
 
     def chunk_times(self, chunk: int) -> tuple[int, int]:
@@ -163,8 +181,8 @@ class McapReader(MessageFile):
             # A valid index is shorter than twice the content. A longer one would waste memory.
             if index is not None and index.stop - index.start <= 2 * len(content):
                 offsets = mcapformat.offsets_of_indexes(self._bytes(index))
-            found = mcapformat.find_messages(content, self._where(chunk), offsets)
-            if Counter(found.channels.tolist()) != self._chunks[chunk].counts:
+            found = mcapformat.find_messages(content, self._where(chunk), offsets).in_time()
+            if Counter(found.channels.tolist()) != self._chunks[chunk].readable:
                 raise BagError(
                     f"{self._where(chunk)} is damaged: its {len(found.times)} messages are not "
                     "those that its message index lists; write the file anew with: "
@@ -234,18 +252,24 @@ class McapReader(MessageFile):
                 self.salvaged.end(f"is cut short or damaged {where}", file_bytes - read)
 
     def _check_chunks(self) -> None:
-        """Count the messages of the chunks; leave out the first damaged chunk and all after it."""
+        """Count the messages of the chunks; note those that are damaged.
+
+        Messages after a damaged chunk keep their positions if the chunk has a message index, so
+        that they are the same rows as those of an import without salvage.
+        """
+        file_bytes = os.fstat(self._file.fileno()).st_size
         for place, chunk in enumerate(self._chunks):
             try:
                 content = self._content(place)
-                found = mcapformat.find_messages(content, self._where(place))
+                found = mcapformat.find_messages(content, self._where(place)).in_time()
             except BagError:
-                file_bytes, position = os.fstat(self._file.fileno()).st_size, chunk.record.start
-                why = f"is damaged in the chunk at byte {position} of {file_bytes}"
-                self.salvaged.end(why, file_bytes - position)
+                begin, end = chunk.record.start, chunk.record.stop
+                why = f"is damaged in the chunk at byte {begin} of {file_bytes}"
+                self.salvaged.add(why, end - begin)
+                self.salvaged.behind |= place + 1 < len(self._chunks)
+                chunk.damaged, chunk.salvaged = True, b""
                 self._stated = None
-                del self._chunks[place:]
-                return
+                continue
             if chunk.counts:  # without an index they are counted with their times later
                 chunk.counts = Counter(found.channels.tolist())
 
@@ -254,8 +278,8 @@ class McapReader(MessageFile):
         kind = record.kind
         if kind == mcapformat.CUT:
             raise BagUnindexed(
-                f"{self.path} is cut short at byte {record.stop}, or still being written; import "
-                "--salvage stores what it holds, or keep that with: "
+                f"{self.path} is cut short at byte {record.stop}, or still being written; with "
+                "--salvage (salvage=True) what it holds is read; or keep that with: "
                 f"mcap recover {self.path} -o RECOVERED.mcap"
             )
         if kind == Opcode.CHUNK:
@@ -350,19 +374,21 @@ class McapReader(MessageFile):
     def _count_the_rest(self) -> None:
         """Unpack the chunks that have no message index, or whose channels are only inside them."""
         for place, chunk in enumerate(self._chunks):
-            if chunk.counts and chunk.salvaged is None and all(map(self._is_known, chunk.counts)):
+            if chunk.damaged or chunk.counted and all(map(self._is_known, chunk.counts)):
                 continue
             content, where = self._content(place), self._where(place)
             for record in mcapformat.records_of(content, where):
                 if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._note_text(record.kind, content[record.start : record.stop], where)
-            if chunk.salvaged is not None or not chunk.counts:
+            if not chunk.counted:
                 found = mcapformat.find_messages(content, where)
+                self._late.update(found.channels[found.times == mcapformat.TOO_LATE].tolist())
+                found = found.in_time()
                 chunk.counts = Counter(found.channels.tolist())
                 if len(found.times):
                     ends = int(found.times.min()), int(found.times.max())
                     chunk.head = chunk.head._replace(start_ns=ends[0], end_ns=ends[1])
-            missing = [c for c in chunk.counts if c not in self._channels]
+            missing = [c for c in (*chunk.counts, *self._late) if c not in self._channels]
             if missing:
                 raise BagError(
                     f"{where} is damaged: it has messages of channel {missing[0]}, which is missing"
@@ -374,30 +400,42 @@ class McapReader(MessageFile):
 
     def _number(self) -> None:
         """Make a connection of each channel that has ROS 1 messages."""
+        for chunk in self._chunks:
+            if chunk.damaged:  # it may have been the only one that describes some channels
+                chunk.counts = Counter({c: n for c, n in chunk.counts.items() if self._is_known(c)})
         self._chunks = [chunk for chunk in self._chunks if chunk.counts]
+        self.salvaged.damaged = {n for n, chunk in enumerate(self._chunks) if chunk.damaged}
         totals: Counter[int] = Counter()
         for chunk in self._chunks:
             totals.update(chunk.counts)
-        if self._stated not in (None, sum(totals.values())):
+        found = sum(totals.values()) + sum(self._late.values())
+        if self._stated not in (None, found):
             why = (
-                f"is damaged: of the {self._stated} messages that it should hold "
-                f"{sum(totals.values())} are found"
+                f"is damaged: of the {self._stated} messages that it should hold {found} are found"
             )
             if not self._salvages:
                 raise BagError(f"{self.path} {why}")
             self.salvaged.end(why, self._unknown_bytes)
         kept: list[tuple[Connection, int]] = []
+        foreign: dict[str, str] = {}
+        """Topics whose messages are not those of ROS 1 -> the reason."""
         for number, count in sorted(totals.items()):
             channel = self._channels[number]
             schema = self._schemas.get(channel.schema_id)
             why = why_foreign(channel, schema)
             if why:
-                earlier = self.left_out.get(channel.topic, (0, why))
-                self.left_out[channel.topic] = (earlier[0] + count, why)
+                foreign[channel.topic] = why
             else:
-                kept.append((to_connection(channel, schema, self.path), number))
-        if self.left_out and not kept:
-            self._refuse(totals)
+                try:
+                    kept.append((to_connection(channel, schema), number))
+                except BagError as exc:
+                    why = str(exc)
+            if why:
+                self.leave_out(channel.topic, why, count)
+        for number, count in sorted(self._late.items()):
+            self.leave_out(self._channels[number].topic, _LATE, count)
+        if foreign and not kept:
+            self._refuse(totals, foreign)
         self._number_kept(kept, totals)
 
     def _number_kept(self, kept: list[tuple[Connection, int]], totals: Counter[int]) -> None:
@@ -408,18 +446,23 @@ class McapReader(MessageFile):
         kept.sort(key=lambda each: each[0].number)
         self._numbers = {channel_id: connection.number for connection, channel_id in kept}
         self.connections = {connection.number: connection for connection, _ in kept}
-        self.counts = Counter({self._numbers[c]: totals[c] for c in self._numbers})
+        lost: Counter[int] = Counter()
+        for chunk in self._chunks:
+            if chunk.damaged:
+                lost.update(chunk.counts)
+        self.counts = Counter({n: totals[c] - lost[c] for c, n in self._numbers.items()})
+        self.salvaged.missing = sum(lost[c] for c in self._numbers)
         self.chunk_count, self.message_count = len(self._chunks), sum(self.counts.values())
         each = [sum(n for c, n in k.counts.items() if c in self._numbers) for k in self._chunks]
         self._first = [0, *np.cumsum(each).tolist()]
         self.start_ns = min((chunk.head.start_ns for chunk in self._chunks), default=0)
         self.end_ns = max((chunk.head.end_ns for chunk in self._chunks), default=0)
 
-    def _refuse(self, totals: Counter[int]) -> None:
+    def _refuse(self, totals: Counter[int], foreign: Mapping[str, str]) -> None:
         encodings = {self._channels[number].message_encoding for number in totals}
         if self._profile == Profile.ROS2 or MessageEncoding.CDR in encodings:
             raise refusal(self.path)
-        topic, (_, why) = next(iter(self.left_out.items()))
+        topic, why = next(iter(foreign.items()))
         raise BagError(
             f"{self.path} holds no messages of ROS 1: of topic {topic} {why}; only MCAP files of "
             "ROS 1 can be stored, as 'mcap convert IN.bag OUT.mcap' makes them of bags"

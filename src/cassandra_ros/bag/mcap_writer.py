@@ -74,7 +74,7 @@ class McapWriter(FileWriter):
             channel = self._registered.channels.get(number)
             if channel is None:
                 channel = self._registered.channels[number] = self._register(number)
-            self._writer.add_message(channel, t_ns, data, t_ns + delay_ns, sequence)
+            self._writer.add_message(channel, t_ns, data, (t_ns + delay_ns) % 2**64, sequence)
         except OSError as exc:
             raise self._failure(exc) from exc
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from functools import cached_property
 from typing import AbstractSet, Callable, Iterable, Iterator, Mapping, NamedTuple, TypeVar
@@ -152,9 +152,8 @@ class ChunkInfo(NamedTuple):
 
 
 class CutChunk(NamedTuple):
-    """The damaged chunk of a bag."""
+    """The part of a damaged chunk of a bag that can be read."""
 
-    number: int
     compression: str
     data_pos: int
     data_bytes: int
@@ -175,8 +174,19 @@ class SalvageReport:
 
     A damaged compressed chunk counts with all its bytes, although some of them can be read.
     """
-    cut: CutChunk | None = None
-    """The damaged chunk, if messages before the damage can be read."""
+    behind: bool = False
+    """Whether chunks after the first damage are read."""
+    cuts: dict[int, CutChunk] = field(default_factory=dict)
+    """What can be read of damaged chunks, by chunk number."""
+    missing: int = 0
+    """Number of messages that the index of the file lists, and that cannot be read."""
+    damaged: set[int] = field(default_factory=set)
+    """Chunks of which the index of the file lists messages that cannot be read. The others keep
+    their positions, so the import of the file with and without salvage is one import."""
+
+    def add(self, why: str, lost_bytes: int = 0) -> None:
+        """Note damage after other damage; the description of the first is kept."""
+        self.end(self.why or why, self.lost_bytes + lost_bytes)
 
     def end(self, why: str, lost_bytes: int = 0) -> None:
         """Note the damage, and how many bytes of the file cannot be read."""
@@ -187,12 +197,13 @@ class SalvageReport:
         """Return a sentence about the damage and what can be read; '' if nothing is damaged."""
         if not self.why:
             return ""
-        left = (
-            f"at most {self.lost_bytes} bytes after them are lost"
-            if self.lost_bytes
-            else ("no message that the file holds is lost")
-        )
-        return f"{path} {self.why}: {self.messages} messages up to there are read, {left}"
+        left, where = "no message that the file holds is lost", "up to there"
+        if self.lost_bytes:
+            left = f"at most {self.lost_bytes} bytes after them are lost"
+        if self.behind:
+            left = f"{self.missing or f'at most {self.lost_bytes} bytes'} are lost"
+            where = "before and after the damage"
+        return f"{path} {self.why}: {self.messages} messages {where} are read, {left}"
 
 
 class MessageFile(ABC):
@@ -206,8 +217,9 @@ class MessageFile(ABC):
         message_count: Number of messages in the file.
         chunk_count: Number of chunks in the file.
         start_ns, end_ns: Times of the first and the last message, ns; 0 in an empty file.
-        left_out: Topic -> number of its messages that are not ROS 1 messages, and the reason. The
-            attributes above do not count them.
+        left_out: Topic -> number of its messages that cannot be stored, and the reason: they are
+            no ROS 1 messages, the header of their connection is damaged, or their time lies after
+            the year 2106. The attributes above do not count them.
         extras: Kind of other records, in words -> their number.
         has_publish_times: Whether chunk_publish_times has returned any times so far.
     """
@@ -237,6 +249,13 @@ class MessageFile(ABC):
     def extras(self) -> dict[str, int]:
         """See the class; none unless its reader notes some."""
         return {}
+
+    def leave_out(self, topic: str, why: str, count: int) -> None:
+        """Note messages of a topic that cannot be stored."""
+        before, reasons = self.left_out.get(topic, (0, why))
+        if why not in reasons:
+            reasons += f"; {why}"
+        self.left_out[topic] = before + count, reasons
 
     @abstractmethod
     def close(self) -> None:
@@ -287,10 +306,8 @@ class MessageFile(ABC):
         Raises:
             BagError: A chunk is damaged or contradicts the index; the text names the chunk.
         """
-        if start >= self.message_count:
-            return
-        first = self.chunk_count - 1
-        while self.chunk_info(first).first > start:
+        first = max(self.chunk_count - 1, 0)
+        while first and self.chunk_info(first).first > start:
             first -= 1
         for chunk in range(first, self.chunk_count):
             for message in self.chunk_messages(chunk, numbers):
@@ -406,10 +423,16 @@ def _listing(name: str, present: AbstractSet[str]) -> str:
     return f"it has {', '.join(topics[:LISTED])}{more} ({len(topics)} topics)"
 
 
+def topics_of(reader: MessageFile, names: Iterable[str] | None) -> set[str]:
+    """Return the topics of a bag that have one of these names; None = all topics.
+
+    Topics whose messages are left out are among them.
+    """
+    present = {c.topic for c in reader.connections.values()} | reader.left_out.keys()
+    return present if names is None else match_topics(names, present, reader.path)
+
+
 def connections_of_topics(reader: MessageFile, topics: Iterable[str] | None) -> set[int]:
     """Return the numbers of the connections of some topics of a bag; None = all topics."""
-    connections = reader.connections
-    if topics is None:
-        return set(connections)
-    names = match_topics(topics, {c.topic for c in connections.values()}, reader.path)
-    return {number for number, c in connections.items() if c.topic in names}
+    chosen = topics_of(reader, topics)
+    return {number for number, c in reader.connections.items() if c.topic in chosen}

@@ -21,7 +21,7 @@ from cassandra_ros.errors import DefinitionError
 from cassandra_ros.formats.cassandra_topic_ import CassandraTopic_
 from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
-from cassandra_ros.messages.definition import Definition, parse_definition
+from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.tables.directory import MAX_BYTES, MAX_MESSAGES
 from cassandra_ros.tables.row_table import CHUNK_BYTES, INLINE_COLUMN_BYTES
@@ -171,7 +171,7 @@ def _fill(
 
 def _usable(msg_type: str, text: str, md5sum: str) -> Definition | None:
     try:
-        return parse_definition(msg_type, text, md5sum)
+        return read_definition(msg_type, text, md5sum)
     except DefinitionError:
         return None
 

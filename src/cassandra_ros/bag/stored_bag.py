@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import atexit
 import io
+import math
 import os
+from collections import Counter
 from dataclasses import replace
 from enum import Enum
 from functools import partial
@@ -25,19 +27,21 @@ from typing import (
     Union,
 )
 
-from cassandra_ros.arguments import check_list, check_new_topic, spellings
+import numpy as np
+
+from cassandra_ros.arguments import check_list, check_new_topic, check_topic
 from cassandra_ros.bag.format import COMPRESSIONS
 from cassandra_ros.bag.identity import describe_same_name, runs_meant, runs_of_file, source_of
-from cassandra_ros.bag.message_sample import join_samples, read_samples
+from cassandra_ros.bag.message_sample import MessageSample, join_samples, read_samples
 from cassandra_ros.bag.rosbag_errors import bag_error
 from cassandra_ros.bag.summary import Summary, TopicSummary
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.connection.address import from_environment
 from cassandra_ros.errors import BagNotFound, InvalidOption, RunNotFound, TypeMismatch
-from cassandra_ros.keys import new_writer_id
+from cassandra_ros.keys import MAX_NS, SECOND_NS, new_writer_id
 from cassandra_ros.messages.classes import installed_definition, serialize
 from cassandra_ros.messages.connection_header import Connection, live_connection
-from cassandra_ros.messages.stamps import Stamp, Time, to_ns
+from cassandra_ros.messages.stamps import Stamp, Time, seconds_to_ns, to_ns
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_adder import now_ns
@@ -109,6 +113,17 @@ class BagMessageWithConnectionHeader(NamedTuple):
     message: Any
     timestamp: Stamp
     connection_header: Mapping[str, bytes]
+
+
+class BagConnection(NamedTuple):
+    """A connection as rosbag describes it: one publisher of one topic."""
+
+    id: int
+    topic: str
+    datatype: str
+    md5sum: str
+    msg_def: str
+    header: Mapping[str, bytes]
 
 
 class TopicTuple(NamedTuple):
@@ -326,7 +341,8 @@ class Bag:
         in which a Bag first wrote to the connections; otherwise in the order of arrival.
 
         Args:
-            topics: Names of topics, or one name; None or an empty list = all.
+            topics: Names of topics, or one name; None or an empty list = all. As in rosbag,
+                slashes that are doubled or at the end do not count.
             start_time, end_time: First and last receive time, both included, in any form that a
                 key may have; None or 0 = open.
             connection_filter: Function of (topic, type, md5sum, definition, header); only messages
@@ -340,8 +356,8 @@ class Bag:
             InvalidKey: start_time or end_time is not a time.
         """
         self.flush()
-        ends = [None if not time else time for time in (start_time, end_time)]
-        names, passing = self._topics(topics or None), None
+        ends = start_time or None, _within_ros(end_time or None)
+        names, passing = self._topics(topics), None
         if connection_filter is not None:
             names, passing = self._filtered(names, connection_filter)
         if not names:
@@ -377,12 +393,13 @@ class Bag:
                 yield one
 
     def _topics(self, names: TopicNames) -> list[CassandraTopic]:
-        """Return the stored topics of these names; None = all stored topics."""
-        stored = {topic.name: topic for topic in self._store.getAllTopics()}
-        if names is None:
-            return list(stored.values())
-        selected = {s for name in check_list("topics", names, "['/tf']") for s in spellings(name)}
-        return [topic for name, topic in stored.items() if name in selected]
+        """Return the stored topics that rosbag selects by these names; no name = all of them."""
+        stored = self._store.getAllTopics()
+        wanted = [] if names is None else check_list("topics", names, "['/tf']")
+        if not wanted or (isinstance(names, str) and not names):
+            return list(stored)
+        selected = {_canonical(check_topic(name)) for name in wanted}
+        return [t for t in stored if not selected.isdisjoint((t.name, _canonical(t.name)))]
 
     def _filtered(
         self, topics: Sequence[CassandraTopic], test: ConnectionFilter
@@ -393,10 +410,11 @@ class Bag:
             The topics with at least one accepted connection, and the accepted connections as
             (table name, ``_conn``).
         """
+        named = {table.name: topic.name for topic in topics for table in topic.tables}
         passing = {
             (table, conn)
             for table, conn, each in self._connections(topics)
-            if test(each.topic, each.type, each.md5sum, each.definition_text, dict(each.fields))
+            if test(*_described(0, named[table], each)[1:])
         }
         tables = {table for table, _ in passing}
         return [t for t in topics if any(table.name in tables for table in t.tables)], passing
@@ -406,6 +424,38 @@ class Bag:
     ) -> Iterator[tuple[str, int, Connection]]:
         tables = {table.name for topic in topics for table in topic.tables}
         return self._store.catalog.keyspace.connections.of_tables(tables)
+
+    def _get_connections(
+        self, topics: TopicNames = None, connection_filter: ConnectionFilter | None = None
+    ) -> Iterator[BagConnection]:
+        """Yield the connections that have messages in the bag, for scripts that use this of rosbag.
+
+        If other runs have messages of a topic, all rows of the topic in this bag are looked at.
+        ``id`` is the number in the imported bag, or of a recording the position among the others.
+
+        Args:
+            topics, connection_filter: As in read_messages.
+        """
+        self.flush()
+        held = sorted(self._held(self._topics(topics)), key=lambda each: each[1].number)
+        numbers = [connection.number for _, connection in held]
+        known = len(set(numbers)) == len(numbers) and min(numbers, default=0) >= 0
+        for place, (topic, connection) in enumerate(held):
+            one = _described(connection.number if known else place, topic, connection)
+            if connection_filter is None or connection_filter(*one[1:]):
+                yield one
+
+    def _held(self, topics: Iterable[CassandraTopic]) -> Iterator[tuple[str, Connection]]:
+        """Yield the connections that have messages in the bag, with the names of their topics."""
+        for topic in topics:
+            missing = {(table, conn): each for table, conn, each in self._connections([topic])}
+            rows = topic.rows(nodeID=self._node, run=self._run, columns=lambda table: ())
+            for row in rows:
+                found = missing.pop((row.table.name, row.conn), None)
+                if found is not None:
+                    yield topic.name, found
+                if not missing:
+                    break
 
     def __iter__(self) -> Iterator[BagMessage | BagMessageWithConnectionHeader]:
         return self.read_messages()
@@ -467,12 +517,32 @@ class Bag:
         return next(self._numbers)
 
     def get_message_count(self, topic_filters: TopicNames = None) -> int:
-        """Return the number of messages of some topics, None = all, from the directory."""
-        return sum(info.count for info in self._infos(topic_filters))
+        """Return the number of messages of some topics, None = all, from the directory.
 
-    def _infos(self, topics: TopicNames = None) -> list[TopicInfo]:
+        As in rosbag, a topic that has several of the names counts for each of them.
+        """
+        counts = self._counts()
+        if topic_filters is None:
+            return sum(counts.values())
+        return sum(
+            counts.get(topic.name, 0)
+            for topics in self._by_name(topic_filters).values()
+            for topic in topics
+        )
+
+    def _counts(self) -> Counter[str]:
+        """Return the number of messages by topic, for topics that have any."""
+        counts: Counter[str] = Counter()
+        for info in self._infos():
+            counts[info.topic] += info.count
+        return counts
+
+    def _by_name(self, names: TopicNames) -> dict[str, list[CassandraTopic]]:
+        """Return the stored topics that rosbag selects by each name."""
+        return {name: self._topics(name) for name in check_list("topics", names, "['/tf']")}
+
+    def _infos(self, names: Sequence[str] | None = None) -> list[TopicInfo]:
         self.flush()
-        names = None if topics is None else [topic.name for topic in self._topics(topics)]
         infos = self._store.info(names, nodeID=self._node, run=self._run)
         return [info for info in infos if info.count]
 
@@ -482,30 +552,38 @@ class Bag:
         Frequency and number of connections are computed from the first MOST_STAMPS messages of
         each topic.
         """
-        self.flush()
-        counts: dict[str, int] = {}
-        for info in self._infos():
-            counts[info.topic] = counts.get(info.topic, 0) + info.count
+        counts = self._counts()
         known_topics = {topic.name: topic for topic in self._topics(None) if topic.name in counts}
-        asked = {topic.name for topic in self._topics(topic_filters)}
+        filters = list(known_topics) if topic_filters is None else topic_filters
+        asked = {
+            name: [topic.name for topic in topics if topic.name in counts]
+            for name, topics in self._by_name(filters).items()
+        }
+        sampled = {name for names in asked.values() for name in names}
         named = {table.name: name for name, topic in known_topics.items() for table in topic.tables}
         stored: dict[str, list[Connection]] = {}
         for table, _, connection in self._connections(list(known_topics.values())):
             stored.setdefault(named[table], []).append(connection)
         used: list[Connection] = []
-        topics: dict[str, TopicTuple] = {}
-        for name, topic in sorted(known_topics.items()):
+        samples: dict[str, MessageSample] = {}
+        for name, topic in known_topics.items():
             connections = stored.get(name, [])
-            if name in asked or len({(each.type, each.md5sum) for each in connections}) != 1:
-                sample = join_samples(
+            if name in sampled or len({(each.type, each.md5sum) for each in connections}) != 1:
+                samples[name] = join_samples(
                     read_samples(topic, MOST_STAMPS, self._node, self._run).values()
                 )
-                connections = sample.connections
-                if name in asked:
-                    topics[name] = TopicTuple(
-                        connections[0].type, counts[name], len(connections), sample.frequency
-                    )
+                connections = samples[name].connections
             used += connections
+        topics: dict[str, TopicTuple] = {}
+        for name, found in sorted(asked.items()):
+            whole = join_samples(samples[topic] for topic in found)
+            if found:
+                topics[name] = TopicTuple(
+                    whole.connections[0].type,
+                    sum(counts[topic] for topic in found),
+                    len(whole.connections),
+                    whole.frequency,
+                )
         types: dict[str, str] = {}
         for connection in sorted(used, key=lambda each: each.number):
             types.setdefault(connection.type, connection.md5sum)
@@ -537,12 +615,21 @@ class Bag:
             )
 
     def get_start_time(self) -> float:
-        """Return the receive time of the first message, s since 1970; BagError if it is empty."""
-        return _seconds(self._ends()[0])
+        """Return the receive time of the first message, s since 1970; BagError if it is empty.
+
+        A float cannot express every ns. In whatever way the float is converted to a time, that is
+        not after the message, so read_messages(start_time=…) includes it.
+        """
+        ns = self._ends()[0]
+        return _nearest_seconds(ns, lambda time: time <= ns, 0.0)
 
     def get_end_time(self) -> float:
-        """Return the receive time of the last message, s since 1970; BagError if it is empty."""
-        return _seconds(self._ends()[1])
+        """Return the receive time of the last message, s since 1970; BagError if it is empty.
+
+        In whatever way the float is converted to a time, that is not before the message.
+        """
+        ns = self._ends()[1]
+        return _nearest_seconds(ns, lambda time: time >= ns, math.inf)
 
     def _ends(self) -> tuple[int, int]:
         times: list[int] = []
@@ -636,7 +723,7 @@ def _path_of(f: object) -> str:
 
 
 def _raw(row: StoredRow) -> tuple[object, ...]:
-    return (row.type, row.wire, row.md5sum, row.position, row.message_class())
+    return (row.type, row.wire, row.connection.md5sum, row.position, row.message_class())
 
 
 def _connection(topic: str, kind: str, md5sum: str, cls: Any) -> Connection:
@@ -646,5 +733,38 @@ def _connection(topic: str, kind: str, md5sum: str, cls: Any) -> Connection:
     return live_connection(check_new_topic(topic), header)
 
 
-def _seconds(ns: int) -> float:
-    return Stamp.from_ns(ns).to_sec()  # type: ignore[no-any-return]
+def _described(number: int, topic: str, connection: Connection) -> BagConnection:
+    """Return a connection as rosbag describes it, under the present name of its topic."""
+    facts = connection.type, connection.md5sum, connection.definition_text
+    return BagConnection(number, topic, *facts, dict(connection.fields))
+
+
+def _canonical(name: str) -> str:
+    """Return a name as roslib.names.canonicalize_name does: without superfluous slashes."""
+    return "/" * name.startswith("/") + "/".join(filter(None, name.split("/")))
+
+
+def _within_ros(end: Time | None) -> Time | None:
+    """Return the end of a time range; an object or a float after the last time of ROS is open."""
+    if isinstance(end, float) and seconds_to_ns(end) > MAX_NS:
+        return None
+    to_nsec = getattr(end, "to_nsec", None)  # of a time of genpy
+    return None if to_nsec is not None and to_nsec() > MAX_NS else end
+
+
+def _nearest_seconds(ns: int, fits: Callable[[int], bool], towards: float) -> float:
+    """Return the float nearest to a time, s, of which every usual conversion fits, ns."""
+    seconds: float = Stamp.from_ns(ns).to_sec()
+    while not all(
+        fits(time)
+        # Ours, that of rospy.Time, and that of a script which counts nanoseconds.
+        for time in (seconds_to_ns(seconds), _truncated_ns(seconds), int(seconds * SECOND_NS))
+    ):
+        seconds = float(np.nextafter(seconds, towards))
+    return seconds
+
+
+def _truncated_ns(seconds: float) -> int:
+    """Return the ns of a genpy Time of these seconds, which is refused above 2**32 s."""
+    whole = int(seconds)
+    return whole * SECOND_NS + int((seconds - whole) * SECOND_NS)

@@ -15,6 +15,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Callable, Iterable
 
 from cassandra_ros.cli.options import open_store
+from cassandra_ros.cli.parsers import ASKED
 from cassandra_ros.errors import CassandraRosError
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 
 _MOST_EVENTS = 1000
 """Maximum number of events that are read for the candidates of --event."""
-_ASKED = "_ARGCOMPLETE"
-"""Environment variable that the shell sets to ask for candidates."""
 
 
 def answer_shell(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +31,7 @@ def answer_shell(parser: argparse.ArgumentParser) -> None:
     Without argcomplete there are no candidates. If the store does not answer, there are no
     candidates from the store.
     """
-    if _ASKED not in os.environ:
+    if ASKED not in os.environ:
         return
     try:
         import argcomplete

@@ -17,6 +17,7 @@ from cassandra_ros.cli.confirmation import add_yes_option, confirm
 from cassandra_ros.cli.options import strip_remappings
 from cassandra_ros.cli.parsers import verbs_parser
 from cassandra_ros.cli.terminal_text import format_bytes
+from cassandra_ros.connection.address import DEFAULT_HOST, DEFAULT_PORT
 from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, NodeStatus, install_jars
 from cassandra_ros.local_server.disk import full_disk
@@ -68,6 +69,7 @@ def start(options: argparse.Namespace) -> int:
         _say_login(cluster)
     else:
         say(f"Cassandra runs already at {where(cluster)}")
+    _say_address(cluster)
     return 0
 
 
@@ -82,6 +84,15 @@ def _say_login(cluster: LocalCluster) -> None:
     if cluster.settings.secure:
         say("it asks for a login, by TLS; programs, and cqlsh --cqlshrc, find theirs with:")
         say(f"  export CASSANDRA_ROS_CQLSHRC={shlex.quote(str(cluster.security.cqlshrc))}")
+
+
+def _say_address(cluster: LocalCluster) -> None:
+    """Say how programs find a Cassandra that is not where they look for it."""
+    settings = cluster.settings
+    given = {"HOST": (settings.host, DEFAULT_HOST), "PORT": (settings.port, DEFAULT_PORT)}
+    texts = [f"CASSANDRA_ROS_{n}={value}" for n, (value, usual) in given.items() if value != usual]
+    if texts:
+        say(f"programs find it with:\n  export {' '.join(texts)}")
 
 
 def stop(options: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import re
 import signal
@@ -12,12 +13,23 @@ import sys
 import threading
 import time
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Callable, Iterator, Protocol, Sequence
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Callable,
+    Iterable,
+    Iterator,
+    NoReturn,
+    Protocol,
+    Sequence,
+    TypeVar,
+)
 
+from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.readers import seconds
 from cassandra_ros.connection.address import (
     DEFAULT_HOST,
@@ -38,11 +50,19 @@ if TYPE_CHECKING:
     from cassandra_ros.messages.stamps import Stamp
     from cassandra_ros.topics.event_finder import EventRule
 
+_Value = TypeVar("_Value")
+
 DEFAULT_CONSISTENCY = "LOCAL_QUORUM"
 CONSISTENCY_LEVELS = ("ONE", "TWO", "QUORUM", DEFAULT_CONSISTENCY, "ALL")
 """Values of --consistency."""
+Tell = Callable[[str], object]
+"""Function that tells the user a text."""
 RETRY_SEC = 1.0
 """Interval between two attempts to connect during --wait, s."""
+REFUSED_RETRY_SEC = 10.0
+"""The same where the store answered and refused, as for a wrong password, s."""
+TELL_SEC = 60.0
+"""Interval at which it is told that there is no store yet, s."""
 _MOST_TABLES = 5
 """Maximum number of tables of another program named in a warning."""
 _OWN_SIGNS = ("--map", "--where", "--around", "--keep", "--event")
@@ -73,12 +93,15 @@ def add_large_chunks_option(parser: argparse._ActionsContainer) -> None:
     )
 
 
-def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None:
+def add_store_options(
+    parser: argparse.ArgumentParser, prefix: str = "", wait_sec: float = 0.0
+) -> None:
     """Add the options for address, login and keyspace of the store; open_store reads them.
 
     Args:
         prefix: Prefix of --host and --port, for a program that has other options of these names:
             'store-'.
+        wait_sec: Default of --wait, s; inf = no limit.
     """
     group = parser.add_argument_group(
         "store",
@@ -120,12 +143,14 @@ def add_store_options(parser: argparse.ArgumentParser, prefix: str = "") -> None
         help="how many copies of a row must answer: ONE, TWO, QUORUM, LOCAL_QUORUM or ALL; ONE "
         "reads what the nodes that answer have (default: %(default)s)",
     )
+    unlimited = math.isinf(wait_sec)
+    without = "no limit; 0: end at once with the error" if unlimited else f"{wait_sec:g}"
     group.add_argument(
         "--wait",
         metavar="SECONDS",
         type=read_seconds,
-        default=0.0,
-        help="maximum time to wait for a store that does not answer yet (default: 0)",
+        default=wait_sec,
+        help=f"maximum time to wait for a store that does not answer yet (default: {without})",
     )
 
 
@@ -167,15 +192,34 @@ def store_place(options: argparse.Namespace) -> tuple[list[str], int]:
     return login.hosts, login.port
 
 
-def open_store(options: argparse.Namespace, make: bool = False) -> RosCassandra:
+def _print_error(text: str) -> None:
+    print(shown_lines(text), file=sys.stderr, flush=True)
+
+
+@dataclass(frozen=True)
+class StoreWait:
+    """What a program does while the store does not answer yet."""
+
+    tell: Tell = _print_error
+    """Gets a text that says so, with the reason, at once and then every TELL_SEC."""
+    meanwhile: str = ""
+    """What happens meanwhile, as a clause: ', messages wait in memory'."""
+    given_up: threading.Event = field(default_factory=threading.Event)
+    """Set when nobody wants the store any more."""
+
+
+def open_store(
+    options: argparse.Namespace, make: bool = False, wait: StoreWait | None = None
+) -> RosCassandra:
     """Connect to the store that the options name. The caller closes it (a context manager).
 
     Args:
         make: The keyspace may be missing; the first write creates it.
+        wait: What to do during --wait; default: to tell it on stderr.
     """
     from cassandra_ros.local_server.disk import local_nodes
 
-    ros_cas = _connect(options)
+    ros_cas = _connect(options, wait or StoreWait())
     # Find the directories now: those of a server that has ended cannot be found.
     directories = _local_directories(options)
     ros_cas.cassandra.outage.tell_reason(partial(_trouble, directories))
@@ -227,40 +271,42 @@ def hurry_on_interrupt(outage: Hurried) -> None:
 
 
 @contextmanager
-def awaited_store(options: argparse.Namespace) -> Iterator[Future[RosCassandra]]:
+def awaited_store(options: argparse.Namespace, wait: StoreWait) -> Iterator[Future[RosCassandra]]:
     """Open the store as ``open_store`` does, but do not block during ``--wait``.
 
-    The keyspace may be missing. Without ``--wait`` the future is done at once. On exit the store is
-    closed.
+    The keyspace may be missing. With ``--wait 0`` the future is done at once. On exit the store is
+    closed, or not waited for any more.
     """
     from concurrent.futures import Future
 
     store: Future[RosCassandra] = Future()
     if options.wait:
-        threading.Thread(
-            target=_open_into, args=(store, options), name="store-wait", daemon=True
-        ).start()
+        args = (store, options, wait)
+        threading.Thread(target=_open_into, args=args, name="store-wait", daemon=True).start()
     else:
         store.set_result(open_store(options, make=True))
     try:
         yield store
     finally:
+        wait.given_up.set()
         if store.done() and store.exception() is None:
             store.result().close()
 
 
-def _open_into(store: Future[RosCassandra], options: argparse.Namespace) -> None:
+def _open_into(store: Future[RosCassandra], options: argparse.Namespace, wait: StoreWait) -> None:
     try:
-        store.set_result(open_store(options, make=True))
+        store.set_result(open_store(options, make=True, wait=wait))
     except Exception as exc:  # noqa: BLE001 - the caller of result() gets it
         store.set_exception(exc)
 
 
-def _connect(options: argparse.Namespace) -> RosCassandra:
-    """Connect; repeat it for the time that --wait gives."""
+def _connect(options: argparse.Namespace, wait: StoreWait) -> RosCassandra:
+    """Connect; repeat it for the time that --wait gives, or until the wait is given up."""
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
-    ends, told = time.monotonic() + options.wait, False
+    ends, due = time.monotonic() + options.wait, -math.inf
+    unlimited = math.isinf(ends)
+    how_long = "no store yet" if unlimited else f"waiting up to {options.wait:g} s for the store"
     while True:
         try:
             return RosCassandra(
@@ -271,20 +317,26 @@ def _connect(options: argparse.Namespace) -> RosCassandra:
                 credentials=options.credentials,
                 consistency=options.consistency,
             )
-        except TlsMismatch as exc:
-            raise TlsMismatch(f"{exc}{_own_login(_local_directories(options))}") from exc
         except ConnectionFailed as exc:
-            if exc.refused:
-                raise
-            trouble = _trouble(_local_directories(options))
-            reason = f"{exc}; {trouble}" if trouble else str(exc)
-            if time.monotonic() >= ends:
-                raise ConnectionFailed(reason) from exc
-            if not told:
-                text = f"waiting up to {options.wait:g} s for the store: {reason}"
-                print(shown_lines(text), file=sys.stderr, flush=True)
-            told = True
-            time.sleep(min(RETRY_SEC, max(ends - time.monotonic(), 0.0)))
+            failure = _explained(exc, options)
+            # A server that refuses will do so again; without a limit somebody may mend it.
+            over = time.monotonic() >= ends or wait.given_up.is_set()
+            if over or (exc.refused and not unlimited):
+                raise failure from exc
+            if time.monotonic() >= due:
+                due = time.monotonic() + TELL_SEC
+                wait.tell(f"{how_long}{wait.meanwhile}: {failure}")
+            pause = REFUSED_RETRY_SEC if exc.refused else RETRY_SEC
+            wait.given_up.wait(min(pause, max(ends - time.monotonic(), 0.0)))
+
+
+def _explained(exc: ConnectionFailed, options: argparse.Namespace) -> ConnectionFailed:
+    """Return the error with what the local Cassandra knows of the reason."""
+    directories = _local_directories(options)
+    if isinstance(exc, TlsMismatch):
+        return TlsMismatch(f"{exc}{_own_login(directories)}")
+    trouble = "" if exc.refused else _trouble(directories)
+    return ConnectionFailed(f"{exc}; {trouble}") if trouble else exc
 
 
 def _local_directories(options: argparse.Namespace) -> list[Path]:
@@ -406,13 +458,21 @@ def read_where(options: argparse.Namespace) -> dict[str, str]:
 
 def read_conditions(options: argparse.Namespace, name: str) -> dict[str, str]:
     """Return the conditions of an option that may be repeated, by topic."""
-    conditions: dict[str, str] = {}
-    for topic, condition in getattr(options, name):
-        if topic in conditions:
-            text = f"--{name}: two conditions for {topic}; join them with AND or OR"
-            options.parser.error(text)
-        conditions[topic] = condition
-    return conditions
+    return read_pairs(options, f"--{name}", getattr(options, name), "join them with AND or OR")
+
+
+def read_pairs(
+    options: argparse.Namespace,
+    option: str,
+    pairs: Iterable[tuple[str, _Value]],
+    remedy: str = "give it once",
+) -> dict[str, _Value]:
+    """Return the pairs of an option as a mapping; end the program if two have the same key."""
+    try:
+        return check_pairs(option, pairs, remedy)
+    except InvalidOption as exc:
+        refuse: Callable[[str], NoReturn] = options.parser.error
+        refuse(str(exc))
 
 
 def same_named(kind: type[Any], options: argparse.Namespace) -> dict[str, Any]:

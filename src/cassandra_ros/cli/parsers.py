@@ -1,19 +1,23 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Parsers with the same form of help texts, exit statuses and error lines for all programs."""
+"""Parsers that read words, and print help texts and errors, in the same way for all programs."""
 
 from __future__ import annotations
 
 import argparse
+import difflib
 import inspect
+import os
 import re
 import sys
-from typing import Callable, Mapping, NoReturn
+from typing import Any, Callable, Iterable, Mapping, NoReturn, Sequence
 
 from cassandra_ros.installation import shipped_file
 from cassandra_ros.metadata import SCHEMA_VERSION
 from cassandra_ros.printable import shown_lines
 
+ASKED = "_ARGCOMPLETE"
+"""Environment variable that the shell sets to ask for candidates."""
 _STATUSES = """\
 exit status:
   0    success
@@ -34,13 +38,151 @@ def _closing(program: str, more: str) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that reports wrong usage in the form of all other errors."""
+    """A parser that takes its words in any order, and no option that would replace another one.
+
+    argparse takes positional arguments from one place only, and the last of several values without
+    a word about the others. An option for a list must have the action append or extend. Wrong usage
+    is reported in the form of all other errors, by the parser of the verb.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        if ASKED not in os.environ:  # argcomplete reads values of argparse's own actions only
+            self.register("action", None, _StoreOnce)
+            self.register("action", "store", _StoreOnce)
+            self.register("action", "store_const", _StoreConstOnce)
+        self.verbs: dict[str, Parser] = {}
+        """Parsers of the verbs by name."""
+        self.given: dict[str, str] = {}
+        """Options with one value that the last command line gave: dest -> the option as typed."""
+
+    def parse_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> argparse.Namespace:
+        """Parse a command line; None = that of the process. Wrong usage ends the program."""
+        words = sys.argv[1:] if args is None else list(args)
+        if words and words[0] in self.verbs:
+            options = argparse.Namespace() if namespace is None else namespace
+            options.verb = words[0]
+            return self.verbs[words[0]].parse_args(words[1:], options)
+        if self.verbs and words and not words[0].startswith("-"):
+            self.error(f"there is no verb {words[0]!r}{_nearest(words[0], self.verbs)}")
+        self.given = {}
+        options, unknown = self.parse_known_args(self._positionals_last(words), namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return options
+
+    def _positionals_last(self, words: Sequence[str]) -> list[str]:
+        """Return the words in the order that argparse needs; report words that are no option."""
+        end = words.index("--") if "--" in words else len(words)
+        finder = _OptionFinder(self._actions)
+        marked = list(map(_Word, words[:end]))
+        try:
+            _, rest = finder.parse_known_args(marked)
+        except argparse.ArgumentTypeError:  # this parser reports it, with its usage
+            return list(words)
+        others = set(map(id, rest))
+        positionals = [word for word in marked if id(word) in others]
+        for word in positionals:
+            if _LIKE_OPTION.match(word):
+                self._report_unknown(word)
+        options = [word for word in marked if id(word) not in others]
+        behind = [*positionals, *words[end + 1 :]]
+        return list(map(str, [*options, *["--"] * bool(behind), *behind]))
+
+    def _report_unknown(self, word: str) -> NoReturn:
+        known = [name for action in self._actions for name in action.option_strings]
+        hint = _nearest(word.split("=")[0], known)
+        if not hint:
+            hint = f"; what begins with - and is no option goes after --, as in: -- {word}"
+        self.error(f"unrecognized arguments: {word}{hint}")
 
     def error(self, message: str) -> NoReturn:
         """Print the usage and the error, and end the program with status 2."""
         self.print_usage(sys.stderr)
         program = self.prog.split()[0]
+        option = re.fullmatch(r"argument (?:.*/)?(--[\w-]+): expected one argument", message)
+        if option:
+            message += f"; one that begins with - is given as {option[1]}=-…"
         self.exit(2, error_line(program, f"{message} (see {self.prog} --help)") + "\n")
+
+
+_LIKE_OPTION = re.compile(r"-(?!\.?[0-9])\S+$")
+"""A word that is an option or a misspelt one: not -, a negative number, or a text with blanks."""
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, known, n=1)
+    return f": did you mean {near[0]}?" if near else ""
+
+
+class _Word(str):
+    """A word of a command line. Two words may have the same text, but have different ids."""
+
+
+class _Skip(argparse.Action):
+    """Takes the values of an option, and does nothing."""
+
+    def __call__(self, *_: object) -> None:
+        pass
+
+
+class _OptionFinder(argparse.ArgumentParser):
+    """Finds the options of a command line and their values; all else is unknown to it."""
+
+    def __init__(self, actions: Sequence[argparse.Action]) -> None:
+        super().__init__(add_help=False)
+        for action in actions:
+            if action.option_strings:
+                self.add_argument(*action.option_strings, action=_Skip, nargs=action.nargs)
+
+    def error(self, message: str) -> NoReturn:
+        """Raise ArgumentTypeError."""
+        raise argparse.ArgumentTypeError(message)
+
+
+class _StoreOnce(argparse.Action):
+    """Stores a value. A second one, which would replace the first, is refused."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        if option_string is not None and isinstance(parser, Parser):
+            _refuse_second(parser, self, option_string)
+        setattr(namespace, self.dest, values)
+
+
+class _StoreConstOnce(argparse.Action):
+    """Stores a constant. It may be given again, but not with another option for the same."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(nargs=0, **options)
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,
+    ) -> None:
+        if isinstance(parser, Parser) and parser.given.get(self.dest) not in self.option_strings:
+            _refuse_second(parser, self, str(option_string))
+        setattr(namespace, self.dest, self.const)
+
+
+def _refuse_second(parser: Parser, action: argparse.Action, option: str) -> None:
+    """End the program if the command line gave a value for the same already."""
+    first = parser.given.get(action.dest)
+    if first in action.option_strings:
+        parser.error(f"{option} is given twice: give it once")
+    if first is not None:
+        parser.error(f"{first} and {option} say the same: give one of them")
+    parser.given[action.dest] = option
 
 
 class _Version(argparse.Action):
@@ -86,6 +228,7 @@ def verbs_parser(
             formatter_class=_RAW,
         )
         found.set_defaults(parser=found)
+        parser.verbs[name] = found
         add_arguments(name, found)
     return parser
 

@@ -3,7 +3,8 @@
 """Publish stored messages on their topics, in the order of their receive times.
 
 The player publishes the stored bytes under the stored message definition, so types need not be
-installed. Remap names as everywhere in ROS: /scan:=/old/scan.
+installed. Remap names as everywhere in ROS: /scan:=/old/scan. A stored topic whose name is not
+valid in ROS is played under another name: '/my topic:=/my_topic'.
 
 Times are seconds from the first message (12.5), seconds since 1970 (1368021980.25), nanoseconds
 (from 13 digits on) or ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC).
@@ -24,6 +25,7 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
+from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, tell_missing
 from cassandra_ros.cli.keyboard import Keyboard
@@ -42,11 +44,11 @@ from cassandra_ros.cli.readers import (
     duration,
     factor,
     megabytes,
-    regular_expression,
     seconds,
     whole_number,
 )
 from cassandra_ros.cli.terminal_text import counted
+from cassandra_ros.cli.topic_options import add_exclude_option
 from cassandra_ros.errors import InvalidName, InvalidOption
 from cassandra_ros.printable import shown, shown_lines
 
@@ -60,22 +62,8 @@ if TYPE_CHECKING:
 PROGRAM = "player"
 SHOW_SEC = 0.1
 """Minimum interval between two updates of the status line, s."""
+_REMAP = ":="
 _STATES = {"paused": "PAUSED ", "delayed": "DELAYED", "waiting": "WAITING", "ended": "ENDED  "}
-
-
-class _Once(argparse.Action):
-    """Refuses an option that is given twice; argparse would ignore the first one silently."""
-
-    def __call__(
-        self,
-        parser: argparse.ArgumentParser,
-        namespace: argparse.Namespace,
-        values: object,
-        option_string: str | None = None,
-    ) -> None:
-        if getattr(namespace, self.dest, None):
-            parser.error(f"{option_string} is given twice: give it once")
-        setattr(namespace, self.dest, values)
 
 
 def make_parser() -> argparse.ArgumentParser:
@@ -95,11 +83,18 @@ def make_parser() -> argparse.ArgumentParser:
 def _add_selection(group: argparse._ArgumentGroup) -> None:
     add = group.add_argument
     add("topics", metavar="TOPIC", nargs="*", help="play these topics (default: all)")
-    text = "further topics, as with rosbag play (default: no further topics)"
-    add("--topics", metavar="TOPIC", dest="more", nargs="+", default=[], help=text)
+    text = "further topics, as with rosbag play; may be repeated (default: no further topics)"
+    add(
+        "--topics",
+        dest="more",
+        metavar="TOPIC",
+        nargs="+",
+        action="extend",
+        default=[],
+        help=text,
+    )
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
-    text = "leave out topics whose whole name matches this regular expression (default: play all)"
-    add("-x", "--exclude", metavar="EXCLUDE_REGEX", type=regular_expression, default="", help=text)
+    add_exclude_option(group, "play all")
     add("-s", "--start", metavar="T", help="first time (default: the first message)")
     add(
         "-u",
@@ -110,19 +105,18 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     )
     add("--end", metavar="T", help="last time, included (default: the last message)")
     text = "only messages of this recording or import: name or writer id (default: all)"
-    add("--run", metavar="RUN", action=_Once, help=text)
+    add("--run", metavar="RUN", help=text)
     text = "only messages of this robot (default: all robots)"
-    add("--node-id", metavar="N", action=_Once, help=text)
+    add("--node-id", metavar="N", help=text)
     add_where_option(group)
     add(
         "--around",
         metavar="'TOPIC: CONDITION'",
-        action=_Once,
         help="play all topics, but only around the times at which a message of TOPIC satisfies "
         "CONDITION (default: play everything)",
     )
     text = "play only messages of a robot during its events of this name (default: of all time)"
-    add("--event", metavar="NAME", action=_Once, help=text)
+    add("--event", metavar="NAME", help=text)
     text = "time to play before each of these messages (default: 5), or of the events (default: 0)"
     add("--before", metavar="SEC", type=seconds, help=text)
     text = "time to play after each of these messages (default: 10), or of the events (default: 0)"
@@ -143,8 +137,8 @@ def _add_pace(group: argparse._ArgumentGroup) -> None:
     text = "play back all messages without waiting, except for slow subscribers"
     add("-i", "--immediate", action="store_true", help=text)
     add("--pause", action="store_true", help="start in paused mode")
-    text = "pause before each message of these topics (default: do not pause)"
-    add("--pause-topics", metavar="TOPIC", nargs="+", default=[], help=text)
+    text = "pause before each message of these topics; may be repeated (default: do not pause)"
+    add("--pause-topics", metavar="TOPIC", nargs="+", action="extend", default=[], help=text)
     text = "skip pauses without messages that are longer than SEC seconds (default: skip nothing)"
     add("--skip-empty", metavar="SEC", type=seconds, help=text)
     add("-l", "--loop", action="store_true", help="loop playback")
@@ -188,8 +182,12 @@ def read_selection(options: argparse.Namespace) -> PlaySelection:
     reach = {name: values.pop(name) for name in ("before", "after")}
     event = (options.event, reach["before"] or 0.0, reach["after"] or 0.0)
     values.update({name: length for name, length in reach.items() if length is not None})
+    words = [*options.topics, *options.more]
+    # rospy remaps names that are valid in ROS; the player also remaps stored ones that are not.
+    remap = [read_pair(word, _REMAP, f"FROM{_REMAP}TO") for word in words if _REMAP in word]
     values.update(
-        topics=[*options.topics, *options.more] or None,
+        topics=[word for word in words if _REMAP not in word] or None,
+        remap=check_pairs("FROM:=TO", remap),
         nodeID=options.node_id,
         where=read_where(options) or None,
         event=event if options.event else None,
@@ -266,10 +264,9 @@ class StatusLine:
 
 def status_line(state: PlayerState) -> str:
     """Return the state of a player as rosbag play prints it."""
-    done, length = (state.time - state.start) / 1e9, (state.end - state.start) / 1e9
     return (
         f" [{_STATES.get(state.state, 'RUNNING')}]  Bag Time: {state.time / 1e9:13.6f}   "
-        f"Duration: {done:.6f} / {length:.6f}"
+        f"Duration: {state.played / 1e9:.6f} / {state.length / 1e9:.6f}"
     )
 
 

@@ -29,15 +29,6 @@ def checked(reader: Callable[[str], _Read]) -> Callable[[str], _Read]:
     return read
 
 
-def regular_expression(text: str) -> str:
-    """Return the text if it is a regular expression."""
-    try:
-        re.compile(text)
-    except re.error as exc:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a regular expression: {exc}") from exc
-    return text
-
-
 def duration(text: str) -> float:
     """Parse a duration as rosbag writes it (30, 90s, 1.5m, 2h). Return seconds."""
     match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)([smh]?)", text)

@@ -13,15 +13,18 @@ a private parameter of the node: its long name with _ for -, as in ~node_id; ~to
 from __future__ import annotations
 
 import argparse
+import logging
+import math
 import shutil
 import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Callable, Mapping, NamedTuple, Sequence
 
-from cassandra_ros.arguments import check_pattern, check_ros_name
+from cassandra_ros.arguments import check_pairs, check_pattern, check_ros_name
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import (
+    StoreWait,
     add_format_option,
     add_store_options,
     awaited_store,
@@ -30,12 +33,13 @@ from cassandra_ros.cli.options import (
     store_place,
     strip_remappings,
 )
-from cassandra_ros.cli.parsers import error_line, program_parser
+from cassandra_ros.cli.parsers import Parser, error_line, program_parser
 from cassandra_ros.cli.quota_options import add_quota_options, check_quota_options
 from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
 from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
 from cassandra_ros.cli.script import end_now
 from cassandra_ros.cli.terminal_text import counted
+from cassandra_ros.cli.topic_options import add_exclude_option
 from cassandra_ros.errors import InvalidName, InvalidOption, UnknownFormat
 from cassandra_ros.formats.table import format_class
 from cassandra_ros.recording.option_values import (
@@ -51,42 +55,37 @@ if TYPE_CHECKING:
     from cassandra_ros.recording.recording_options import RecorderOptions
     from cassandra_ros.recording.topic_settings import Rule
 
+_log = logging.getLogger(__name__)
+
 PROGRAM = "recorder"
 _LOOPBACK = ("localhost", "127.", "::1")
 _NO_PARAMETERS = ("help", "version", "quiet", "dry_run", "udp")
 
 
-def make_parser() -> argparse.ArgumentParser:
+def make_parser() -> Parser:
     """Return the parser of the command line; it uses the names of RecorderOptions."""
     parser = program_parser(PROGRAM, __doc__)
     parser.usage = "%(prog)s [OPTION ...] [TOPIC ...]"  # short, because each usage error prints it
-    _add_choice(parser.add_argument)
+    _add_choice(parser)
     _add_runs(parser.add_argument_group("runs").add_argument)
     _add_settings(parser)
     _add_limits(parser.add_argument_group("limits").add_argument)
     _add_spool(parser)
     _add_rosbag(parser.add_argument_group("as rosbag record has them").add_argument)
-    add_store_options(parser)
+    add_store_options(parser, wait_sec=math.inf)
     return parser
 
 
 Add = Callable[..., object]
 
 
-def _add_choice(add: Add) -> None:
+def _add_choice(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
     add("topics", metavar="TOPIC", nargs="*", help="record these topics (default: none)")
     text = "record all topics, except the recorder's own messages on /rosout and /diagnostics"
     add("-a", "--all", action="store_true", help=text)
     add("-e", "--regex", action="store_true", help="match topics using regular expressions")
-    text = "exclude topics matching the follow regular expression (default: none)"
-    add(
-        "-x",
-        "--exclude",
-        metavar="EXCLUDE_REGEX",
-        type=checked(check_pattern),
-        default="",
-        help=text,
-    )
+    add_exclude_option(parser, "none is left out")
     add(
         "--node",
         metavar="NODE",
@@ -113,6 +112,7 @@ def _add_runs(add: Add) -> None:
         metavar="K=V",
         type=checked(read_label),
         action="append",
+        default=[],
         help=text,
     )
     text = "begin a new run when the size or duration is reached: NAME_0, NAME_1, ..."
@@ -153,9 +153,11 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "'/cmd_vel: linear.x > 0.5'; other messages count as left out; may be repeated"
     )
     condition = "'TOPIC: CONDITION'"
-    add("--where", metavar=condition, type=checked(read_where), action="append", help=text)
+    kind = checked(read_where)
+    add("--where", metavar=condition, type=kind, action="append", default=[], help=text)
     text = "record at most HZ messages a second of a topic, or of each topic; may be repeated"
-    add("--rate-limit", metavar="[TOPIC:]HZ", type=checked(read_limit), action="append", help=text)
+    pair = checked(read_limit)
+    add("--rate-limit", metavar="[TOPIC:]HZ", type=pair, action="append", default=[], help=text)
     text = (
         "YAML file with format, ttl, rate_limit, where, key_part and index for patterns of topics, "
         "and with events; see config/recorder.yaml. --where and --rate-limit override it, it "
@@ -267,12 +269,13 @@ def read_config(name: str) -> _Config:
 
 
 def words_of(
-    parser: argparse.ArgumentParser, parameters: Mapping[str, object], given: argparse.Namespace
+    parser: Parser, parameters: Mapping[str, object], given: argparse.Namespace
 ) -> list[str]:
     """Return the parameters of the node as command line arguments.
 
-    The caller puts them before the real arguments. Parameters that select topics are left out if
-    the command line selects topics.
+    The caller puts them before the real arguments, which ``parser`` has just parsed as ``given``.
+    Parameters that the command line gives, too, are left out, and those that select topics if it
+    selects topics; only lists get the values of both.
     """
     known = {action.dest: action for action in parser._actions}
     chosen = bool(given.topics or given.all or given.node)
@@ -282,7 +285,7 @@ def words_of(
         action = known.get(dest)
         if action is None or dest in _NO_PARAMETERS:
             parser.error(f"there is no parameter ~{name}: parameters are called like options")
-        if dest in ("topics", "all", "node") and chosen:
+        if dest in parser.given or (dest in ("topics", "all", "node") and chosen):
             continue
         values = value if isinstance(value, list) else [value]
         if dest == "topics":
@@ -328,12 +331,13 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
             format_class(options.format)
         for text in options.topics:
             (check_pattern if options.regex else check_ros_name)(text)
+        labels = check_pairs("--label", options.labels)
+        check_pairs("--where", options.where, "join the conditions with AND or OR")
+        check_pairs("--rate-limit", options.rate_limit)
     except (InvalidName, InvalidOption, UnknownFormat) as exc:
         parser.error(str(exc))
     values = same_named(RecorderOptions, options)
-    values["labels"] = dict(options.labels or ())
-    values.update(config=options.config.rules, events=options.config.events)
-    values.update(where=options.where or (), rate_limit=options.rate_limit or ())
+    values.update(labels=labels, config=options.config.rules, events=options.config.events)
     hosts, port = store_place(options)
     values.update(free_space=local_space(hosts), address=f"{','.join(hosts)}:{port}")
     return RecorderOptions(**values)
@@ -376,12 +380,13 @@ def main() -> int:
     line = StatusLine(sys.stdout if not options.quiet and sys.stdout.isatty() else None)
     say = partial(line.say, quiet=options.quiet)
     if options.dry_run:
+        options.wait = 0.0 if math.isinf(options.wait) else options.wait
         with open_store(options, make=True) as ros_cas:
             plan = make_plan(ros_cas.catalog, chosen)
         print(plan_table(plan, chosen))
         return _tell_problems([each.problem for each in plan if each.problem])
     place = KeyspaceAddress(store_place(options)[0], options.keyspace)
-    with awaited_store(options) as store:
+    with awaited_store(options, StoreWait(_log.warning, _meanwhile(chosen))) as store:
         show = line.show if line.shows else None
         reports, problem = record(store, chosen, place, say, show)
         spooled = sum(report.spooled for report in reports)
@@ -392,12 +397,21 @@ def main() -> int:
     if spooled and spool is not None:
         say(
             f"{counted(spooled, 'message')} in the spool {spool.folder.path}: the next recorder "
-            "stores them, or 'cassandra_bag spool drain'"
+            "for this store stores them, or 'cassandra_bag spool drain'. For another store: "
+            "'cassandra_bag spool drain RUN --host HOST', where 'cassandra_bag spool list' names "
+            "RUN; elsewhere: copy the folder and add '--spool-dir FOLDER'"
         )
     status = _tell_problems([problem] * bool(problem) + failures(reports))
     if not store.done():
         end_now(status)
     return status
+
+
+def _meanwhile(options: RecorderOptions) -> str:
+    """Say where messages wait until the store answers for the first time."""
+    plan = options.spool_plan
+    where = "memory" if plan is None else f"the spool {plan.folder.path}"
+    return f", messages wait in {where}"
 
 
 def _tell_problems(problems: Sequence[str]) -> int:

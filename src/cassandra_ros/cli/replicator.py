@@ -60,7 +60,8 @@ def main() -> int:
     from cassandra_ros.copying.rules import read_rules_file
     from cassandra_ros.nodes.replicator_node import follow, start_node
 
-    options = parser.parse_args([*start_node(sys.argv), *words])
+    # Parameters set the options that the command line does not give.
+    options = parser.parse_args(words, parser.parse_args(start_node(sys.argv)))
     if options.target is None:
         parser.error("say where to copy: --to HOST[:PORT][/KEYSPACE], or the parameter ~to")
     check_quota_options(options, parser)

@@ -13,6 +13,9 @@ from cassandra_ros.printable import shown
 _UNITS = ("B", "KB", "MB", "GB", "TB")
 _BARS = "▁▂▃▄▅▆▇█"
 _WEIGHTS = ".:-=+*#@"
+_YEAR_SEC = 365.25 * 86_400
+_LONG = ((_YEAR_SEC, _YEAR_SEC, "years"), (360_000, 86_400, "days"))
+"""From how many seconds on a duration is given in a unit, the unit's length, and its name."""
 _LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 
 
@@ -64,8 +67,14 @@ def counted(count: int, noun: str) -> str:
 
 
 def format_duration(ns: int) -> str:
-    """Return a duration as rosbag info prints it: 37.9s, 1:38s (98s), 2hr 1:38s (7298s)."""
+    """Return a duration as rosbag info prints it: 37.9s, 1:38s (98s), 2hr 1:38s (7298s).
+
+    From 100 hours on they are given in days or years: 4.2 days (360000s), 2.0 years (63115200s).
+    """
     total = ns // SECOND_NS
+    for least, length, unit in _LONG:
+        if total >= least:
+            return f"{total / length:.1f} {unit} ({total}s)"
     minutes, seconds = divmod(total, 60)
     if not minutes:
         return f"{ns / SECOND_NS:.1f}s"

@@ -7,6 +7,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, AbstractSet
 
+from cassandra_ros.arguments import check_pattern
+from cassandra_ros.cli.readers import checked
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.topics.patterns import matching
 
@@ -46,8 +48,9 @@ def add_topics_option(parser: argparse._ActionsContainer, after: str) -> None:
     parser.add_argument(
         "--topics",
         nargs="+",
+        action="extend",
         metavar="TOPIC",
-        help=f"only these topics (default: all); give it after {after}",
+        help=f"only these topics (default: all); give it after {after}; may be repeated",
     )
     parser.add_argument(
         "-e",
@@ -56,6 +59,24 @@ def add_topics_option(parser: argparse._ActionsContainer, after: str) -> None:
         action="append",
         help="only topics whose whole name matches this regular expression, in addition to those "
         "of --topics; may be repeated",
+    )
+
+
+def add_exclude_option(parser: argparse._ActionsContainer, else_: str) -> None:
+    """Add -x, for programs that play or record topics.
+
+    Args:
+        else_: What happens without it, as 'play all'.
+    """
+    parser.add_argument(
+        "-x",
+        "--exclude",
+        metavar="EXCLUDE_REGEX",
+        type=checked(check_pattern),
+        action="append",
+        default=[],
+        help="leave out topics whose whole name matches this regular expression; may be repeated "
+        f"(default: {else_})",
     )
 
 

@@ -150,10 +150,10 @@ class RosCassandra:
     def close(self) -> None:
         """Store the messages that are waiting and close the connection.
 
-        A second call does nothing.
+        A second call does nothing, nor does one in a fork of the process that connected.
         """
         try:
-            if self._opened is not None:
+            if self._opened is not None and not self.cassandra.is_forked:
                 self._opened.adder.close()
         finally:
             self.cassandra.close()

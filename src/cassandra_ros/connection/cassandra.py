@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import math
+import os
 import socket
 import ssl
 import threading
@@ -161,6 +162,7 @@ class Cassandra:
         self._ssl_context = ssl_context
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
+        self._process = os.getpid()
         self._closed = False
         self._expected_nodes = 0
         self._keyspaces: set[str] = set()
@@ -272,19 +274,30 @@ class Cassandra:
         return f"<Cassandra {self._where}{', closed' if self._closed else ''}>"
 
     def require_open(self) -> None:
-        """Raise ConnectionFailed if this connection is closed.
+        """Raise ConnectionFailed if this connection is closed, or another process's.
 
         The driver would report a closed connection as an error that may pass, and be retried.
 
         Raises:
             StoreUnavailable: The program has to end, and the store does not answer.
         """
+        if self.is_forked:
+            raise ConnectionFailed(
+                f"this process is a fork of {self._process}, which connected to Cassandra at "
+                f"{self._where}, and a connection serves one process: make a RosCassandra in this "
+                "one (PyTorch: in worker_init_fn; Celery: at worker_process_init)"
+            )
         if self.outage.left_sec <= 0:
             raise StoreUnavailable(f"the store at {self._where} does not answer")
         if self._closed:
             raise ConnectionFailed(
                 f"the connection to Cassandra at {self._where} is closed; make another RosCassandra"
             )
+
+    @property
+    def is_forked(self) -> bool:
+        """Whether this process is a fork of the one that connected: it lacks the threads."""
+        return os.getpid() != self._process
 
     def prepare(self, cql: str) -> PreparedStatement:
         """Return a prepared statement; each text is prepared once."""
@@ -602,8 +615,8 @@ class Cassandra:
         return str(rows[0][0])
 
     def close(self) -> None:
-        """Close the connection; a second call is harmless."""
-        if not self._closed:
+        """Close the connection; a second call is harmless, and one in a fork does nothing."""
+        if not (self._closed or self.is_forked):
             self._closed = True
             self.schema_changes.may_have_missed()  # no list of tables is up to date any more
             # If the program has to end and the server is silent, do not wait for a proper end.

@@ -28,6 +28,9 @@ FEW_POINTS = 60
 """Maximum number of points of a line whose points are marked."""
 MAX_ABREAST = 4
 """Maximum number of names in a row of the legend above a panel."""
+_TICK = "{x:.15g}"
+"""Format of the numbers at an axis. matplotlib's own one takes an offset or a power of ten out of
+them, and writes it where the legend is."""
 _GRID = "#d8dde4"
 _COLOURS = ("#2f6fde", "#d9622b", "#0e7c66", "#a23ea8", "#b28a00", "#c4302b", "#4f6b8f", "#5d8f2a")
 
@@ -131,6 +134,8 @@ def draw_xy(
     x, y = curves[0].columns
     panel.set_xlabel(_named(x))
     panel.set_ylabel(_named(y))
+    panel.xaxis.set_major_formatter(_TICK)
+    panel.yaxis.set_major_formatter(_TICK)
     panel.grid(color=_GRID, linewidth=0.6)
     panel.set_axisbelow(True)
     aspect = _aspect(curves[0])
@@ -218,6 +223,7 @@ def _draw_panel(panel: Axes, lines: Sequence[Line], unit: str, colours: dict[int
     for side in ("top", "right"):
         panel.spines[side].set_visible(False)
     panel.set_ylabel(f"[{unit}]" if unit else "")
+    panel.yaxis.set_major_formatter(_TICK)
     panel.legend(
         loc="lower left",
         bbox_to_anchor=(0, 1),

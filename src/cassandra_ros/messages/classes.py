@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+import copyreg
 import importlib.abc
 import struct
 import threading
 from contextlib import suppress
+from dataclasses import replace
 from functools import lru_cache
 from io import BytesIO
 from itertools import repeat
@@ -24,12 +26,21 @@ import numpy as np
 import yaml
 
 from cassandra_ros.errors import CorruptMessage, DefinitionError, TypeMismatch
-from cassandra_ros.messages.definition import Definition, attribute_name, definition_of, render_spec
+from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.messages.definition import (
+    Definition,
+    attribute_name,
+    definition_of,
+    read_definition,
+    render_spec,
+)
 from cassandra_ros.messages.installed_types import installed_class
+from cassandra_ros.messages.spec import Field
 from cassandra_ros.messages.wire.field_ends import compile_object_check, compile_skip
 from cassandra_ros.messages.wire.fields import CannotBatch
 from cassandra_ros.messages.wire.objects import MIN_TOGETHER, ObjectMaker
 
+_TIMES = {"time": genpy.Time, "duration": genpy.Duration}
 _lock = threading.RLock()  # genpy keeps the state of its generator in global variables
 _classes: dict[Definition, Any] = {}
 
@@ -47,6 +58,9 @@ class RawMessage(genpy.Message):
     def __init__(self, _buff: bytes = b"") -> None:
         self._buff = _buff
 
+    def __reduce__(self) -> tuple[Callable[..., RawMessage], tuple[bytes]]:
+        return type(self), (self._buff,)
+
     def _get_types(self) -> list[str]:
         return self._slot_types
 
@@ -61,6 +75,34 @@ class RawMessage(genpy.Message):
         """Keep the bytes unchanged."""
         self._buff = bytes(str)
         return self
+
+
+class _Generated(type):
+    """The type of generated classes. Pickle sends their definition, for they lie in no module."""
+
+
+class _GeneratedMessage(genpy.Message, metaclass=_Generated):
+    """The base of generated classes."""
+
+    __slots__: list[str] = []
+
+
+def _restored(of: tuple[str, str, str], msg_type: str) -> Any:
+    """Return a class that was pickled as the definition from which it was generated."""
+    cls = message_class(read_definition(*of))
+    return cls if msg_type == cls._type else cls.serialize.__globals__[_name(msg_type)]
+
+
+def _reduced(cls: Any) -> tuple[Callable[..., Any], tuple[tuple[str, str, str], str]]:
+    of: Definition = cls._generated_for
+    return _restored, ((of.type, of.text, of.md5sum), cls._type)
+
+
+copyreg.pickle(_Generated, _reduced)
+
+
+def _name(msg_type: str) -> str:
+    return "_{}__{}".format(*msg_type.split("/"))
 
 
 class _Source(importlib.abc.InspectLoader):
@@ -99,15 +141,27 @@ def message_class(definition: Definition) -> Any:
 def raw_class(msg_type: str, md5sum: str) -> Any:
     """Return a class for messages whose definition is unusable: it holds their bytes."""
     attributes = {"__slots__": [], "_type": msg_type, "_md5sum": md5sum}
-    return type("RawMessage", (RawMessage,), attributes)
+    return _Raw("RawMessage", (RawMessage,), attributes)
+
+
+class _Raw(type):
+    """The type of classes of raw_class. Pickle sends the type and md5 of their messages."""
+
+
+def _reduced_raw(cls: Any) -> tuple[Callable[..., Any], tuple[str, str]]:
+    return raw_class, (cls._type, cls._md5sum)
+
+
+copyreg.pickle(_Raw, _reduced_raw)
 
 
 def _generate(definition: Definition) -> Any:
-    names = {name: "_{}__{}".format(*name.split("/")) for name in definition.specs}
+    names = {name: _name(name) for name in definition.specs}
     if len(set(names.values())) < len(names):
         raise DefinitionError(f"genpy cannot tell the types of {definition.type} apart")
     try:
         module = ModuleType(f"cassandra_ros.generated.{names[definition.type]}")
+        setattr(module, _GeneratedMessage.__name__, _GeneratedMessage)
         _Source(_source(definition)).exec_module(module)
         for msg_type, name in names.items():
             _complete(getattr(module, name), definition, msg_type)
@@ -123,16 +177,24 @@ def _source(definition: Definition) -> str:
     load = genmsg.msg_loader.load_msg_from_string
     specs = {name: load(context, render_spec(s), name) for name, s in definition.specs.items()}
     return "\n".join(
-        genpy.dynamic._gen_dyn_modify_references(line, name, list(specs))
+        _based(genpy.dynamic._gen_dyn_modify_references(line, name, list(specs)))
         for name, spec in specs.items()
         for line in genpy.generator.msg_generator(context, spec, {})
     )
+
+
+def _based(line: str) -> str:
+    """Return a line of generated source, in which a class begins with the base of ours."""
+    if not line.startswith("class "):
+        return line
+    return line.replace("(genpy.Message)", f"({_GeneratedMessage.__name__})")
 
 
 def _complete(generated: Any, definition: Definition, msg_type: str) -> None:
     """Set what genpy was not given: full text, md5 and constants."""
     nested = msg_type != definition.type
     own = definition.nested(msg_type) if nested else definition
+    generated._generated_for = definition
     generated._definition = own
     generated._md5sum = own.md5sum
     generated._full_text = own.text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
@@ -229,18 +291,66 @@ def message_of_yaml(cls: Any, text: str) -> Any:
     Raises:
         TypeMismatch: The text is not YAML, or does not fit the message type.
     """
-    message = cls()
     try:
         if "*" in text and any(isinstance(e, yaml.AliasEvent) for e in yaml.parse(text)):
             raise TypeMismatch("the YAML has an alias (*name), which is not read: write it out")
         values = yaml.safe_load(text)
         arguments = values if isinstance(values, list) else [] if values is None else [values]
-        genpy.message.fill_message_args(message, arguments)
-        serialize(message)  # fill_message_args does not check numbers
-    except (yaml.YAMLError, genpy.MessageException, ValueError, RecursionError) as exc:
+        single = len(arguments) == 1 and isinstance(arguments[0], dict)
+        message = _filled(cls, arguments[0] if single else arguments)
+        serialize(message)  # it checks numbers and texts
+    except (yaml.YAMLError, ValueError, TypeError, RecursionError) as exc:
         why = " ".join(str(exc).split())[:300]
         raise TypeMismatch(f"the YAML is no {cls._type}: {why}") from exc
     return message
+
+
+def _filled(cls: Any, values: Any) -> Any:
+    """Return a message with values of some fields by name, or of all fields in their order.
+
+    Not by genpy's fill_message_args: it makes floats of times, and needs the types installed.
+    """
+    msg, definition = cls(), definition_of(cls)
+    fields = {attribute_name(field.name): field for field in definition.root.fields}
+    if isinstance(values, list) and len(values) == len(fields):
+        values = dict(zip(fields, values))
+    if not isinstance(values, dict):
+        raise ValueError(f"{_short(values)} is no {definition.type} with {len(fields)} fields")
+    for name, value in values.items():
+        if name not in fields:
+            raise ValueError(f"{definition.type} has no field {_short(name)}")
+        setattr(msg, name, _value(fields[name], value, definition))
+    return msg
+
+
+def _value(field: Field, value: Any, definition: Definition) -> Any:
+    """Return a value as a field holds it; numbers and texts are checked when it is serialised."""
+    if field.is_array:
+        if field.is_primitive and field.type not in _TIMES:
+            return value
+        if not isinstance(value, list):
+            raise ValueError(f"{field.name} is a list, not {_short(value)}")
+        one = replace(field, is_array=False)
+        return [_value(one, element, definition) for element in value]
+    if field.type in _TIMES:
+        return _time(_TIMES[field.type], value)
+    if field.is_primitive:
+        return "" if value is None else value
+    return _filled(message_class(definition.nested(field.type)), value)
+
+
+def _time(cls: Any, value: Any) -> Any:
+    """Return a time from its ns, or from secs and nsecs by name or in their order."""
+    parts = divmod(value, SECOND_NS) if type(value) is int else value
+    if isinstance(value, dict) and not value.keys() - {"secs", "nsecs"}:
+        parts = (value.get("secs", 0), value.get("nsecs", 0))
+    if isinstance(parts, (list, tuple)) and len(parts) == 2 and {type(n) for n in parts} == {int}:
+        return cls(*parts)
+    raise ValueError(f"{_short(value)} is no time: give ns, or {{secs: S, nsecs: N}}")
+
+
+def _short(value: object) -> str:
+    return repr(value)[:80]
 
 
 def to_yaml(msg: Any) -> str:

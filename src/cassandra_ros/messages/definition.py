@@ -9,6 +9,7 @@ gets only text that render_spec writes from a parsed definition.
 from __future__ import annotations
 
 import keyword
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Mapping
@@ -78,6 +79,24 @@ def parse_definition(msg_type: str, text: str, md5sum: str | None = None) -> Def
     return _parse(check_type_name(msg_type), text, md5sum)
 
 
+def read_definition(msg_type: str, text: str, md5sum: str) -> Definition:
+    """Parse the definition of a connection, whose md5sum may be that of another definition.
+
+    As for rosbag, the text counts if it is complete. Its md5 is that of the returned definition.
+
+    Raises:
+        DefinitionError: As in parse_definition; a text without fields counts as missing.
+    """
+    try:
+        return parse_definition(msg_type, text, md5sum)
+    except DefinitionError:
+        with suppress(DefinitionError):
+            found = parse_definition(msg_type, text)
+            if found.root.fields:
+                return found
+        raise
+
+
 @lru_cache(maxsize=256)
 def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
     sections = _split(msg_type, text)
@@ -91,7 +110,9 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
         if name not in sections:
             missing.add(name)
             sections = {**_installed_sections(name, msg_type, md5sum), **sections}
-        specs[name] = parse_spec(name, sections[name])
+        specs[name], *others = [parse_spec(name, body) for body in sections[name]]
+        if any(other != specs[name] for other in others):
+            raise DefinitionError(f"the definition of {msg_type} defines {name} twice, differently")
         waiting.extend(f.type for f in specs[name].fields if not f.is_primitive)
         if len(specs) > MAX_TYPES:
             raise DefinitionError(f"the definition of {msg_type} uses over {MAX_TYPES} types")
@@ -110,9 +131,9 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
     return definition
 
 
-def _split(msg_type: str, text: str) -> dict[str, str]:
-    """Return the text of each type in a full definition, by type name."""
-    sections: dict[str, str] = {}
+def _split(msg_type: str, text: str) -> dict[str, list[str]]:
+    """Return the texts of each type in a full definition, by type name. Equal texts count once."""
+    sections: dict[str, list[str]] = {}
     name, expect_name = msg_type, False
     lines: list[str] = []
     for line in [*text.split("\n"), _SEPARATOR]:
@@ -124,17 +145,18 @@ def _split(msg_type: str, text: str) -> dict[str, str]:
             name = check_type_name(resolve_type(stripped[4:].strip(), ""))
             lines, expect_name = [], False
         elif len(stripped) >= 8 and stripped == "=" * len(stripped):
-            body = "\n".join(lines)
-            if sections.setdefault(name, body) != body:
-                raise DefinitionError(f"the definition of {msg_type} defines {name} twice")
+            body = "\n".join(lines).rstrip()
+            bodies = sections.setdefault(name, [])
+            if body not in bodies:
+                bodies.append(body)
             expect_name = True
         else:
             lines.append(line)
     return sections
 
 
-def _installed_sections(name: str, msg_type: str, md5sum: str | None) -> dict[str, str]:
-    """Return the text of a missing type and of the types that it uses, from installed packages."""
+def _installed_sections(name: str, msg_type: str, md5sum: str | None) -> dict[str, list[str]]:
+    """Return the texts of a missing type and of the types that it uses, from installed packages."""
     found = installed_class(name) if md5sum is not None else None
     if found is None:
         lacking = " and which is not installed" if md5sum is not None else ""

@@ -155,7 +155,7 @@ class Stamp(genpy.Time):
     def __sub__(self, other: object) -> Stamp | genpy.Duration:
         time = _object_ns(other)
         if time is not None:
-            return genpy.Duration(0, self.ns - time)
+            return length_from_ns(self.ns - time)
         offset = _offset_ns(other)
         if offset is None:
             return NotImplemented
@@ -205,6 +205,11 @@ def _numpy_ns(value: Any, unit: str) -> int:
         why = "the value is missing" if np.isnat(value) else "nanoseconds cannot express it"
         raise InvalidKey(f"{value!r} is not a time: {why}")
     return int(ns.astype("i8"))
+
+
+def length_from_ns(ns: int) -> genpy.Duration:
+    """Return a length of time of so many ns, below 2**31 s, as ROS has it."""
+    return genpy.Duration(0, ns)
 
 
 def length_object_ns(value: Any) -> int | None:

@@ -104,7 +104,11 @@ class Outlets:
             return
         try:
             self._publications[topic] = advertise(check_ros_name(topic), kind, latched, queue)
-        except (TypeMismatch, InvalidName) as exc:
+        except InvalidName as exc:
+            hint = f"it can be played under another name: '{topic}:=/NAME'"
+            self._say(topic, "topic %s is not played: %s; %s", topic, exc, hint)
+            return
+        except TypeMismatch as exc:
             self._say(topic, "topic %s is not played: %s", topic, exc)
             return
         if not channel.definition:

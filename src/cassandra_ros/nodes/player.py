@@ -49,6 +49,10 @@ class PlayerState:
     start: int
     end: int
     rate: float
+    played: int
+    """Time that is played before ``time``, ns: without the time between windows."""
+    length: int
+    """Time that is played from start to end, ns."""
     read_ahead: int
     """Size of the messages that are read and not yet played, bytes."""
     topics: list[PlayedTopic]
@@ -188,12 +192,15 @@ class Player:
     def status(self) -> PlayerState:
         """Return the present state."""
         playback, stream = self._playback, self._stream
+        now = playback.now()
         return PlayerState(
             ENDED if self._done.is_set() else playback.state,
-            playback.now(),
+            now,
             stream.start_ns,
             stream.end_ns,
             playback.pace.rate,
+            stream.played_ns(now),
+            stream.played_ns(stream.end_ns),
             playback.read_ahead_bytes,
             [] if self._outlets is None else self._outlets.topics(),
             dict(stream.missing),

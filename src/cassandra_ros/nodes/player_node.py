@@ -138,11 +138,13 @@ def _start_node(argv: Sequence[str]) -> None:
 
 
 def _say_what(player: Player, say: Say) -> None:
-    stream, topics = player.stream, player.status().topics
-    seconds = (stream.end_ns - stream.start_ns) / SECOND_NS
+    status = player.status()
+    topics, ranges = status.topics, len(player.stream.windows)
     latched = sum(topic.latched for topic in topics)
     say(
-        f"playing {len(topics)} topic{'' if len(topics) == 1 else 's'}, {seconds:.1f} s"
+        f"playing {len(topics)} topic{'' if len(topics) == 1 else 's'}, "
+        f"{status.length / SECOND_NS:.1f} s"
+        + (f" in {ranges} time ranges" if ranges > 1 else "")
         + (f"; {latched} latched" if latched else "")
     )
 

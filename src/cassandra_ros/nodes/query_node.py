@@ -82,6 +82,7 @@ from cassandra_ros.srv import (
 )
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.message_adder import now_ns
+from cassandra_ros.topics.new_tables import wished_topic, with_key
 from cassandra_ros.topics.query_result import Condition
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import TopicInfo
@@ -336,9 +337,13 @@ class Services:
         stored = store.getTopic(asked) if store.existTopic(asked) else None
         cls = message_class(_definition(request, stored))
         msg = message_of_yaml(cls, text) if text else exact_message(cls, bytes(request.data))
-        # The stored name, with or without leading slash.
-        topic = store.addTopic(stored.name if stored else asked, request.format or None)
+        # The stored name, with or without leading slash. A new topic has the type of the message,
+        # whatever the master remembers of a topic of that name.
+        wish = wished_topic(stored.name if stored else asked, request.format or None)
         when = request.key_text.strip() or request.key or None
+        if stored is None and when is not None:
+            when = to_ns(when)  # refused before an empty topic is made
+        topic = store.catalog.add(with_key(wish, None, ""), None, ask_master=False)
         key = topic.addData(msg, key=when, nodeID=request.node_id)
         t_ns = key.t if isinstance(key, RowName) else to_ns(key)
         return AddDataResponse(True, "", _time(t_ns), clean(str(key)))

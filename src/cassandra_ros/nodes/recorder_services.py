@@ -10,6 +10,7 @@ from typing import Callable, Mapping, Sequence
 
 import rospy
 
+from cassandra_ros.arguments import check_pairs
 from cassandra_ros.errors import CassandraRosError, InvalidOption
 from cassandra_ros.msg import RecordedTopic
 from cassandra_ros.nodes.mark_answer import pack_event, read_values
@@ -140,7 +141,7 @@ class _Services:
 
 def read_labels(texts: Sequence[str]) -> Mapping[str, str]:
     """Read labels KEY=VALUE; raises InvalidOption."""
-    return dict(map(read_label, texts))
+    return check_pairs("labels", map(read_label, texts))
 
 
 def _attempt(work: Callable[[], None]) -> str:

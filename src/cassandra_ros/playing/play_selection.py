@@ -8,7 +8,7 @@ import logging
 from dataclasses import dataclass, field
 from typing import Mapping, Sequence, Union
 
-from cassandra_ros.arguments import check_ros_name, check_topics
+from cassandra_ros.arguments import check_list, check_ros_name, check_topics
 from cassandra_ros.errors import DefinitionError, TopicNotFound
 from cassandra_ros.playing.play_times import PlayTime
 from cassandra_ros.playing.played_store import PlayedStore
@@ -34,7 +34,8 @@ class PlaySelection:
     Attributes:
         topics: Names of the topics; None = all.
         regex: Whether the names are regular expressions, which must match whole names.
-        exclude: Regular expression; topics whose whole name matches it are left out. '' = none.
+        exclude: Regular expressions; topics whose whole name one of them matches are left out. A
+            text is one expression, '' none.
         start, end: First and last time, both included; None = not limited.
         duration: Length from the start on, s, instead of end; None = to the end.
         nodeID: nodeID of the robot whose messages are played; None = all robots.
@@ -58,7 +59,7 @@ class PlaySelection:
 
     topics: Sequence[str] | None = None
     regex: bool = False
-    exclude: str = ""
+    exclude: str | Sequence[str] = ()
     start: PlayTime = None
     end: PlayTime = None
     duration: float | None = None
@@ -89,15 +90,15 @@ def chosen_topics(store: PlayedStore, selection: PlaySelection) -> list[str]:
         names = {store.name_of(name) for name in given}
     else:
         names = set(store.names())
-    if selection.exclude:
-        pattern = compiled("exclude", selection.exclude)
+    excluded = [text for text in check_list("exclude", selection.exclude, "['/a.*']") if text]
+    for pattern in [compiled("exclude", text) for text in excluded]:
         names = {name for name in names if not pattern.fullmatch(name)}
     if selection.regex or given is None:  # a topic given by name raises its error later
         names = {name for name in names if _is_readable(store, name)}
     if not names:
         raise TopicNotFound(
             f"there is no topic to play in {store.called}"
-            + (f": exclude {selection.exclude!r:.80} leaves none" if selection.exclude else "")
+            + (f": exclude {', '.join(excluded)!r:.80} leaves none" if excluded else "")
         )
     return sorted(names)
 

@@ -9,11 +9,14 @@ those of events.
 from __future__ import annotations
 
 import heapq
+from bisect import bisect_left
 from dataclasses import replace
+from itertools import accumulate
 from typing import Iterator, Mapping, NamedTuple, Sequence, Tuple
 
+from cassandra_ros.arguments import spellings
 from cassandra_ros.errors import InvalidOption, MessageNotFound
-from cassandra_ros.keys import MAX_NS, SECOND_NS, split_seq
+from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
 from cassandra_ros.overview.latched_messages import LatchedRecord, Source, is_latched
 from cassandra_ros.places.paths import merge_ranges
@@ -29,17 +32,15 @@ from cassandra_ros.playing.robot_alignment import (
     valid_name,
 )
 from cassandra_ros.playing.stored_ranges import StoredRange
-from cassandra_ros.read import Read, TimeRange
+from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.event_finder import EventChoice
-from cassandra_ros.topics.hit_windows import WindowPart, joined, merge_windows
+from cassandra_ros.topics.hit_windows import merge_windows
 from cassandra_ros.topics.row_finder import Where
 
-PIECE_NS = 60 * SECOND_NS
-"""Maximum length of a piece of a window, ns.
-
-Longer windows are played in pieces, so that playing can begin before all hits are known.
-"""
+_MOST_WINDOWS = 100
+"""Maximum number of windows that are searched for a message of a topic. If the first ones have
+none, the topic is advertised all the same."""
 
 
 class WindowRule(NamedTuple):
@@ -93,8 +94,7 @@ class PlayedMessage(NamedTuple):
     window: TimeRange
     """Window of the replay's time line that contains it.
 
-    If it begins at another time than the window of the message before, the time between the two
-    windows is skipped. The end of a long window may grow from message to message.
+    If it is another one than that of the message before, the time between the two is skipped.
     """
 
 
@@ -119,8 +119,9 @@ class Stream:
         topics: Names of the stored topics that are played, sorted.
         start_ns, end_ns: First and last time of the replay's time line, both included, ns. The
             time line is that of the times of reception; with align_start, that of the earliest
-            run. With ``around`` the start is the start of the first window; the last window may
-            end before the end.
+            run.
+        windows: The time ranges of the replay's time line that are played, in order, not
+            overlapping. Without ``around`` and ``event`` there is one, from start to end.
 
     Raises:
         TopicNotFound, RunNotFound: A topic or the run is not stored.
@@ -149,10 +150,10 @@ class Stream:
         if self._align:
             # Dates have selected the messages already; they have no place on a common time line.
             start, end = (when if when and when.relative else None for when in (start, end))
-        self._time_range = resolve_times(_known(self._play_sources), start, end, length)
-        self.start_ns, self.end_ns = self._time_range
-        if self._windowed:
-            self.start_ns = self._first_window()
+        bounds = resolve_times(_known(self._play_sources), start, end, length)
+        self.windows = self._find_windows(bounds)
+        self._before = list(accumulate((high - low for low, high in self.windows), initial=0))
+        self.start_ns, self.end_ns = self.windows[0].low, self.windows[-1].high
         self._robot_names = self._source_names() if selection.node_prefix else {}
 
     def _find_stored_ranges(self) -> list[StoredRange]:
@@ -215,75 +216,79 @@ class Stream:
         default = valid_name(node or f"run_{writer}")
         return self._names.of(topic, self._robot_names.get((node, writer), default))
 
-    @property
-    def windows(self) -> list[TimeRange]:
-        """The time ranges of the replay's time line that are played, in order, not overlapping.
-
-        With ``around`` this searches for all hits; messages() finds them while it goes.
-        """
-        return list(joined(self._pieces(self._time_range.low)))
-
-    def _pieces(self, low: int) -> Iterator[WindowPart]:
-        """Yield the pieces of the windows from a time on, cut off at that time."""
-        bounds, around = self._time_range, self._around
-        low = max(low, bounds.low)
+    def _find_windows(self, bounds: TimeRange) -> list[TimeRange]:
+        """Return the windows within the bounds, at least one."""
+        sources, around = self._play_sources, self._around
         if self._event is not None:
-            yield from self._event_pieces(TimeRange(low, bounds.high))
-            return
-        if around is None:
-            if low <= bounds.high:
-                yield WindowPart(low, low, bounds.high)
-            return
-        reach = TimeRange(max(bounds.low, low - around.after), bounds.high)
-        hits = heapq.merge(
-            *(p.hits(around.topic, around.condition, reach) for p in self._play_sources)
-        )
-        for piece in merge_windows(hits, around.before, around.after, bounds, PIECE_NS):
-            if piece.high >= low:
-                yield WindowPart(max(piece.window, low), max(piece.low, low), piece.high)
-
-    def _event_pieces(self, time_range: TimeRange) -> Iterator[WindowPart]:
-        """Yield the pieces of the windows of events in a time range."""
-        every = heapq.merge(*(source.events(time_range) for source in self._play_sources))
-        for window, end in merge_ranges(every):
-            for low in range(window, end + 1, PIECE_NS):
-                yield WindowPart(window, low, min(end, low + PIECE_NS - 1))
-
-    @property
-    def _windowed(self) -> bool:
-        return self._around is not None or self._event is not None
-
-    def _first_window(self) -> int:
-        first = next(self._pieces(self._time_range.low), None)
-        if first is None:
-            low, high = map(iso_time, self._time_range)
+            events = heapq.merge(*(source.events(bounds) for source in sources))
+            windows = [TimeRange(*window) for window in merge_ranges(events)]
             what = "event reaches into the time"
-            if self._around is not None:
-                what = f"message of {self._around.topic} satisfies {self._around.condition!r:.200}"
+        elif around is not None:
+            each = (source.hits(around.topic, around.condition, bounds) for source in sources)
+            hits = heapq.merge(*each)
+            windows = list(merge_windows(hits, around.before, around.after, bounds))
+            what = f"message of {around.topic} satisfies {around.condition!r:.200}"
+        else:
+            return [bounds]
+        if not windows:
+            low, high = map(iso_time, bounds)
             raise MessageNotFound(f"no {what} between {low} and {high}")
-        return first.low
+        return windows
 
-    def _meets(self, stored_range: StoredRange) -> bool:
-        """Return whether a run has messages of a table in the time range that is played."""
-        return stored_range.first <= self.end_ns and stored_range.last >= self.start_ns
+    def _windows_from(self, t: int) -> Iterator[TimeRange]:
+        """Yield the windows from a time on; the first one is cut off at that time."""
+        return (TimeRange(max(low, t), high) for low, high in self.windows if high >= t)
+
+    def played_ns(self, t: int) -> int:
+        """Return the time that is played before ``t``, ns: that in the windows."""
+        number = bisect_left(self.windows, (t,))  # of the windows that begin before t
+        if not number:
+            return 0
+        low, high = self.windows[number - 1]
+        return self._before[number - 1] + min(high, t) - low
+
+    def _plays(self, source: PlaySource, stored_range: StoredRange) -> bool:
+        """Return whether a run has a selected message of a table in a window."""
+        topic = stored_range.table.metadata.topic
+        where = {n: text for n, text in (source.where or {}).items() if topic in spellings(n)}
+        first, last = stored_range.first + source.shift, stored_range.last + source.shift
+        met = [window for window in self.windows if first <= window.high and last >= window.low]
+        if not where and source.times is None:
+            # It has a message at each of its ends.
+            if any(w.low <= first or last <= w.high for w in met):
+                return True
+        whose = Whose((stored_range.node,), frozenset({stored_range.writer}))
+        alone = replace(source, topics=[topic], whose=whose, where=where or None)
+        if len(met) > _MOST_WINDOWS:
+            return True
+        return any(next(alone.rows(window), None) is not None for window in met)
 
     def channels(self) -> list[Channel]:
-        """Return the topics to be advertised, by the stored connections, without reading a row.
+        """Return the topics to be advertised, by the stored connections.
 
-        They have messages in the time range that is played, or latched ones before it.
+        They have messages in the windows, or latched ones before them.
         """
-        runs = {(r.node, r.writer) for r in self._stored_ranges if self._align or self._meets(r)}
-        by_table: dict[str, list[StoredRange]] = {}
-        for stored_range in self._stored_ranges:
-            by_table.setdefault(stored_range.table.name, []).append(stored_range)
+        playing: list[StoredRange] = []
+        earlier: list[StoredRange] = []
+        for source in self._play_sources:
+            for each in source.stored_ranges:
+                if self._plays(source, each):
+                    playing.append(each)
+                elif each.first + source.shift <= self.end_ns:
+                    earlier.append(each)
+        runs = {(each.node, each.writer) for each in playing}
+        earlier = [each for each in earlier if (each.node, each.writer) in runs]
+        by_table: dict[str, list[tuple[StoredRange, bool]]] = {}
+        for ranges, plays in ((playing, True), (earlier, False)):
+            for each in ranges:
+                by_table.setdefault(each.table.name, []).append((each, plays))
         channels: dict[tuple[str, str, str], Channel] = {}
         for name, _, connection in self._store.connections(by_table):
-            metadata, latched = by_table[name][0].table.metadata, is_latched(connection)
+            metadata, latched = by_table[name][0][0].table.metadata, is_latched(connection)
             kind = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition
-            for each in by_table[name]:
-                plays = self._align or self._meets(each)
-                if not (plays or (latched and (each.node, each.writer) in runs)):
+            for each, plays in by_table[name]:
+                if not (plays or latched):
                     continue
                 topic = self._name_of(metadata.topic, each.node, each.writer)
                 key = (topic, kind, metadata.md5sum)
@@ -297,9 +302,19 @@ class Stream:
         return self._store.missing
 
     def losses(self) -> Sequence[Loss]:
-        """Return the losses in the time range that is played; with align_start all of them."""
-        whole = TimeRange() if self._align else TimeRange(self.start_ns, self.end_ns)
-        return self._store.losses(self.topics, Read(whole, self._whose))
+        """Return the losses in the windows; with align_start all of them."""
+        if self._align:
+            return self._store.losses(self.topics, Read(TimeRange(), self._whose))
+        reach = TimeRange(self.start_ns, self.end_ns)
+        found = self._store.losses(self.topics, Read(reach, self._whose))
+        return [loss for loss in found if self._meets(loss)]
+
+    def _meets(self, loss: Loss) -> bool:
+        read = Read(TimeRange(loss.first_ns, loss.last_ns), Whose((loss.node,)))
+        times = [source.times for source in self._play_sources if source.times is not None]
+        if times:
+            return any(each.reads(read) for each in times)
+        return any(loss.first_ns <= high and loss.last_ns >= low for low, high in self.windows)
 
     def latched(self, t: int) -> list[PlayedMessage]:
         """Return the latched messages received before ``t``, in order of reception.
@@ -308,35 +323,30 @@ class Stream:
         each publisher, for the runs that have messages in the window played from then on. Their
         times are their times of reception.
         """
-        piece = next(self._pieces(t), None)
-        if piece is None:
+        window = next(self._windows_from(t), None)
+        if window is None:
             return []
-        window = TimeRange(piece.low, piece.high)
         rows = _merged([source.latched(window) for source in self._play_sources])
         return [self._played(t, row, window) for t, row in rows]
 
     def messages(self, t: int | None = None) -> Iterator[PlayedMessage]:
         """Yield the messages from ``t`` on, ns, included; None = from the start.
 
-        With ``around``, latched messages that changed in a gap between windows come first in the
-        next window, with the time at which it begins. ``latched`` returns those before the first
-        window.
+        With ``around`` and ``event``, latched messages that changed in a gap between windows come
+        first in the next window, with the time at which it begins. ``latched`` returns those before
+        the first window.
 
         Memory: a few pages of rows for all topics of a run together.
         """
         low = self.start_ns if t is None else max(t, self.start_ns)
-        sent = [LatchedRecord() for _ in self._play_sources] if self._windowed else None
-        last: int | None = None
-        for piece in self._pieces(low):
-            window = TimeRange(piece.window, piece.high)
-            reach = TimeRange(piece.low, piece.high)
-            if sent is not None and piece.window != last:
-                changed = [p.latched(reach, s) for p, s in zip(self._play_sources, sent)]
-                if last is not None:
-                    for _, row in _merged(changed):
-                        yield self._played(piece.low, row, window)
-                last = piece.window
-            for at, row in self._rows(reach, sent):
+        windowed = self._around is not None or self._event is not None
+        sent = [LatchedRecord() for _ in self._play_sources] if windowed else None
+        for number, window in enumerate(self._windows_from(low)):
+            if sent is not None:
+                changed = [p.latched(window, s) for p, s in zip(self._play_sources, sent)]
+                for _, row in _merged(changed if number else []):
+                    yield self._played(window.low, row, window)
+            for at, row in self._rows(window, sent):
                 yield self._played(at, row, window)
 
     def _rows(

@@ -31,8 +31,8 @@ class RecorderOptions:
     """Whether all topics are recorded, also those that appear later."""
     regex: bool = False
     """Whether ``topics`` are regular expressions, which must match whole names."""
-    exclude: str = ""
-    """Regular expression of topics that are left out; '' = none."""
+    exclude: str | Sequence[str] = ()
+    """Regular expressions of topics that are left out; a text is one, '' = none."""
     node: str = ""
     """ROS node whose subscribed topics are recorded, too; '' = none."""
     format: str | None = None
@@ -130,7 +130,8 @@ class RecorderOptions:
 
     def excludes(self, topic: str) -> bool:
         """Return whether the option exclude leaves a topic out."""
-        return bool(self.exclude and re.fullmatch(self.exclude, topic))
+        expressions = [self.exclude] if isinstance(self.exclude, str) else self.exclude
+        return any(text and re.fullmatch(text, topic) for text in expressions)
 
     def chooses(self, topic: str) -> bool:
         """Return whether a topic that appeared is to be recorded."""

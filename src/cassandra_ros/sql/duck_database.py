@@ -99,10 +99,16 @@ class DuckDatabase:
             "python_enable_replacements": "false",
         }
 
-    def is_select(self, text: str) -> bool:
-        """Return whether a text is one statement that only reads, as DuckDB parses it."""
+    def is_select(self, text: str, pivots: bool = False) -> bool:
+        """Return whether a text is one statement that only reads, as DuckDB parses it.
+
+        Args:
+            pivots: It has a PIVOT. Without IN that is two statements: the first collects the names
+                of the columns.
+        """
+        types = self.duckdb.StatementType
         kinds = [each.type for each in self.connection.extract_statements(text)]
-        return kinds == [self.duckdb.StatementType.SELECT]
+        return kinds == [types.SELECT] or (pivots and kinds == [types.MULTI])
 
     def value(self, expression: str, params: Any) -> Any:
         """Return the value of an expression without columns; None = it has none, or an error."""

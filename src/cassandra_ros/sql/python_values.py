@@ -11,7 +11,9 @@ from typing import Any, Sequence
 import numpy as np
 
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.messages.stamps import Stamp, length_from_ns
+
+_LONGEST = timedelta(seconds=2**31)
 
 
 def python_rows(arrow: Any, batch: Any) -> list[tuple[Any, ...]]:
@@ -73,7 +75,8 @@ def _length(value: Any) -> Any:
 def printable_value(value: Any) -> Any:
     """Return a value of a row as what the outputs of the command line and of services can show.
 
-    Intervals, dates and other types of DuckDB are texts.
+    Intervals without months are durations, as in executeCQL; longer ones than a duration of ROS
+    can hold, those with months, dates and other types of DuckDB are texts.
     """
     if isinstance(value, dict):
         return {str(name): printable_value(each) for name, each in value.items()}
@@ -83,4 +86,6 @@ def printable_value(value: Any) -> Any:
         return value
     if isinstance(value, Decimal) and Decimal(float(value)) == value:
         return float(value)
+    if isinstance(value, timedelta) and abs(value) < _LONGEST:
+        return length_from_ns(value // timedelta(microseconds=1) * 1000)
     return str(value)

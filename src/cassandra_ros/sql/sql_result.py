@@ -218,7 +218,7 @@ class _Run:
         """Give DuckDB the tables that the statement names, and have it check the statement."""
         statement, connection = self._statement, self._database.connection
         with self._errors():
-            if not self._database.is_select(statement.text):
+            if not self._database.is_select(statement.text, statement.pivots()):
                 raise InvalidQuery(statement.text, 0, "sql takes one SELECT; use CQL for others")
         self._find_tables(needed_columns(statement.tree), pushdown)
         if statement.calls("constant"):

@@ -130,7 +130,7 @@ class SqlStatement:
 
     def _check(self) -> None:
         exp = self._glot.exp
-        if not isinstance(self.tree, exp.Query):
+        if not isinstance(self.tree, (exp.Query, exp.Pivot)):
             raise InvalidQuery(self.text, 0, _READ_ONLY)
         if self.tree.find(exp.DML, exp.DDL, exp.Command, exp.Into) not in (None, self.tree):
             raise InvalidQuery(self.text, 0, _READ_ONLY)
@@ -166,6 +166,10 @@ class SqlStatement:
         """Return whether the statement calls a function of ours."""
         calls = self.tree.find_all(self._glot.exp.Anonymous)
         return any(call.name.lower() == name for call in calls)
+
+    def pivots(self) -> bool:
+        """Return whether the statement has a PIVOT."""
+        return self.tree.find(self._glot.exp.Pivot) is not None
 
     def frames(self) -> Iterator[tuple[str, str]]:
         """Yield the frames of each tf('target', 'source') in FROM."""

@@ -8,6 +8,7 @@ import difflib
 import heapq
 import logging
 import re
+import shlex
 import threading
 from contextlib import suppress
 from dataclasses import replace
@@ -72,8 +73,13 @@ class Catalog:
         self.places = Whereabouts(self.stored_places, self.keyspace.place_index)
         """Lookup of the robots' places in the keyspace."""
 
-    def add(self, wanted: TopicMetadata, msg_type: str | None) -> CassandraTopic:
-        """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored."""
+    def add(
+        self, wanted: TopicMetadata, msg_type: str | None, ask_master: bool = True
+    ) -> CassandraTopic:
+        """Make a topic, or find it; see RosCassandra.addTopic. Format '' = as it is stored.
+
+        Without ``msg_type`` and ``ask_master`` its first message makes it, and fixes its type.
+        """
         topic = wanted.topic
         if wanted.indexes:
             check_unnamed(topic, wanted.key_format)
@@ -85,7 +91,8 @@ class Catalog:
             check_packed(stored[0].metadata if stored else wish.metadata)
             if wanted.indexes and all(table.packed for table in stored):
                 raise no_index_in_blocks(topic)
-        definition = self._definition_for(topic, msg_type, known=bool(stored))
+        by_master = ask_master and not stored
+        definition = self._definition_for(topic, msg_type, by_master)
         for table in stored:
             wish.check(table.metadata, definition)
         added = CassandraTopic(self.keyspace, self.adder, wish)
@@ -105,10 +112,12 @@ class Catalog:
                 added.createIndex(field)
         return added
 
-    def _definition_for(self, topic: str, msg_type: str | None, known: bool) -> Definition | None:
+    def _definition_for(
+        self, topic: str, msg_type: str | None, by_master: bool
+    ) -> Definition | None:
         if msg_type is not None:
             return installed_definition(msg_type)
-        found = None if known else topic_type(topic)
+        found = topic_type(topic) if by_master else None
         try:
             return None if found is None else installed_definition(found)
         except DefinitionError as exc:
@@ -125,9 +134,24 @@ class Catalog:
         hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(names)} topics"
         if not names:
             hint = self.keyspace.side_tables.absence() or hint
+        hint = self._other_meaning(topic) or hint
         raise TopicNotFound(
             f"topic {topic!r} is not stored in keyspace {self.keyspace.name}; {hint}"
         )
+
+    def _other_meaning(self, name: str) -> str:
+        """Say what has a name that is no topic's; '' = nothing."""
+        base = name.rsplit("/", 1)[-1]
+        for run in self.keyspace.registry.runs() if base else ():
+            if run.name in (name, base):
+                option = f"--run {shlex.quote(run.name)}"
+                return f"it is the name of a run: {option} (in Python run=) selects its messages"
+            if run.node == base:
+                option = f"--node-id {shlex.quote(run.node)}"
+                return f"it is a robot: {option} (in Python nodeID=) selects its messages"
+        if base.lower().endswith((".bag", ".mcap")):
+            return "a file is stored with 'cassandra_bag import', and is then a run: --run"
+        return ""
 
     def exists(self, topic: str) -> bool:
         """Return whether get would find the topic."""

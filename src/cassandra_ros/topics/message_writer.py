@@ -38,7 +38,7 @@ from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, MAX_WRITER, new_writer_id
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.messages.definition import Definition, parse_definition
+from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.metadata import ANY_MD5, TopicMetadata
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
 from cassandra_ros.tables.registry import Run
@@ -153,6 +153,8 @@ class MessageWriter:
         self._refused: dict[str, WriteStats] = {}
         self._told: set[str] = set()
         """Names of the removed tables for which a warning was logged."""
+        self._warned: set[str] = set()
+        """Warnings of handles that were logged: each is logged once, for all its publishers."""
         self._mutex = threading.Lock()
         self._renewing = threading.Lock()
         self._closed = False
@@ -190,8 +192,10 @@ class MessageWriter:
     ) -> Handle:
         """Prepare for the messages of a connection: its table, definition and header.
 
-        If its definition is empty, broken or hostile, or does not agree with the md5sum, it is
-        stored as it is and the messages are stored as ``binary``; the handle's warning says so.
+        If its definition is empty, broken or hostile, it is stored as it is and the messages are
+        stored as ``binary``; the handle's warning says so. A definition that does not agree with
+        the md5sum of the header is used, with a warning: the messages lie in the table of the
+        definition's md5sum, and the header is stored as it is.
 
         Args:
             connection: Topic and header.
@@ -217,7 +221,7 @@ class MessageWriter:
             like = like or (handle.table.metadata if stored is None else None)
         asked = Asked(connection, bucket_ns, span_ns, large, key[1], like)
         new, warning = self._new_table(asked)
-        table = self._shared_table(connection, new.metadata.format)
+        table = self._shared_table(connection, new.metadata)
         if table is None:
             table = self._keyspace.new_tables.make(new.metadata, new.definition, large=new.large)
         warning = warning or self._other_ttl(table.metadata)
@@ -232,17 +236,14 @@ class MessageWriter:
         Raises:
             SchemaConflict, StoreUnavailable: The tables cannot be made. Some may have been made.
         """
-        asked = [each for each in several if each.connection.md5sum != ANY_MD5]
-        if not asked:
+        asked = [each._replace(format=each.format or self._format) for each in several]
+        wanted = [(self._new_table(each)[0], each.connection) for each in asked]
+        wanted = [(new, of) for new, of in wanted if new.metadata.md5sum != ANY_MD5]
+        if not wanted:
             return
-        tables = self._keyspace.new_tables.make_all(
-            [
-                self._new_table(each._replace(format=each.format or self._format))[0]
-                for each in asked
-            ]
-        )
+        tables = self._keyspace.new_tables.make_all([new for new, _ in wanted])
         self._keyspace.connections.put_all(
-            [(table.name, each.connection) for table, each in zip(tables, asked) if table]
+            [(table.name, of) for table, (_, of) in zip(tables, wanted) if table]
         )
 
     def _new_table(self, asked: Asked) -> tuple[NewTable, str | None]:
@@ -256,7 +257,7 @@ class MessageWriter:
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
             topic=connection.topic,
             msg_type=connection.type,
-            md5sum=connection.md5sum,
+            md5sum=layout_md5sum(connection),
             format=wanted if definition is not None else FALLBACK_FORMAT,
             bucket_ns=asked.bucket_ns or 0,
             span_ns=asked.span_ns or 0,
@@ -264,15 +265,15 @@ class MessageWriter:
         )
         return NewTable(metadata, definition, asked.large), warning
 
-    def _shared_table(self, connection: Connection, format_name: str) -> TopicTable | None:
+    def _shared_table(self, connection: Connection, new: TopicMetadata) -> TopicTable | None:
         """Return the table for several types that already has messages of this connection."""
-        if connection.md5sum != ANY_MD5:
+        if new.md5sum != ANY_MD5:
             return None
         space = self._keyspace
         for table in space.tables.of_topic(connection.topic):
             name = table.name
             metadata = table.metadata
-            if (metadata.md5sum, metadata.format) != (ANY_MD5, format_name):
+            if (metadata.md5sum, metadata.format) != (ANY_MD5, new.format):
                 continue
             if space.schema.takes_rows(name) and space.connections.has(name, connection):
                 return table
@@ -280,7 +281,7 @@ class MessageWriter:
 
     def format_of(self, connection: Connection) -> str:
         """Return the format in which a connection's topic is stored, or would be by default."""
-        return self._keyspace.new_tables.format_for(connection.topic, connection.md5sum)
+        return self._keyspace.new_tables.format_for(connection.topic, layout_md5sum(connection))
 
     def _other_ttl(self, stored: TopicMetadata) -> str | None:
         if self._ttl in (None, stored.ttl):
@@ -291,7 +292,8 @@ class MessageWriter:
         )
 
     def _keep(self, key: tuple[Connection, str | None, str], handle: Handle) -> Handle:
-        if handle.warning:
+        if handle.warning and handle.warning not in self._warned:
+            self._warned.add(handle.warning)
             _log.warning("%s", handle.warning)
         # Also after a conversion that was given up: the table takes rows again.
         self._rows.gone.discard(handle.table.name)
@@ -598,18 +600,34 @@ def make_writer(
 def usable_definition(
     connection: Connection, format_name: str
 ) -> tuple[Definition | None, str | None]:
-    """Return a definition that the format can use, or None and the reason.
+    """Return a definition that the format can use, or None; and a warning if something is odd.
 
     Raises:
         UnknownFormat: No format has this name.
     """
     try:
         kind = connection.type, connection.md5sum, connection.definition_text
-        return _usable_definition(*kind, format_name), None
+        definition = _usable_definition(*kind, format_name)
     except (DefinitionError, CorruptMessage) as exc:
         return None, (
             f"topic {connection.topic} is kept as binary, its fields cannot be queried: {exc}"
         )
+    if definition.md5sum == connection.md5sum:
+        return definition, None
+    return definition, (
+        f"topic {connection.topic}: the definition of {connection.type} has md5 "
+        f"{definition.md5sum}, not {connection.md5sum[:80]!r} as its connection says; the messages "
+        "are read by the definition, and the header of the connection is stored as it is"
+    )
+
+
+def layout_md5sum(connection: Connection) -> str:
+    """Return the md5sum of the table for a connection's messages: that of its definition.
+
+    If the definition is unusable, it is the md5sum of the header.
+    """
+    definition, _ = usable_definition(connection, FALLBACK_FORMAT)
+    return connection.md5sum if definition is None else definition.md5sum
 
 
 @lru_cache(maxsize=256)
@@ -629,4 +647,4 @@ def _definition(msg_type: str, md5sum: str, text: str) -> Definition:
             installed = installed_definition(msg_type)
             if installed.md5sum == md5sum:
                 return installed
-    return parse_definition(msg_type, text, md5sum)
+    return read_definition(msg_type, text, md5sum)

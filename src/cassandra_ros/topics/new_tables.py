@@ -42,11 +42,11 @@ from cassandra_ros.topics.topic_table import TopicTable, TopicTables, stored_for
 def wished_topic(
     topic: str,
     format: str | None,
-    node: str,
-    ttl: int,
-    comment: str,
-    user: Mapping[str, Any] | None,
-    index: Sequence[str],
+    node: str = "",
+    ttl: int = 0,
+    comment: str = "",
+    user: Mapping[str, Any] | None = None,
+    index: Sequence[str] = (),
 ) -> TopicMetadata:
     """Check the arguments of addTopic, and return them as metadata without a type."""
     return TopicMetadata(

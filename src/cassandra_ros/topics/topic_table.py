@@ -18,7 +18,7 @@ from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import MAX_NS
 from cassandra_ros.messages.classes import message_class, raw_class
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.messages.definition import Definition, parse_definition
+from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata
@@ -132,7 +132,7 @@ class TopicTable(RowTable):
             if connection.type != definition.type or (text and text != definition.text):
                 # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or with
                 # another text: the md5 does not distinguish an array of messages from a single one.
-                definition = parse_definition(connection.type, text, md5sum)
+                definition = read_definition(connection.type, text, md5sum)
             return message_class(definition)
         except DefinitionError as exc:
             topic = self.metadata.topic
@@ -302,7 +302,7 @@ class TopicTables:
 def definition_in(metadata: TopicMetadata) -> Definition | None:
     """Return the definition in a comment; None if it is unusable."""
     try:
-        return parse_definition(metadata.msg_type, metadata.definition, metadata.md5sum)
+        return read_definition(metadata.msg_type, metadata.definition, metadata.md5sum)
     except DefinitionError as exc:
         _log.debug("topic %s has no usable definition: %s", metadata.topic, exc)
         return None

@@ -9,6 +9,7 @@ from typing import Iterable, Sequence
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.read import ALWAYS, EVERYTHING, Read, Whose
+from cassandra_ros.tables.directory import STALE_SEC
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.keyspace import Keyspace
@@ -88,7 +89,8 @@ def _ended_runs(catalog: Catalog, whose: Whose) -> list[Run]:
         if run.state == "recording":
             raise InvalidOption(
                 f"run {run.name or run.writer} goes on: what it records meanwhile would stay; end "
-                "it first"
+                f"it first. If its process was killed, try again in {STALE_SEC:.0f} s: then it "
+                "counts as ended, because it gave no sign of life"
             )
     return mine
 

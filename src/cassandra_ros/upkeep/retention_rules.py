@@ -23,7 +23,7 @@ from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import EventChoice
-from cassandra_ros.topics.hit_windows import joined, merge_windows
+from cassandra_ros.topics.hit_windows import merge_windows
 from cassandra_ros.topics.removal import thin_rows
 from cassandra_ros.topics.stored_row import StoredRow
 from cassandra_ros.topics.stored_totals import buckets_of, count_rows
@@ -220,8 +220,7 @@ class _Retention:
             reach = Read(TimeRange(0, min(LAST_NS, end + rules.before)))
             filters = self._catalog.filters(rules.keep, None)
             hits = heapq.merge(*(_times(each.rows(reach, bare=True)) for each in filters.values()))
-            pieces = merge_windows(hits, rules.before, rules.after, TimeRange(), LAST_NS)
-            pins.windows = list(joined(pieces))
+            pins.windows = list(merge_windows(hits, rules.before, rules.after, TimeRange()))
         for name in rules.events:
             pins.windows = list(_united([*pins.windows, *self._around_events(name, end)]))
         if self.cutoff and self._finder.latches:

@@ -139,6 +139,8 @@ def _kind(kind: Any) -> str:
         return _kind(kind.value_type) + "[]"
     if is_time_type(kind):
         return "time"
+    if text == "month_day_nano_interval":
+        return "duration"
     if text.startswith("decimal"):
         return "int" if kind.scale == 0 else "float64"
     return {"float": "float32", "double": "float64"}.get(text, text.partition("<")[0])

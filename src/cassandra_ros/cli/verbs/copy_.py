@@ -119,8 +119,10 @@ def run(options: argparse.Namespace) -> int:
                 "refused" if topic.refused else "copied",
             )
             for topic in topics
+            if topic.messages or topic.deleted or topic.refused
         ]
-        print(format_table(("topic", *numbers, "format", "state"), rows, right=numbers))
+        if rows:
+            print(format_table(("topic", *numbers, "format", "state"), rows, right=numbers))
     for pattern in report.unused:
         print(error_line("cassandra_bag", f"no topic matches {pattern!r}"), file=sys.stderr)
     for topic in topics:

@@ -118,5 +118,5 @@ def _sum(counts: dict[str, int], whole: bool) -> str:
 
 
 def _table(counts: dict[str, int]) -> str:
-    rows = [(shown(topic), str(count)) for topic, count in sorted(counts.items())]
-    return format_table(("topic", "messages"), rows, right=("messages",))
+    rows = [(shown(topic), str(count)) for topic, count in sorted(counts.items()) if count]
+    return format_table(("topic", "messages"), rows, right=("messages",)) if rows else ""

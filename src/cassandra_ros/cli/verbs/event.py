@@ -6,12 +6,14 @@
   cassandra_bag event add 'door open' --start 1368021980.5 --node-id husky --value angle=1.2
   cassandra_bag event list
   cassandra_bag event list 'bump%' --like --start 2013-05-08
+  cassandra_bag event end 'door open'
   cassandra_bag event end 1368021980500000000-3f1c09ab77e2 --end 1368021990
   cassandra_bag event delete bump --end 2013-05-08
 
-NAME or KEY stands directly after the action; KEY is the key that list prints. An event without
---end lasts until 'event end' sets its end. One that a killed recorder began lasts too: list shows
-it as lasting. An event without --node-id is of all robots. Other verbs and the player take the
+KEY is the key that list prints; a name that begins with - is written after --. An event without
+--end lasts until 'event end' sets its end, by its key, or by its name if one of that name lasts.
+One that a killed recorder began lasts too: list shows it as lasting. An event without --node-id is
+of all robots. Other verbs and the player take the
 name: --event bump. Messages stay when an event is deleted, and events when messages are deleted.
 """
 
@@ -29,11 +31,12 @@ from cassandra_ros.cli.options import (
     add_time_options,
     open_store,
     read_pair,
+    read_pairs,
     read_times,
 )
 from cassandra_ros.cli.readers import whole_number
 from cassandra_ros.cli.terminal_text import counted, format_table
-from cassandra_ros.errors import EventNotFound
+from cassandra_ros.errors import EventNotFound, InvalidOption
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -42,6 +45,8 @@ if TYPE_CHECKING:
 
 _ACTIONS = ("add", "list", "end", "delete")
 _HEADER = ("event", "robot", "start", "end", "labels", "values", "key")
+_MOST_ENDED = 10_000
+"""Maximum number of events of a name among which the one that lasts is searched."""
 _MOST_SHOWN = 10
 """Maximum number of events shown before the question whether to delete them."""
 
@@ -91,14 +96,14 @@ def _add(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
     start, end = read_times(options)
     if start is None:
         options.parser.error("add needs --start")
-    values = {name: _value(text) for name, text in options.value}
+    values = read_pairs(options, "--value", ((name, _value(text)) for name, text in options.value))
     event = ros_cas.addEvent(
         options.event,
         start,
         end,
         nodeID=options.node_id or "",
         run=options.run,
-        labels=dict(options.label),
+        labels=read_pairs(options, "--label", options.label),
         values=values,
     )
     _tell(event, options, "added")
@@ -114,8 +119,29 @@ def _value(text: str) -> object:
 
 def _end(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
     _, end = read_times(options)
-    _tell(ros_cas.endEvent(options.event, end), options, "ended")
+    _tell(ros_cas.endEvent(_lasting(ros_cas, options), end), options, "ended")
     return 0
+
+
+def _lasting(ros_cas: RosCassandra, options: argparse.Namespace) -> Event:
+    """Return the event of a key, or the one that lasts of a name.
+
+    Raises:
+        EventNotFound: There is no such event.
+        InvalidOption: The name has no event that lasts, or several.
+    """
+    name, whose = options.event, {"nodeID": options.node_id, "run": options.run}
+    found = list(islice(ros_cas.events(name, **whose), _MOST_ENDED))
+    if not found:  # the name is a key, then
+        return ros_cas.catalog.keyspace.events.get(name)
+    lasting = [event for event in found if event.end_ns is None]
+    if len(lasting) == 1:
+        return lasting[0]
+    reason = f"{len(lasting)} events {name!r:.80} last"
+    if not lasting:
+        reason = f"event {name!r:.80} has ended already, at {_time(found[-1].end_ns or 0)}"
+    keys = ", ".join(event.key for event in (lasting or found)[-_MOST_SHOWN:])
+    raise InvalidOption(f"{reason}; to set the end of one of them, give its key: {keys}")
 
 
 def _tell(event: Event, options: argparse.Namespace, done: str) -> None:

@@ -4,10 +4,11 @@
 
 Every message keeps its topic, type, time, bytes and connection. You may import a bag again, import
 a part of it first and then all, or repeat an interrupted import: the stored messages are the same.
-A topic whose definition is empty or broken is stored as binary, with a warning. A topic whose name
-cannot be stored (it contains NUL) is left out: a warning gives the number of its messages, and the
-exit status is 1. The same happens to messages of an MCAP that are not ROS 1 messages, for example
-JSON or protobuf.
+A topic whose definition is empty or broken is stored as binary, with a warning. Messages that
+cannot be stored are left out: a warning gives their topic, number and the reason, and the exit
+status is 1. These are messages of a topic whose name contains NUL, of a connection whose header
+states no type or no md5sum, of an MCAP those that are not ROS 1 messages (JSON, protobuf), and
+those of a time after the year 2106.
 
   cassandra_bag import *.bag
   cassandra_bag import /data/monday /data/tuesday --recursive
@@ -18,9 +19,11 @@ with --salvage also *.bag.active and *.mcap.active.
 
 If there are several FILEs, those that cannot be read are skipped. A table at the end gives the
 state of each: stored, salvaged (every message of the damaged file is stored), incomplete, failed,
-or not tried (after the store failed). The exit status is 0 if all are stored or salvaged. A
-salvaged bag counts as another bag than the complete one: to import that later, delete the salvaged
-run first.
+or not tried (after the store failed). The exit status is 0 if all are stored or salvaged.
+
+An import that ended at damage is continued with --salvage: the messages before the damage, and of
+all chunks after it, are one run. A salvaged bag counts as another bag than the complete one: to
+import that later, delete the salvaged run first.
 """
 
 from __future__ import annotations
@@ -124,7 +127,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--salvage",
         action="store_true",
         help="if a bag or an MCAP is cut short, damaged or was never closed (.bag.active), store "
-        "the messages before the damage, and describe the damage (default: refuse the file)",
+        "the messages before and after the damage, and describe it (default: refuse the file)",
     )
     add_large_chunks_option(parser)
     add("-q", "--quiet", action="store_true", help="print errors and warnings only")
@@ -193,11 +196,10 @@ def _try(ros_cas: RosCassandra, outcome: _Outcome, options: argparse.Namespace) 
 def _import(ros_cas: RosCassandra, path: str, options: argparse.Namespace) -> ImportReport:
     from cassandra_ros.bag.file_formats import open_file
     from cassandra_ros.bag.importer import import_bag
-    from cassandra_ros.bag.message_file import connections_of_topics
+    from cassandra_ros.bag.message_file import connections_of_topics, topics_of
 
     with open_file(path, options.salvage, options.allow_large_chunks) as reader:
-        names = {connection.topic for connection in reader.connections.values()}
-        topics = topics_among(options, names, path)
+        topics = topics_among(options, topics_of(reader, None), path)
         chosen = connections_of_topics(reader, topics)
         count = sum(reader.counts[number] for number in chosen)
         total = reader.message_count

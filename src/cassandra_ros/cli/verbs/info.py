@@ -229,7 +229,10 @@ def _print_summary(found: _Description) -> None:
     names, ends = {info.topic for info in found.infos}, found.ends
     print(f"keyspace:  {found.keyspace} at {found.place}")
     if ends is not None:
-        print(f"duration:  {format_duration(ends[1] - ends[0])}")
+        parts = found.activity.eras
+        told = format_duration(sum(end - start for start, end in parts))
+        without = f"; without pauses of ten years or more {told}" if len(parts) > 1 else ""
+        print(f"duration:  {format_duration(ends[1] - ends[0])}{without}")
         for name, ns in zip(("start", "end"), ends):
             print(f"{name + ':':<10} {iso_time(ns)} ({ns // SECOND_NS}.{ns % SECOND_NS:09d})")
     print(f"size:      {format_bytes(found.bytes)}")

@@ -17,13 +17,18 @@ _HEADER = ("topic", "type", "format")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the pattern and the store."""
     parser.add_argument(
-        "pattern",
-        nargs="?",
+        "patterns",
+        nargs="*",
         metavar="REGEX",
-        help="only topics whose whole name matches (default: all)",
+        help="only topics whose whole name matches one of these (default: all)",
     )
     parser.add_argument(
-        "-e", "--regex", metavar="REGEX", help="the same, as an option (default: all)"
+        "-e",
+        "--regex",
+        metavar="REGEX",
+        action="append",
+        default=[],
+        help="the same, as an option; may be repeated (default: all)",
     )
     add_json_option(parser)
     add_store_options(parser)
@@ -31,13 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print a line for each topic, type and format."""
-    if options.pattern is not None and options.regex is not None:
-        options.parser.error("one REGEX is taken, with or without -e")
-    pattern = options.regex if options.pattern is None else options.pattern
+    patterns = [*options.patterns, *options.regex] or [None]
     with open_store(options) as ros_cas:
+        topics = {t.name: t for pattern in patterns for t in ros_cas.getAllTopics(pattern)}
         rows = [
             (topic.name, table.metadata.msg_type, table.metadata.format)
-            for topic in ros_cas.getAllTopics(pattern)
+            for _, topic in sorted(topics.items())
             for table in topic.tables
         ]
         told = "" if rows or options.json else foreign_keyspace(ros_cas, "; ")

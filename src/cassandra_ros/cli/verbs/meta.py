@@ -17,7 +17,7 @@ import json
 from typing import Any
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
-from cassandra_ros.cli.options import add_store_options, open_store, read_pair
+from cassandra_ros.cli.options import add_store_options, open_store, read_pair, read_pairs
 from cassandra_ros.printable import shown_lines
 
 _FORM = "KEY=VALUE"
@@ -52,8 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Set and remove keys, then print the metadata."""
-    keys: dict[str, Any] = {name: _value(text) for name, text in options.keys}
-    keys.update({name: "" if name == "comment" else None for name in options.remove})
+    pairs: list[tuple[str, Any]] = [(name, _value(text)) for name, text in options.keys]
+    # A key of the value None is removed.
+    pairs += [(name, "" if name == "comment" else None) for name in options.remove]
+    keys = read_pairs(options, "a key", pairs)
     with open_store(options) as ros_cas:
         topic = ros_cas.getTopic(options.topic)
         if keys:

@@ -32,6 +32,7 @@ from cassandra_ros.cli.options import (
     open_store,
     read_times,
 )
+from cassandra_ros.cli.verbs.query import quoted
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.printable import shown
 
@@ -81,6 +82,7 @@ def run(options: argparse.Namespace) -> int:
     from cassandra_ros.cli.results import open_output
     from cassandra_ros.drawing.time_plot import ENDINGS, curves_of, draw_plot, draw_xy
 
+    quoted(options, options.statements)
     ending = options.output.rpartition(".")[2].lower()
     if ending not in ENDINGS:
         endings = ", ".join(f".{each}" for each in ENDINGS)

@@ -4,18 +4,18 @@
 
   cassandra_bag query "SELECT KEY, linear.x FROM /cmd_vel WHERE linear.x > ?" 0.5
   cassandra_bag query "SELECT count(*) FROM /tf WHERE transforms.child_frame_id = 'base_link'"
-  cassandra_bag query "SELECT * FROM /imu" --output parquet -O imu.parquet
+  cassandra_bag query "SELECT * FROM /imu" -O imu.parquet
 
-Give the values for ? directly after the statement: a number, true, false, a list ([1, 2]), or a
+Give the values for ? after the statement: a number, true, false, a list ([1, 2]), or a
 text. Put a text that looks like a number in double quotes ('"42"'). Quote the statement, or the
 shell replaces * and ? by file names.
 
-Formats, all written while the rows are read:
+Formats, all written while the rows are read; the name of the file of -O, as x.csv, chooses one:
   table    aligned, for people: times in UTC, long values cut
   csv      RFC 4180: times in integer ns, bytes in base64, arrays as JSON; a missing value is an
            empty field, an empty text is ""
-  json     a list of objects; ndjson: one object per line. Times and bytes as in csv; NaN and
-           infinities, which JSON lacks, are null
+  json     a list of objects; ndjson, .jsonl: one object per line. Times and bytes as in csv; NaN
+           and infinities, which JSON lacks, are null
   parquet  to a file (-O): types are kept, times are timestamps in ns (needs pyarrow)
 
 DELETE, TRUNCATE, CREATE INDEX and DROP INDEX need --allow-writes.
@@ -26,6 +26,7 @@ With --store, given once or several times, the statement is answered over all th
 from __future__ import annotations
 
 import argparse
+import os
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
@@ -38,6 +39,8 @@ if TYPE_CHECKING:
     from cassandra_ros.client.ros_cassandra import RosCassandra
 
 _OUTPUTS = ("table", "csv", "json", "ndjson", "parquet")
+_ENDINGS = {**{f".{name}": name for name in _OUTPUTS[1:]}, ".jsonl": "ndjson"}
+"""Output format by the end of the file's name."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,7 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_output_options(parser: argparse.ArgumentParser) -> None:
     """Add the form of the output, its file, and its maximum length."""
     add = parser.add_argument
-    add("--output", choices=_OUTPUTS, default="table", help="output format (default: %(default)s)")
+    endings = ", ".join(_ENDINGS)
+    text = f"output format (default: that of FILE's ending, {endings}, else table)"
+    add("--output", choices=_OUTPUTS, help=text)
     add(
         "--json",
         dest="output",
@@ -109,14 +114,28 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def quoted(options: argparse.Namespace, statements: Sequence[str], others: int = 0) -> None:
+    """End the program if a statement is one word: the shell has taken it apart, without quotes.
+
+    Args:
+        statements: The statements.
+        others: Number of further words that are no options.
+    """
+    if len(statements) + others > 1 and not all(len(each.split()) > 1 for each in statements):
+        options.parser.error("put the statement in quotes: without them the shell takes it apart")
+
+
 def check_outputs(options: argparse.Namespace) -> None:
-    """End the program if output options do not fit together.
+    """Set the output format by the name of the file; end the program if options contradict.
 
     Raises:
         MissingDependency: The output is Parquet, and pyarrow is not installed.
     """
     from cassandra_ros.cli.results import load_parquet
 
+    quoted(options, [options.statement], len(options.params))
+    ending = os.path.splitext(options.output_file or "")[1].lower()
+    options.output = options.output or _ENDINGS.get(ending, "table")
     if options.explain and (options.output_file or options.limit):
         options.parser.error("--explain goes without --limit and --output-file")
     if options.output == "parquet" and not (options.output_file or options.explain):

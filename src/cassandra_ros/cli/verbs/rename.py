@@ -4,8 +4,9 @@
 
   cassandra_bag rename /camera/image_raw /front/image_raw
 
-The losses of the topic are renamed, too. A recorder that is writing the topic continues into the
-renamed topic for the publishers that it knows; the next recording creates the old topic again.
+Runs keep their names. The losses of the topic are renamed, too. A recorder that is writing the
+topic continues into the renamed topic for the publishers that it knows; the next recording creates
+the old topic again.
 """
 
 from __future__ import annotations

@@ -146,7 +146,8 @@ def _print(options: argparse.Namespace, results: Sequence[Retained]) -> None:
         answer = [{"topic": e.topic, **{n: getattr(e, n) for n in _NUMBERS}} for e in results]
         print_json({"topics": answer, "dry_run": options.dry_run})
     elif not options.quiet:
-        print(_table(results))
+        if any(each.messages for each in results):
+            print(_table(results))
         gone = _gone(results)
         ends = "would be" if options.dry_run else "is" if gone == 1 else "are"
         print(f"{counted(gone, 'message')} {ends} dropped")
@@ -184,5 +185,6 @@ def _gone(found: Sequence[Retained]) -> int:
 
 
 def _table(found: Sequence[Retained]) -> str:
-    rows = [(shown(each.topic), *(str(getattr(each, n)) for n in _NUMBERS)) for each in found]
+    filled = [each for each in found if each.messages]
+    rows = [(shown(each.topic), *(str(getattr(each, n)) for n in _NUMBERS)) for each in filled]
     return format_table(("topic", *_NUMBERS), rows, right=_NUMBERS)

@@ -26,7 +26,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Callable, Iterable, Mapping, Sequence, Tuple
 
 from cassandra_ros.cli.json_answer import add_json_option, print_json
-from cassandra_ros.cli.options import add_large_chunks_option, add_store_options, open_store
+from cassandra_ros.cli.options import (
+    add_large_chunks_option,
+    add_store_options,
+    open_store,
+    read_pairs,
+)
 from cassandra_ros.cli.readers import checked
 from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
 from cassandra_ros.cli.topic_options import add_topics_option, stored_topics, topics_among
@@ -99,13 +104,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "match counts; may be repeated (default: the mean rate in the store or the file)"
     )
     kind = checked(_rate)
-    add("--rates", metavar="[TOPIC:]HZ", nargs="+", type=kind, action="append", help=text)
+    add(
+        "--rates",
+        metavar="[TOPIC:]HZ",
+        nargs="+",
+        type=kind,
+        action="extend",
+        default=[],
+        help=text,
+    )
     text = "days that the cluster keeps messages (default: %(default)s)"
     add("--days", metavar="DAYS", type=_days, default=30.0, help=text)
     text = "format in which the cluster keeps them (default: %(default)s)"
     add("--format", choices=FORMATS, default=DEFAULT_FORMAT, help=text)
     text = "maximum number of messages of each topic that are encoded (default: %(default)s)"
     add("--sample", metavar="NUM", type=_number, default=1000, help=text)
+    text = "measure what can be read of a damaged or unclosed FILE.bag (default: refuse it)"
+    add("--salvage", action="store_true", help=text)
     add_large_chunks_option(parser)
     add_json_option(parser)
     add_store_options(parser)
@@ -113,8 +128,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print bytes a day by format, and what three nodes need."""
-    rates = [rate for given in options.rates or () for rate in given]
-    sizes = _of_file(options, rates) if options.bag else _of_store(options, rates)
+    read_pairs(options, "--rates", options.rates)
+    sizes = (_of_file if options.bag else _of_store)(options, options.rates)
     need = _need(sizes, options.format, options.days)
     if options.json:
         print_json({"topics": sizes, "cluster": need})
@@ -131,7 +146,7 @@ def _of_file(options: argparse.Namespace, rates: Rates) -> list[TopicSize]:
     from cassandra_ros.bag.file_formats import open_file
     from cassandra_ros.bag.size_estimate import sample_file
 
-    with open_file(options.bag, False, options.allow_large_chunks) as reader:
+    with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:
         names = {connection.topic for connection in reader.connections.values()}
         topics = topics_among(options, names, reader.path)
         samples = sample_file(reader, topics, options.sample)

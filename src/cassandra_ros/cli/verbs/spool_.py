@@ -10,8 +10,8 @@
 A recorder keeps messages in files while the store does not answer. Those that it could not store
 before it ended, the next recorder stores, or drain: all of the keyspace and the address, or those
 that you name, into any store. RUN is an id as list prints it. What a running recorder uses is left
-alone. export writes the messages into an MCAP or a bag, by the name of FILE; they also stay in the
-spool.
+alone. export writes the messages into an MCAP if FILE ends with .mcap, else into a bag; they also
+stay in the spool.
 """
 
 from __future__ import annotations
@@ -207,8 +207,7 @@ def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
 
 
 def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
-    from cassandra_ros.bag.bag_writer import BagWriter
-    from cassandra_ros.bag.mcap_writer import McapWriter
+    from cassandra_ros.bag.file_formats import make_file
     from cassandra_ros.messages.connection_header import Connection
     from cassandra_ros.spool.segment_reader import SegmentReader
 
@@ -219,9 +218,8 @@ def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
         options.parser.error(f"FILE is missing: {target} is a run; spool export RUN rest.mcap")
     if os.path.exists(target):
         raise BagError(f"{target} exists; choose another name")
-    made = BagWriter(target) if target.lower().endswith(".bag") else McapWriter(target)
     messages, damaged = 0, []
-    with made as writer:
+    with make_file(target) as writer:
         numbers: dict[Connection, int] = {}
         for left in _chosen(folder, ids):
             for path in left.folder.files():

@@ -5,7 +5,7 @@
   cassandra_bag sql 'SELECT NODE, avg(voltage) FROM battery GROUP BY NODE'
   cassandra_bag sql 'SELECT i.KEY, b.voltage FROM "/imu/data" i
       ASOF JOIN battery b ON i.NODE = b.NODE AND i.KEY >= b.KEY
-      WHERE i.linear_acceleration.z > ?' 15 --output parquet -O bumps.parquet
+      WHERE i.linear_acceleration.z > ?' 15 -O bumps.parquet
   cassandra_bag sql 'SELECT * FROM runs' --explain
 
 The SQL is DuckDB's (requirements-tables.txt; Python 3.11 or later). A topic is a table, with the

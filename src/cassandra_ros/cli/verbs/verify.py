@@ -33,6 +33,7 @@ from cassandra_ros.cli.options import (
     open_store,
     read_event,
     read_pair,
+    read_pairs,
     read_times,
 )
 from cassandra_ros.cli.target_options import add_target_options, open_target
@@ -113,12 +114,13 @@ def run(options: argparse.Namespace) -> int:
 def _compare(options: argparse.Namespace) -> VerifyReport:
     from cassandra_ros.bag.comparison import verify_bag, verify_content
     from cassandra_ros.bag.file_formats import open_file
+    from cassandra_ros.bag.message_file import topics_of
 
     (start, end), event = read_times(options), read_event(options)
+    mapping = read_pairs(options, "--map", options.map)
     with open_file(options.bag, options.salvage, options.allow_large_chunks) as reader:
         count = reader.message_count
-        names = {connection.topic for connection in reader.connections.values()}
-        topics = topics_among(options, names, reader.path)
+        topics = topics_among(options, topics_of(reader, None), reader.path)
     first = MessageBar(f"reading {options.bag}", count)
     bar = MessageBar(f"verifying {options.bag}", count)
     with open_store(options) as ros_cas, first, bar:
@@ -139,7 +141,7 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
             options.bag,
             topics=topics,
             nodeID=options.node_id,
-            mapping=dict(options.map),
+            mapping=mapping,
             start=start,
             end=end,
             progress=bar.add,
@@ -196,3 +198,8 @@ def _print_differences(report: VerifyReport) -> None:
         print(f"  {shown(text, None)}")
     if report.differences > len(report.first):
         print("  …")
+    if not report.missing:
+        print(
+            "the file has nothing that is not stored; of an exported time range compare that: "
+            "--content --start T --end T"
+        )
