@@ -273,3 +273,72 @@ def test_what_an_import_leaves_out_is_missing(rosCas, tmp_path):
     assert " messages of /b are not stored: its messages are encoded as 'json'" in report.first[0]
     assert report.extras == {"attachments": 1}
     assert verify_bag(rosCas, path, topics=["/a"]).equal
+
+
+SUFFIXES = (".bag", ".mcap")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_an_export_after_a_rename_is_equal(rosCas, original, tmp_path, suffix):
+    rosCas.renameTopic("/a", "/renamed")
+    exported = tmp_path / f"out{suffix}"
+    export_bag(rosCas, exported)
+    report = verify_bag(rosCas, exported)
+    assert (report.differences, report.equal_messages) == (0, 50), report.first
+    rosCas.getTopic("/renamed").removeData(MESSAGES[7][1])
+    assert verify_bag(rosCas, exported).differences == 1
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_an_export_of_several_robots_is_equal_and_tells_them_apart(rosCas, tmp_path, suffix):
+    path = write(tmp_path / "a.bag", MESSAGES)
+    for node in ("husky", "", "anymal"):
+        import_bag(rosCas, path, nodeID=node)
+    exported = tmp_path / f"out{suffix}"
+    export_bag(rosCas, exported)
+    report = verify_bag(rosCas, exported)
+    assert (report.differences, report.equal_messages) == (0, 150), report.first
+    assert report.mixed_robots == []
+    rosCas.getTopic("/a").removeData(MESSAGES[7][1], nodeID="husky")
+    assert verify_bag(rosCas, exported).differences == 1
+    rosCas.getTopic("/a").removeData(run={run.node: run.writer for run in rosCas.runs()}[""])
+    import_bag(rosCas, path, nodeID="jackal")
+    report = verify_bag(rosCas, exported)
+    assert report.missing >= 50 and not report.equal
+
+
+def test_two_bags_of_one_publisher_and_of_one_robot_are_equal_to_their_export(rosCas, tmp_path):
+    for name in ("one", "two"):
+        messages = [(topic, t_ns, f"{name} {text}") for topic, t_ns, text in MESSAGES]
+        import_bag(rosCas, write(tmp_path / f"{name}.bag", messages), nodeID="husky")
+    export_bag(rosCas, tmp_path / "out.bag")
+    report = verify_bag(rosCas, tmp_path / "out.bag")
+    assert (report.differences, report.equal_messages) == (0, 100), report.first
+    with BagReader(tmp_path / "out.bag") as reader:
+        assert {c.robot for c in reader.connections.values()} == {None}
+
+
+def test_robots_that_the_file_does_not_name_are_said(rosCas, tmp_path):
+    path = write(tmp_path / "a.bag", MESSAGES)
+    twice = write(tmp_path / "twice.bag", [m for m in MESSAGES for _ in range(2)])
+    for node in ("husky", "jackal"):
+        import_bag(rosCas, path, nodeID=node)
+    report = verify_bag(rosCas, twice)
+    assert report.equal, report.first
+    assert report.mixed_robots == ["husky", "jackal"]
+    assert verify_bag(rosCas, path, nodeID="husky").mixed_robots == []
+
+
+def test_an_import_of_several_robots_says_that_they_become_one(
+    rosCas, new_keyspace, connect, tmp_path
+):
+    path = write(tmp_path / "a.bag", MESSAGES)
+    for node in ("husky", "jackal"):
+        import_bag(rosCas, path, nodeID=node)
+    export_bag(rosCas, tmp_path / "out.bag")
+    with connect(keyspace=new_keyspace) as other:
+        report = import_bag(other, tmp_path / "out.bag")
+        assert "several robots (husky, jackal)" in report.warnings[0]
+        assert verify_bag(other, tmp_path / "out.bag").equal
+        export_bag(other, tmp_path / "again.bag")
+        assert verify_bag(other, tmp_path / "again.bag").equal

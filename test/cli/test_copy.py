@@ -7,7 +7,15 @@ from __future__ import annotations
 import json
 
 import pytest
+from bag.truth import string_connection, string_wire
+from copying.test_replicator import directory, facts, rows_of
 from std_msgs.msg import Int64, String
+
+from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.bag.mcap_writer import McapWriter
+from cassandra_ros.formats.table import FORMATS
+from cassandra_ros.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.tables.registry import Loss, LossKind, Run
 
 T0 = 1_500_000_000 * 10**9
 
@@ -127,3 +135,77 @@ def test_rules_are_taken_from_a_file(call, filled, place, tmp_path):
     assert "no topic matches '/never'" in err
     status, _, err = call("copy", "--to", place, "--rules", tmp_path / "none.yaml")
     assert (status, "cannot be read" in err) == (1, True)
+
+
+def fill(store, tmp_path):
+    """Store something of everything that a store keeps."""
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        number = writer.connection(string_connection("/chatter", callerid="/talker"))
+        for n in range(20):
+            writer.write(number, T0 + n, string_wire(f"{n}"), delay_ns=-n, sequence=n)
+    for node in ("husky", "jackal"):
+        import_bag(store, path, nodeID=node)
+    run = Run("husky", 77, "recording", name="patrol", labels={"site": "lab"})
+    with store.messageWriter(writer_id=77, nodeID="husky", run=run) as writer:
+        handle = writer.connect(string_connection("/live", callerid="/node", latching="1"))
+        writer.write(handle, T0, 0, string_wire("live"))
+    registry = store.catalog.keyspace.registry
+    registry.put_context(77, "husky", RunContext({"a": 1}, NodeGraph({}, {}, {}, {})))
+    registry.put_loss(Loss("/live", "husky", 77, LossKind.BUFFER_FULL, T0, T0 + 5, 3))
+    registry.put_loss(Loss("/never", "husky", 77, LossKind.UNHEARD, T0, T0, 0))
+    for name in FORMATS:
+        topic = store.addTopic(f"/{name}", name, msg_type="std_msgs/Int64", comment="mine")
+        topic.addData(Int64(5), key=T0)
+    manual = store.addTopic("/map", key_format="manual", msg_type="std_msgs/String")
+    manual.addData(String("old"), key="hall")
+    manual.addData(String("new"), key="hall")
+    store.addTopic("/ttl", msg_type="std_msgs/Int64", ttl=10**7).addData(Int64(1), key=T0)
+    store.addTopic("/silent", msg_type="std_msgs/Int64")
+    store.getTopic("/ros").createIndex("data")
+    store.getTopic("/ros").setMeta(place="roof")
+    store.renameTopic("/live", "/renamed")
+    event = store.addEvent("bump", T0, T0 + 5, nodeID="husky", run="patrol", labels={"at": "door"})
+    store.addEvent("brake", T0, values={"v": 1.5})
+    assert event.writer == 77
+    store.catalog.adder.close()
+
+
+def all_of(store, cql):
+    """All that a store keeps, but the names of its tables."""
+    registry = store.catalog.keyspace.registry
+    topics = store.catalog.all(None)
+    names = {t.name: (t.metadata.topic, t.metadata.format) for t in store.catalog.tables(None)}
+    sent = cql.execute(f"SELECT writer, node, stripe, sent FROM {store.keyspace}.cr_sent")
+    return {
+        "rows": {topic: rows for topic, rows in rows_of(cql, store).items() if topic[0] != "/ttl"},
+        "facts": sorted(facts(store)),
+        "directory": directory(store),
+        "headers": sorted((names[t], conn, row) for t, conn, row in registry.headers(names)),
+        "runs": sorted(store.runs(), key=lambda run: run.writer),
+        "contexts": [store.runContext("patrol")],
+        "losses": store.losses(),
+        "events": list(store.events()),
+        # The date is that of the table.
+        "topics": [(t.name, {**t.getMeta, "date": ""}) for t in topics],
+        "indexes": [t.name for t in topics if t.hasIndex("data")],
+        "sent": sorted(map(tuple, sent)),
+    }
+
+
+@pytest.mark.suite("test", "the promise of doc/operations.md: one way of backup keeps all")
+def test_what_was_copied_and_wiped_comes_back_equal(
+    call, rosCas, connect, keyspaces, cassandra, cql, tmp_path
+):
+    fill(rosCas, tmp_path)
+    before, name = all_of(rosCas, cql), rosCas.keyspace
+    here = f"{cassandra.host}:{cassandra.port}"
+    with keyspaces.lend() as kept:
+        assert call("copy", "--to", f"{here}/{kept}", "-q") == (0, "", "")
+        assert call("verify", "--with", f"{here}/{kept}", "-q") == (0, "", "")
+        cql.execute(f"DROP KEYSPACE {name}")
+        assert call("copy", "--to", f"{here}/{name}", "-q", keyspace=kept)[0] == 0
+        with connect(keyspace=name) as restored:
+            after = all_of(restored, cql)
+    for what, value in before.items():
+        assert after[what] == value, what

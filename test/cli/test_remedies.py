@@ -134,3 +134,23 @@ def test_another_address_of_the_local_cassandra_is_told(tmp_path, capsys):
 
 
 PLACES = (("a", {}), ("b", {"host": "127.0.0.5", "port": 9999}))
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        ("query", "SELECT KEY FROM n WHERE NODE = 'huskey'"),
+        ("query", "SELECT KEY FROM n", "--node-id", "huskey"),
+        ("cat", "/n", "--node-id", "huskey"),
+        ("info", "--node-id", "huskey"),
+        ("delete", "/n", "--node-id", "huskey", "-y"),
+    ],
+)
+def test_an_unknown_robot_is_told_with_the_nearest(store, call, line):
+    err = call(*line)[2]
+    assert "is of robot 'huskey'; did you mean husky?" in err
+
+
+def test_an_unknown_run_is_told_with_the_nearest(store, call):
+    err = call("query", "SELECT KEY FROM n WHERE RUN = 'drive.bag'")[2]
+    assert "there is no run 'drive.bag' in keyspace" in err and "did you mean drive 1.bag?" in err

@@ -121,12 +121,22 @@ def machine(tmp_path, ros_env):
 
 @pytest.mark.suite("all", "it starts Cassandras")
 def test_what_was_backed_up_comes_back(machine):
-    as_bag, of_bag, copy, of_copy, snapshot, tables, of_snapshot = blocks()
+    to_store, of_store, as_bag, of_bag, copy, of_copy, snapshot, tables, of_snapshot = blocks()
+    # The other store is another keyspace of the same Cassandra.
+    here = f"127.0.0.1:{machine.port}"
+    to_store = to_store.replace("backup.local/ros", f"{here}/kept")
+    of_store = of_store.replace("backup.local --keyspace ros", "127.0.0.1 --keyspace kept")
+    of_store = of_store.replace("localhost/ros", f"{here}/ros")
     cluster = LocalCluster(machine.folder, port=machine.port, heap="512M")
     cluster.start()
     for path, topics in ((HUSKY, TOPICS), (TURTLES, ("/turtle1/pose --format packed",))):
         machine.bag("import", path, "--node-id", path.stem, "--topics", *topics)
     machine.bag("index", "/fix", "status.status")
+    machine.assert_all_is_there()
+
+    machine.type(to_store)
+    drop(machine)
+    machine.type(of_store)
     machine.assert_all_is_there()
 
     machine.type(as_bag)

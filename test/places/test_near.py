@@ -546,6 +546,19 @@ def test_what_may_be_meant_in_two_ways_is_asked_for(rosCas):
     assert asked(rosCas, "NEAR(0, 2, 0.5, 'world', 'turtle2')") == [T0 + 2 * SEC]
 
 
+def test_a_place_where_no_robot_was_says_so(husky, caplog):
+    far = "SELECT KEY FROM gps WHERE NEAR(42.37, -71.14, 0.5, 'world')"
+    assert husky.executeCQL(far) == []
+    (message,) = caplog.messages
+    assert "no robot was within 0.5 m of (42.37, -71.14) in frame world" in message
+    assert "metres in this frame, no latitude and longitude" in message
+    caplog.clear()
+    assert list(husky.near(42.37, -71.14, 0.5, "world")) == []
+    assert len(caplog.messages) == 1  # not for each topic
+    with pytest.raises(InvalidQuery, match=r"did you mean world\?"):
+        husky.executeCQL("SELECT KEY FROM gps WHERE NEAR(1, 2, 3, 'wrld')")
+
+
 @pytest.fixture
 def two_runs(rosCas):
     """Two runs of one robot, each with odometry of its own, and another robot with two of them."""

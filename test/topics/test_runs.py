@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import re
 import xmlrpc.client
 
 import pytest
@@ -295,6 +296,74 @@ def test_unknown_runs(recorded):
         topic.getData(T0 + 1, run="morning")
 
 
+@pytest.mark.parametrize(
+    ("condition", "text"),
+    [
+        ("RUN = 'mornin'", "there is no run 'mornin' in keyspace .*; did you mean morning"),
+        ("RUN = '100'", "there is no run '100' .*; did you mean morning, run 100"),
+        ("RUN IN ('mornin', 'x') AND point.x = 3", "no run 'mornin'.*no run 'x'"),
+        (
+            "NODE = 'R' AND point.x >= 0",
+            "no message in keyspace .* is of robot 'R'; did you mean r",
+        ),
+        ("EVENT 'bmup'", "there is no event 'bmup' in keyspace .*; did you mean bump"),
+        ("EVENT LIKE 'x%'", "there is no event 'x%'"),
+    ],
+)
+def test_a_condition_with_an_unknown_name_says_so(recorded, caplog, condition, text):
+    store, topic = recorded.store, recorded.store.getTopic("point")
+    if not list(store.events()):
+        store.addEvent("bump", T0, T0 + 1)
+    for ask in (
+        lambda: store.executeCQL(f"SELECT KEY FROM point WHERE {condition}"),
+        lambda: store.executeCQL(f"SELECT count(*) FROM point WHERE {condition}")[0][0] or [],
+        lambda: list(topic.items(where=condition)),
+        lambda: topic.removeData(where=condition) or [],
+    ):
+        caplog.clear()
+        assert ask() == []
+        assert re.search(text, " ".join(caplog.messages)), caplog.messages
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "RUN = 'morning' AND RUN = 'evening'",
+        "RUN = '103' AND point.x > 99",
+        "NODE = 'r' AND KEY < '1980-01-01'",
+    ],
+)
+def test_a_condition_of_known_names_that_finds_nothing_warns_of_none(recorded, caplog, condition):
+    assert recorded.store.executeCQL(f"SELECT KEY FROM point WHERE {condition}") == []
+    assert caplog.messages == []
+
+
+def test_a_robot_without_messages_is_told(recorded, connect, caplog):
+    with connect(keyspace=recorded.store.keyspace) as store:
+        for node in ("rr", "rr", "r", ""):
+            store.getTopic("point").countTopicData(nodeID=node)
+    (message,) = caplog.messages
+    assert "no message in keyspace" in message and "is of robot 'rr'; did you mean r?" in message
+
+
+def test_runs_of_one_name_are_told_apart(rosCas):
+    connection = connection_of("/point", PointStamped)
+    for writer, node in ((7, "husky"), (8, "jackal")):
+        run = Run(node, writer, "import", name="run.bag", source=f"/{node}/run.bag")
+        with rosCas.messageWriter(writer_id=writer, nodeID=node, run=run) as each:
+            each.write(each.connect(connection), T0, 1, serialize(PointStamped()))
+    topic, runs = rosCas.getTopic("/point"), rosCas.catalog.keyspace.runs
+    assert topic.countTopicData(run="run.bag") == 2
+    for run in (8, "8", "/jackal/run.bag", "/jackal/../jackal/run.bag"):
+        assert [row.node for row in topic.rows(run=run)] == ["jackal"]
+    with pytest.raises(RunNotFound, match="did you mean run.bag, run "):
+        topic.countTopicData(run="/other/run.bag")
+    text = runs.describe_several("run.bag")
+    assert text.startswith("2 runs are called run.bag: ")
+    assert "7 of robot husky (from /husky/run.bag)" in text
+    assert runs.describe_several("8") == ""
+
+
 @pytest.mark.parametrize("how", ["remove", "between", "where", "statement", "argument"])
 def test_a_delete_of_a_run_removes_its_rows_alone(rosCas, how):
     made = Recorded(rosCas, "ros")
@@ -398,3 +467,13 @@ def test_who_opens_the_bucket_during_a_delete_of_a_run_keeps_what_he_writes(rosC
     assert topic.removeData(run="7") == 2
     assert [row.t - T0 for row in topic.rows()] == [2]
     assert topic.countTopicData() == 1
+
+
+def test_the_numbers_of_a_run_follow_a_renamed_topic(rosCas):
+    run = Run("r", 7, "recording", name="patrol")
+    with rosCas.messageWriter(writer_id=7, nodeID="r", run=run) as writer:
+        handle = writer.connect(connection_of("/point", PointStamped))
+        writer.write(handle, T0, 1, serialize(PointStamped()))
+    rosCas.renameTopic("/point", "/place")
+    (stored,) = rosCas.runs()
+    assert stored.stored == {"/place": 1} and stored.ended is not None

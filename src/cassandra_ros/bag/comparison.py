@@ -65,6 +65,9 @@ class VerifyReport:
     left_out: int = 0
     """Number of messages of the bag that were not compared, because an export added them as latched
     before its time range, see export_bag."""
+    mixed_robots: list[str] = field(default_factory=list)
+    """The robots of the compared messages, '' = one without name, if there are several and the file
+    does not tell which message is whose; see verify_bag."""
     extras: dict[str, int] = field(default_factory=dict)
     """Kind of records that are never stored → their number in the file, see MessageFile."""
     first: list[str] = field(default_factory=list)
@@ -102,6 +105,11 @@ def verify_bag(
     that an export added as latched before its time range are left out, because the store holds them
     at another time. For the import of an MCAP publish_time and sequence are compared, too.
 
+    What export_bag changes is no difference: topics have the names that they have now, and numbers
+    of connections do not count, only their headers. Messages of several robots are told apart if
+    the headers in the file name the robots, as export_bag writes them. If they do not, the messages
+    of all robots are compared together, and ``mixed_robots`` lists the robots.
+
     Args:
         topics: Topics to compare; None = all topics of the bag.
         nodeID: Robot whose stored messages are compared; None = all robots.
@@ -121,6 +129,7 @@ def verify_bag(
         numbers = connections_of_topics(reader, topics)
         chosen = {n: reader.connections[n].topic for n in numbers}
         catalog = ros_cas.catalog
+        catalog.keyspace.runs.check_robot(nodeID)
         stored = _stored_topics(catalog, chosen.values())
         writers = catalog.keyspace.runs.writers(run)
         own_import = _find_import(catalog, reader, stored, nodeID, reading, writers)
@@ -145,8 +154,13 @@ def verify_bag(
             report.add(f"{topic} is not stored: its {count} messages are missing", count)
             report.missing += count
             numbers -= gone
-        comparison = _by_place(catalog, reader, stored, own_import, nodeID, report, writers)
-        _compare(reader, numbers, dict.fromkeys(stored, comparison), progress)
+        ranks = _Ranks(reader.connections.values(), positions=own_import is not None)
+        rows = _rows_to_compare(catalog, reader, stored, own_import, nodeID, writers)
+        # The rows of an import hold their positions in the bag, so a missing row shifts no other.
+        order = _BY_CONNECTION if own_import is None else _BY_POSITION
+        comparison = Comparison(_in_order(rows, ranks), report, order)
+        _compare(reader, numbers, dict.fromkeys(stored, comparison), progress, ranks)
+        report.mixed_robots = ranks.mixed_robots
         late = 0
         if own_import is not None:
             late = count_other_publish_times(catalog.keyspace.side_tables, reader, own_import)
@@ -265,25 +279,20 @@ def _find_import(
     return next(iter(imports_of_bag.values()), None)
 
 
-def _by_place(
+def _rows_to_compare(
     catalog: Catalog,
     reader: MessageFile,
     topics: AbstractSet[str],
     own_import: Run | None,
     node: str | None,
-    report: VerifyReport,
-    writers: Writers = None,
-) -> Comparison:
-    """Return a comparison with the rows of an import, or with all rows of the topics."""
-    ranks = _Ranks(reader.connections.values(), positions=own_import is not None)
+    writers: Writers,
+) -> Iterator[StoredRow]:
+    """Return the rows of an import, or all rows of the topics, in the order of their reception."""
     if own_import is None:
-        rows = catalog.read(topics, Read(whose=Whose.of(node, writers)), received=True)
-        return Comparison(_in_order(rows, ranks), report, _BY_CONNECTION)
-    own = Whose.of(own_import.node, frozenset([own_import.writer]))
-    read = Read(TimeRange(reader.start_ns, reader.end_ns), own)
-    rows = catalog.read(topics, read, received=True)
-    # The rows of an import hold their positions in the bag, so a missing row shifts no other.
-    return Comparison(_in_order(rows, ranks), report, _BY_POSITION)
+        return catalog.read(topics, Read(whose=Whose.of(node, writers)), received=True)
+    whose = Whose.of(own_import.node, frozenset([own_import.writer]))
+    read = Read(TimeRange(reader.start_ns, reader.end_ns), whose)
+    return catalog.read(topics, read, received=True)
 
 
 class Entry(NamedTuple):
@@ -318,30 +327,42 @@ def fingerprint(wire: bytes) -> bytes:
 class _Ranks:
     """Converts stored rows to entries; finds the rank of each row's connection in the bag.
 
+    Connections of a bag with equal topics and headers have one rank, that of the first, unless the
+    rows are those of its import: an export changes their numbers.
+
     Args:
         connections: Connections of the bag, in the order of its index.
-        positions: Whether the counter in ``_seq`` is the message's position in the bag.
+        positions: Whether the rows are those of the bag's import: the counter in ``_seq`` is the
+            message's position in the bag, and connections have the numbers of the bag.
     """
 
     def __init__(self, connections: Iterable[Connection], positions: bool) -> None:
         self._positions = positions
         self._exact: dict[tuple[str, bytes, int], int] = {}
-        # Connections without their number, for messages that were not imported from this bag.
         self._alike: dict[tuple[str, bytes], int] = {}
+        self.of_bag: list[int] = []
+        """Rank of each connection of the bag."""
         for rank, c in enumerate(connections):
             self._exact[c.topic, c.header, c.number] = rank
-            self._alike.setdefault((c.topic, c.header), rank)
-        self._known: dict[tuple[str, int], tuple[int, str, str]] = {}
+            shared = self._alike.setdefault((c.topic, c.header), rank)
+            self.of_bag.append(rank if positions else shared)
+        self._connections: dict[tuple[str, int, str], tuple[int, str, str]] = {}
+        self._robots: set[str] = set()
+        self._named: set[str] = set()
+
+    @property
+    def mixed_robots(self) -> list[str]:
+        """The robots of the rows if there are several, not all of them named by the bag."""
+        mixed = len(self._robots) > 1 and self._named != self._robots
+        return sorted(self._robots) if mixed else []
 
     def see(self, row: StoredRow) -> Entry:
         """Return the entry of a row. A row that cannot be read is unequal to every message."""
-        key = (row.table.name, row.conn)
-        if key not in self._known:
+        key = (row.table.name, row.conn, row.node)
+        if key not in self._connections:
             c = row.connection
-            alike = self._alike.get((c.topic, c.header), _FOREIGN)
-            rank = self._exact.get((c.topic, c.header, c.number), alike)
-            self._known[key] = (rank, c.type, c.md5sum)
-        rank, msg_type, md5sum = self._known[key]
+            self._connections[key] = (self._rank(row.topic, c, row.node), c.type, c.md5sum)
+        rank, msg_type, md5sum = self._connections[key]
         position = split_seq(row.seq)[1] if self._positions else row.seq
         try:
             value = fingerprint(row.wire)
@@ -349,11 +370,29 @@ class _Ranks:
             value = b""
         return Entry(row.received, rank, position, msg_type, md5sum, value, row.topic)
 
+    def _rank(self, topic: str, connection: Connection, node: str) -> int:
+        """Return the rank of a connection, under the current name of its topic."""
+        header = connection.header
+        exact = self._exact.get((topic, header, connection.number)) if self._positions else None
+        if exact is not None:
+            return exact
+        self._robots.add(node)
+        named = self._alike.get((topic, connection.of_robot(node).header))
+        if named is not None:
+            self._named.add(node)
+            return named
+        return self._alike.get((topic, header), _FOREIGN)
+
 
 def _in_order(rows: Iterable[StoredRow], ranks: _Ranks) -> Iterator[Entry]:
     """Yield the entries of rows; rows of equal time are sorted by connection."""
     for _, group in groupby(rows, lambda row: row.received):
-        yield from sorted(map(ranks.see, group))
+        # Equal ranks keep their order: it is that of an export, by robot and _seq.
+        yield from sorted(map(ranks.see, group), key=_place)
+
+
+def _place(entry: Entry) -> tuple[int, int]:
+    return entry.t_ns, entry.rank
 
 
 def _compare(
@@ -361,17 +400,39 @@ def _compare(
     numbers: AbstractSet[int],
     comparisons: Mapping[str, Comparison],
     progress: MessageProgress | None,
+    ranks: _Ranks | None = None,
 ) -> None:
-    """Read a bag in the order of rosbag and compare each topic with its stored messages."""
-    connections = list(reader.connections.values())
-    messages = read_in_order(reader, lambda message: fingerprint(message.data), numbers)
-    for t_ns, rank, position, value in messages:
-        c = connections[rank]
-        comparisons[c.topic].add(Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic))
+    """Read a bag in the order of rosbag and compare each topic with its stored messages.
+
+    Args:
+        ranks: Ranks of the connections; None = each has its own.
+    """
+    for entry in _entries_of_bag(reader, numbers, ranks):
+        comparisons[entry.topic].add(entry)
         if progress is not None:
-            progress(1, int.from_bytes(value[:_SIZE_BYTES], "little"))
+            progress(1, int.from_bytes(entry.value[:_SIZE_BYTES], "little"))
     for comparison in comparisons.values():
         comparison.finish()
+
+
+def _entries_of_bag(
+    reader: MessageFile, numbers: AbstractSet[int], ranks: _Ranks | None
+) -> Iterator[Entry]:
+    """Yield the entries of a bag in the order of rosbag, equal ranks in the order of the bag."""
+    connections = list(reader.connections.values())
+    rank_of = range(len(connections)) if ranks is None else ranks.of_bag
+    messages = read_in_order(reader, lambda message: fingerprint(message.data), numbers)
+    for _, group in groupby(messages, lambda message: message.t_ns):
+        entries = []
+        for t_ns, number, position, value in group:
+            c = connections[number]
+            rank = rank_of[number]
+            entries.append(Entry(t_ns, rank, position, c.type, c.md5sum, value, c.topic))
+        yield from sorted(entries, key=_rank_and_position)
+
+
+def _rank_and_position(entry: Entry) -> tuple[int, int]:
+    return entry.rank, entry.position
 
 
 class Comparison:

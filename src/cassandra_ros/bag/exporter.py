@@ -21,7 +21,7 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.overview.latched_messages import LatchedFinder, LatchedRecord, tests_of
-from cassandra_ros.read import LAST_NS, TimeRange
+from cassandra_ros.read import LAST_NS, TimeRange, Whose
 from cassandra_ros.tables.event_table import Event
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import EventRule
@@ -80,7 +80,9 @@ def export_bag(
     and number, so rosbag reads the messages of an imported bag in their original order: by time,
     connection, position. In an MCAP each connection is a channel. publish_time and sequence are
     those of the MCAP from which a message was imported; for other messages they are log_time and 0.
-    The events of these robots that meet the time of the messages are metadata of an MCAP.
+    The events of these robots that meet the time of the messages are metadata of an MCAP. If the
+    chosen topics have messages of several robots, the header of each connection gets the field
+    ``cassandra_ros.node`` with its robot.
 
     Args:
         path: The file to write: an MCAP if it ends with .mcap, else a bag. Its name is PATH.active
@@ -126,7 +128,8 @@ def export_bag(
         why = why_empty(catalog, names, nodeID, run)
         raise MessageNotFound(f"{report.path} is not written, for there is no such message: {why}")
     with make_file(path, compression) as writer:
-        numbers = ConnectionNumbers(writer)
+        robots = robots_of(catalog, catalog.tables(names), reads.whole.whose)
+        numbers = ConnectionNumbers(writer, several_robots=len(robots) > 1)
         sent = PublishTimeFinder(catalog.keyspace.side_tables, writer.keeps_publish_times)
         times = TimeRange(LAST_NS, 0)
         for t_ns, row in chain(first, found):
@@ -187,6 +190,17 @@ def _events(catalog: Catalog, reads: Reads, times: TimeRange) -> Iterator[Event]
             yield event
 
 
+def robots_of(catalog: Catalog, tables: Sequence[TopicTable], whose: Whose) -> set[str]:
+    """Return the robots of a selection that may have messages in some tables."""
+    if whose.nodes is not None:
+        return set(whose.nodes)
+    robots = set(catalog.keyspace.nodes(tables))
+    if whose.writers is None:
+        return robots
+    of_runs = catalog.keyspace.runs.nodes(whose.writers)
+    return robots if of_runs is None else robots & of_runs
+
+
 def why_empty(
     catalog: Catalog,
     topics: Sequence[str] | None,
@@ -224,11 +238,15 @@ class ConnectionNumbers:
     of an imported bag keep their order: the first import keeps its numbers, all numbers of each
     further import are shifted by a constant. Connections that never were in a bag get the next free
     number. A connection is added to the writer with its first row.
+
+    Args:
+        several_robots: Name the robot of each connection in its header.
     """
 
-    def __init__(self, writer: FileWriter) -> None:
+    def __init__(self, writer: FileWriter, several_robots: bool) -> None:
         self._writer = writer
-        self._numbers: dict[tuple[int, str, str, int], int] = {}
+        self._several_robots = several_robots
+        self._numbers: dict[tuple[int, str, str, int, str], int] = {}
         self._bases: dict[int, int] = {}
         self._free = 0
 
@@ -238,7 +256,7 @@ class ConnectionNumbers:
         Raises MessageNotFound if no store with the row answers any more.
         """
         run = split_seq(row.seq)[0]
-        key = (run, row.topic, row.md5sum, row.conn)
+        key = (run, row.topic, row.md5sum, row.conn, self._robot(row))
         number = self._numbers.get(key)
         if number is None:
             number = self._numbers[key] = self._add(row, run)
@@ -249,12 +267,21 @@ class ConnectionNumbers:
 
         It is lower than all numbers that are assigned later, so it is read before them.
         """
-        return self._next(_connection(row).latched_from(row.received))
+        return self._next(self._connection(row).latched_from(row.received))
+
+    def _robot(self, row: ExportedRow) -> str:
+        return row.node if self._several_robots else ""
+
+    def _connection(self, row: ExportedRow) -> Connection:
+        """Return the connection of a row as the file has it: with the current name of its topic."""
+        connection = replace(row.connection, topic=row.topic)
+        return connection.of_robot(row.node) if self._several_robots else connection
 
     def _add(self, row: ExportedRow, run: int) -> int:
-        connection = _connection(row)
+        connection = self._connection(row)
         if connection.number < 0:
-            shared = (0, row.topic, row.md5sum, row.conn)  # 0 is not the id of any writer
+            # 0 is not the id of any writer.
+            shared = (0, row.topic, row.md5sum, row.conn, self._robot(row))
             if shared not in self._numbers:
                 self._numbers[shared] = self._next(connection)
             return self._numbers[shared]
@@ -270,9 +297,3 @@ class ConnectionNumbers:
             number = self._writer.connection(connection)
         self._free = max(self._free, number + 1)
         return number
-
-
-def _connection(row: ExportedRow) -> Connection:
-    """Return the connection of a row, with the current name of its topic."""
-    connection = row.connection
-    return connection if connection.topic == row.topic else replace(connection, topic=row.topic)

@@ -7,18 +7,20 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, field
 from itertools import chain, islice
-from typing import Iterable
+from typing import Iterable, Sequence
 
-from cassandra_ros.bag.exporter import ConnectionNumbers, ExportReport
+from cassandra_ros.arguments import check_topics, spellings
+from cassandra_ros.bag.exporter import ConnectionNumbers, ExportReport, robots_of
 from cassandra_ros.bag.file_formats import make_file
 from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.bag.publish_times import PublishTimeFinder
 from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.fleet.fleet_answer import FleetAnswer, Missing
+from cassandra_ros.fleet.fleet_reads import whose_of
 from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.messages.stamps import Time
-from cassandra_ros.topics.catalog import Conditions
+from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import EventRule
 from cassandra_ros.topics.run_finder import RunName
 
@@ -65,6 +67,7 @@ def export_fleet(
     """
     if os.path.exists(path) and not force:
         raise BagError(f"{os.fspath(path)} exists; choose another name, or replace it with --force")
+    topics = check_topics(topics)
     rows = fleet.readMessages(
         topics, start, end, nodeID=nodeID, received=True, where=where, run=run, event=event
     )
@@ -76,7 +79,8 @@ def export_fleet(
             f"{'; missing: ' + ', '.join(rows.missing) if rows.partial else ''}"
         )
     with make_file(path, compression) as writer:
-        numbers, keeps = ConnectionNumbers(writer), writer.keeps_publish_times
+        numbers = ConnectionNumbers(writer, _has_several_robots(rows.answer, topics, nodeID, run))
+        keeps = writer.keeps_publish_times
         sent = _PublishTimes(rows.answer, keeps)
         last = first[0]
         for row in chain(first, rows):
@@ -94,6 +98,20 @@ def export_fleet(
             report.events = sum(map(writer.add_event, events))
             report.missing = {**events.missing, **rows.missing}
     return report
+
+
+def _has_several_robots(
+    answer: FleetAnswer, topics: Sequence[str] | None, node: str | None, run: RunName
+) -> bool:
+    """Return whether the stores may have messages of several robots in a selection."""
+    whose = whose_of(answer, node, run)
+    names = None if topics is None else {name for topic in topics for name in spellings(topic)}
+
+    def robots(catalog: Catalog) -> set[str]:
+        tables = [t for t in catalog.tables(None) if names is None or t.metadata.topic in names]
+        return robots_of(catalog, tables, whose)
+
+    return len(set().union(*answer.each(answer.catalogs, robots).values())) > 1
 
 
 class _PublishTimes:

@@ -10,7 +10,7 @@ import threading
 from collections import deque
 from dataclasses import dataclass, field, replace
 from types import TracebackType
-from typing import AbstractSet, Iterable, Iterator, Mapping
+from typing import AbstractSet, Iterable, Iterator, Mapping, Sequence
 
 from cassandra_ros.arguments import check_new_node, check_new_topic
 from cassandra_ros.bag import identity
@@ -55,6 +55,7 @@ from cassandra_ros.topics.message_writer import (
     usable_definition,
 )
 from cassandra_ros.topics.removal import delete_time_range
+from cassandra_ros.topics.run_finder import describe_runs
 from cassandra_ros.topics.stored_totals import holds_any
 
 AHEAD_BYTES = 8 * 1024 * 1024
@@ -164,6 +165,9 @@ class ImportReport:
     nodeID: str
     topics: dict[str, ImportedTopic] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """Facts about the run in words: that its content was stored before, under which name, or for
+    another robot, and which other runs have its name."""
     lost: dict[str, int] = field(default_factory=dict)
     """Number of messages that cannot be stored, by topic. A warning gives the reason."""
     events: int = 0
@@ -194,6 +198,11 @@ def import_bag(
     an import that is repeated, or was interrupted and is started again, writes the same rows. If a
     topic was converted to packed or removed after an earlier import, the rows of that import are
     deleted before the messages are stored again.
+
+    A run is known by its content and robot; its name is a label. A copy of the bag under another
+    name is the same run, which keeps its name; its source becomes the copy. The same bag for
+    another robot is another run. Different bags of one name are two runs of one name. The notes of
+    the report say which of this is so.
 
     For an MCAP publish_time and sequence of each message are stored, too, and its events, which
     become events of nodeID and of this run; an export into an MCAP writes them back. Memory does
@@ -239,9 +248,11 @@ def import_bag(
         _tell_damage(report)
         numbers = _refuse_names(reader, numbers, report)
         _tell_left_out(reader, topics, report)
+        _tell_robots(reader, numbers, report)
         run = _run(reader, nodeID, writer_id, format, content)
         if earlier is not None:
-            run = replace(run, stored=earlier.stored, lost=earlier.lost)
+            run = replace(run, name=earlier.name, stored=earlier.stored, lost=earlier.lost)
+        report.notes += _notes(reader.path, keyspace.registry.runs(), run, earlier, content)
         formats = _formats(keyspace, reader, numbers, run, is_repeated)
         node = check_new_node(nodeID)
         wanted = {
@@ -323,6 +334,31 @@ def _run(
     return Run(node, writer_id, "import", name, path, format or "", labels=labels)
 
 
+def _notes(
+    path: str, runs: Sequence[Run], run: Run, earlier: Run | None, content: BagContent
+) -> list[str]:
+    """Say in words what the runs of a keyspace have to do with an import."""
+    notes: list[str] = []
+    robot = f" of robot {run.node}" if run.node else ""
+    if earlier is not None:
+        text = f"{path} has the content of run {run.name} ({run.writer}){robot}"
+        if run.name != os.path.basename(path):
+            text += ", which keeps its name"
+        notes.append(f"{text}: each message is stored once")
+    others = [other for other in runs if other.writer != run.writer]
+    notes += [
+        f"the same messages are also stored as run {other.writer} of "
+        f"{f'robot {other.node}' if other.node else 'no robot'}, so each is there once for each "
+        f"robot; 'cassandra_bag delete --run {other.writer}' deletes those"
+        for other in others
+        if content.is_of(other)
+    ]
+    namesakes = [run, *(other for other in others if other.name == run.name)]
+    if len(namesakes) > 1:
+        notes.append(f"{describe_runs(namesakes)}; --run {run.writer} means this one alone")
+    return notes
+
+
 def _tell_damage(report: ImportReport) -> None:
     if report.salvaged.why:
         report.warnings.append(report.salvaged.told(report.path))
@@ -363,11 +399,27 @@ def _tell_left_out(reader: MessageFile, topics: Iterable[str] | None, report: Im
         _log.warning("%s", report.warnings[-1])
 
 
+def _tell_robots(reader: MessageFile, numbers: AbstractSet[int], report: ImportReport) -> None:
+    """Report that messages of several robots, which an export named, become those of one."""
+    robots = {reader.connections[number].robot for number in numbers} - {None}
+    if len(robots) > 1:
+        names = ", ".join(
+            sorted(robot or "one without name" for robot in robots if robot is not None)
+        )
+        whose = f"robot {report.nodeID!r}" if report.nodeID else "one robot without name"
+        report.warnings.append(
+            f"{reader.path} was exported of several robots ({names}); all of its messages are "
+            f"stored as those of {whose}: 'cassandra_bag copy' keeps robots, runs and events"
+        )
+        _log.warning("%s", report.warnings[-1])
+
+
 def _writer_id(keyspace: Keyspace, node: str, content: BagContent) -> tuple[int, Run | None]:
     """Return the writer id of this bag's import, and the run of an earlier import of this bag.
 
-    A run is noted before its first row is written, and forgotten after its last row was deleted:
-    the rows of a bag that was not imported before need not be looked for.
+    The robot counts, the name of the file does not. A run is noted before its first row is written,
+    and forgotten after its last row was deleted: the rows of a bag that was not imported before
+    need not be looked for.
     """
     runs = {run.writer: run for run in keyspace.registry.runs() if run.node == node}
     known = next(filter(content.is_of, runs.values()), None)

@@ -231,7 +231,17 @@ def open_store(
         except BaseException:
             ros_cas.close()
             raise
+        _tell_namesakes(ros_cas, options)
     return ros_cas
+
+
+def _tell_namesakes(ros_cas: RosCassandra, options: argparse.Namespace) -> None:
+    """Say on stderr that the name of a run that an option gives means several runs."""
+    run = getattr(options, "run", None)
+    if isinstance(run, str):
+        several = ros_cas.catalog.keyspace.runs.describe_several(run)
+        if several:
+            _print_error(f"{several}; the number means one of them")
 
 
 def foreign_keyspace(ros_cas: RosCassandra, before: str = "") -> str:
@@ -417,8 +427,8 @@ def add_origin_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--run",
         metavar="NAME",
-        help="only messages of the recordings or imports with this name or writer id "
-        "(default: all)",
+        help="only messages of the recordings or imports with this name or writer id, or of the "
+        "import of this file (default: all)",
     )
 
 

@@ -56,5 +56,5 @@ def open_target(options: argparse.Namespace, make: bool) -> RosCassandra:
     place = {"host": host, "port": port, "keyspace": keyspace}
     login = {"cqlshrc": options.to_cqlshrc, "credentials": options.to_credentials}
     # What is written must be acknowledged by a quorum, however the source is read.
-    words = {**vars(options), **place, **login, "consistency": DEFAULT_CONSISTENCY}
+    words = {**vars(options), **place, **login, "consistency": DEFAULT_CONSISTENCY, "run": None}
     return open_store(argparse.Namespace(**words), make=make)

@@ -44,6 +44,7 @@ from cassandra_ros.topics.query_result import Condition, Cursor, QueryResult, Ro
 from cassandra_ros.topics.removal import delete_rows
 from cassandra_ros.topics.row_finder import seconds_meant
 from cassandra_ros.topics.run_finder import RunName
+from cassandra_ros.topics.unknown_names import warn_of_unknown_names
 
 
 class Statements:
@@ -169,6 +170,7 @@ class Statements:
         if named or not bounds.whole:
             return delete_rows(self._keyspace, condition.rows(topic, read))
         if bounds.empty or not topic.tables:
+            warn_of_unknown_names(statement.condition, topic.tables, bounds.read)
             return 0
         low, high = map(Stamp.from_ns, bounds.read.time_range)
         whose = bounds.read.whose

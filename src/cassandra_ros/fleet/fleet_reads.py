@@ -34,8 +34,16 @@ _log = logging.getLogger(__name__)
 
 
 def whose_of(answer: FleetAnswer, node: str | None, run: RunName) -> Whose:
-    """Return the robot, and the writers that a run has in any store; raises RunNotFound."""
+    """Return the robot, and the writers that a run has in any store; raises RunNotFound.
+
+    A robot that no store has is told by a warning.
+    """
     nodes = check_nodes(node)
+    if node is not None:
+        robot = node
+        reasons = answer.each(answer.catalogs, lambda c: c.keyspace.runs.unknown_robot(robot))
+        if reasons and all(reasons.values()):
+            _log.warning("no store of the fleet has the robot: %s", "; ".join(reasons.values()))
     return Whose(nodes, None if run is None else writers_of(answer, run))
 
 

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Iterator, Mapping
 
@@ -17,6 +17,9 @@ _DEFINITION = b"message_definition"
 LATCHED_FROM = "latched_from"
 """Name of a header field that only bags have. It marks the connection of a message that was latched
 before the first message of the bag, and holds the receive time of that message, ns since 1970."""
+ROBOT = "cassandra_ros.node"
+"""Name of a header field that only exported files of several robots have: the robot (nodeID) whose
+messages came over the connection."""
 
 
 def _text_field(name: str) -> cached_property[str]:
@@ -70,7 +73,23 @@ class Connection:
         """
         if self.from_before:
             return self
-        field = f"{LATCHED_FROM}={received_ns}".encode("ascii")
+        return self._with_field(LATCHED_FROM, str(received_ns))
+
+    def of_robot(self, node: str) -> Connection:
+        """Return the connection with the field ROBOT, as a file of several robots has it."""
+        return replace(self._with_field(ROBOT, node), number=self.number)
+
+    @property
+    def robot(self) -> str | None:
+        """Robot in the field ROBOT, '' = one without name; None = there is no such field."""
+        try:
+            name = self.fields.get(ROBOT)
+        except CorruptMessage:
+            return None  # of_robot writes only well-formed headers
+        return None if name is None else _text(name)
+
+    def _with_field(self, name: str, value: str) -> Connection:
+        field = _bytes(name) + b"=" + _bytes(value)
         return Connection(self.topic, self.header + _LENGTH.pack(len(field)) + field)
 
 

@@ -33,6 +33,7 @@ from cassandra_ros.places.pose_samples import NO_FRAME, Samples
 from cassandra_ros.places.pose_topic import PoseTopic, tells_poses, tells_robot
 from cassandra_ros.places.poses import Poses, PoseSource
 from cassandra_ros.places.stored_topics import StoredTopics
+from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import Writers
 
 BASES = ("base_link", "base_footprint", "base", "base_stabilized", "body", "chassis")
@@ -312,6 +313,9 @@ class RobotFinder:
         for topic, frames in self._told.items():
             text += f"; {topic} tells poses in {', '.join(sorted(set(frames)))}"
             example = next(iter(sorted(set(frames) - {_NO_FRAME_NAME})), example)
+        names = all_frames.union(*self._told.values()) - {_NO_FRAME_NAME}
+        for name in sorted({self._frame, self._robot} - names - {""}):
+            text += nearest(name, sorted(names))
         return f"{text}: name another frame, as NEAR(x, y, radius, '{example}')"
 
 

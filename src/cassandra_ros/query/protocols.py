@@ -22,6 +22,12 @@ class Runs(Protocol):
     def called(self, text: str) -> frozenset[int]:
         """Return the writer ids of the runs with this value of RUN."""
 
+    def unknown(self, text: str) -> str:
+        """Say that no run has this value of RUN, with similar ones; '' = one has it."""
+
+    def unknown_robot(self, node: str) -> str:
+        """Say that no message is of a robot, with similar names; '' = one is."""
+
 
 class Disk(NamedTuple):
     """A disk on the ground, and the robot whose position is compared with it."""
@@ -99,6 +105,9 @@ class Events(Protocol):
 
     def called(self, name: str, like: bool, read: Read) -> Iterator[NamedTime]:
         """Yield the events that ``times`` uses, by their places; its arguments."""
+
+    def unknown(self, name: str, like: bool) -> str:
+        """Say that no event has a name, or one like it, with similar names; '' = one has."""
 
     def times(self, name: str, like: bool, read: Read, others: Sequence[Events] = ()) -> Stays:
         """Return when robots had events of a name.

@@ -26,6 +26,14 @@ class _NoRuns:
         """Return the writer ids of the runs with a name: an empty set."""
         return frozenset()
 
+    def unknown(self, text: str) -> str:
+        """Return '': the names of later runs are not known."""
+        return ""
+
+    def unknown_robot(self, node: str) -> str:
+        """Return '': later robots are not known."""
+        return ""
+
 
 class _NoPlaces:
     """A source of places that refuses: places of robots are known for stored messages only."""
@@ -44,6 +52,10 @@ class _NoEvents:
     """A source of events that refuses, as that of places does."""
 
     def called(self, name: str, like: bool, read: Read) -> Iterator[NamedTime]:
+        """Raise InvalidOption."""
+        raise self._refused()
+
+    def unknown(self, name: str, like: bool) -> str:
         """Raise InvalidOption."""
         raise self._refused()
 

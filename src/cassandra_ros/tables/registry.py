@@ -297,6 +297,19 @@ class Registry:
         if losses:
             self.forget_losses(topic)
 
+    def rename_counts(self, topic: str, new_name: str) -> None:
+        """Move a topic's numbers of messages to its new name, in the runs that have ended.
+
+        A run that goes on writes its numbers, under the names of its topics, when it ends.
+        """
+        for run in self.runs():
+            counts = [
+                {new_name if name == topic else name: n for name, n in numbers.items()}
+                for numbers in (run.stored, run.lost)
+            ]
+            if run.ended is not None and counts != [run.stored, run.lost]:
+                self.put_run(replace(run, stored=counts[0], lost=counts[1]))
+
     def put_context(self, writer: int, node: str, context: RunContext) -> None:
         """Write parameters and node graph of a run.
 

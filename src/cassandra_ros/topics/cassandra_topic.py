@@ -278,7 +278,9 @@ class CassandraTopic:
         return Finder(self._keyspace, self.name, key_format, tables, whose, passing)
 
     def _whose(self, nodeID: str | None, run: RunName) -> Whose:
-        return Whose(check_nodes(nodeID), self._keyspace.runs.writers(run))
+        nodes, runs = check_nodes(nodeID), self._keyspace.runs
+        runs.check_robot(nodeID)
+        return Whose(nodes, runs.writers(run))
 
     def versions(
         self, name: str, *, nodeID: str | None = None, reverse: bool = False, run: RunName = None

@@ -237,6 +237,7 @@ class Catalog:
         else:
             check(self.keyspace.schema.tables(fresh=True))
         self.keyspace.registry.rename_losses(name, new_name)
+        self.keyspace.registry.rename_counts(name, new_name)
         self.adder.close()
         with self._mutex:
             if self._pending.pop(name, None) is not None and wish is not None:
@@ -322,9 +323,14 @@ class Catalog:
         return Reads(whole, self.keyspace.events.chosen(choice, whole).reads(whole))
 
     def whose(self, node: str | None, run: RunName) -> Whose:
-        """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName."""
+        """Check nodeID and run, and return their Whose; raises RunNotFound or InvalidName.
+
+        A robot without messages is told by a warning: it may be yet to begin.
+        """
         writers = None if run is None else self.keyspace.runs.writers(run)
-        return Whose(check_nodes(node), writers)
+        nodes = check_nodes(node)
+        self.keyspace.runs.check_robot(node)
+        return Whose(nodes, writers)
 
     def filters(
         self, where: Conditions, topics: Iterable[str] | None, whose: Whose = EVERYBODY

@@ -159,6 +159,11 @@ class Events:
         within = read.time_range
         return self.find(like=name, within=within) if like else self.find(name, within=within)
 
+    def unknown(self, name: str, like: bool) -> str:
+        """Say that no event has a name, or one like it, with similar names; '' = one has."""
+        events = self.find(like=name) if like else self.find(name)
+        return "" if next(events, None) is not None else self._absent(name)
+
     def times(
         self, name: str, like: bool, read: Read, others: Sequence[protocols.Events] = ()
     ) -> EventTimes:

@@ -44,7 +44,7 @@ class Keyspace:
         self.registry = Registry(self.side_tables)
         self.place_index = PlaceIndex(self.side_tables)
         self.connections = ConnectionCache(self.registry)
-        self.runs = Runs(name, self.registry, self._has_written)
+        self.runs = Runs(name, self.registry, self._has_written, self._all_nodes)
         self.events = Events(name, EventTable(self.side_tables), self.runs)
         self.tables = TopicTables(
             cassandra, self.schema, self.connections, self.runs, robots, self.events
@@ -53,9 +53,14 @@ class Keyspace:
         self.rows = FollowingReader(RowReader(cassandra, self.directory))
 
     def _has_written(self, writer: int) -> bool:
-        whose, every = Whose(None, frozenset([writer])), self.schema.tables(fresh=True)
-        tables = [self.tables.get(name, metadata) for name, metadata in every.items()]
-        return holds_any(self.directory, tables, whose)
+        return holds_any(self.directory, self._all_tables(), Whose(None, frozenset([writer])))
+
+    def _all_nodes(self) -> list[str]:
+        return self.nodes(self._all_tables())
+
+    def _all_tables(self) -> list[TopicTable]:
+        every = self.schema.tables(fresh=True)
+        return [self.tables.get(name, metadata) for name, metadata in every.items()]
 
     def forget_table(self, table: str) -> None:
         """Delete what directory, registry and index of places say of a table that is not read."""

@@ -29,6 +29,7 @@ from cassandra_ros.query.source import RowT_co, Source
 from cassandra_ros.query.tree.parse import parse_condition
 from cassandra_ros.query.tree.syntax import Delete, Select
 from cassandra_ros.read import EVERYBODY, EVERYTHING, Read, Whose
+from cassandra_ros.topics.unknown_names import names_anything, warn_of_unknown_names
 
 _log = logging.getLogger(__name__)
 
@@ -111,7 +112,20 @@ class Condition:
         columns, chooser = projections.columns if bare else None, Pushdown(select.condition)
         read = replace(bounds.read, columns=columns, chooser=chooser)
         bounds = replace(bounds, read=read, spans=spans_of(select.condition))
-        return filter(projections.hit, rows_inside(source, bounds))
+        rows = filter(projections.hit, rows_inside(source, bounds))
+        return _telling(rows, select, tables, read) if names_anything(select.condition) else rows
+
+
+def _telling(
+    rows: Iterator[RowT_co], select: Select, tables: Sequence[Table], read: Read
+) -> Iterator[RowT_co]:
+    """Yield rows; if no row comes, warn of unknown names in the condition."""
+    empty = True
+    for row in rows:
+        empty = False
+        yield row
+    if empty and read.wanted != 0:
+        warn_of_unknown_names(select.condition, tables, read)
 
 
 class ResultPlace(NamedTuple):
@@ -214,6 +228,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         unnested = any(projection.unnested for projection in self._projections)
         self.direct = select.gathers or (bounds.whole and not unnested)
         self.read = 0
+        self._matched = False
+        """Whether a message satisfied the condition so far."""
         self.counted = bool(select.counts and bounds.whole and bounds.read.only is None)
         left = None if select.limit is None else max(0, select.limit - place.given)
         self._left = min((n for n in (left, limit) if n is not None), default=None)
@@ -226,6 +242,8 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         )
         self._bounds = self._spanned(replace(bounds, read=read))
         self._rows = self._gathered(place.given) if select.gathers else self._selected(place)
+        if after in (None, "") and self._left != 0 and names_anything(select.condition):
+            self._rows = self._telling(self._rows)
 
     def __iter__(self) -> Iterator[ResultRow]:
         return self._rows
@@ -266,6 +284,15 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
 
     def __exit__(self, *exc_info: object) -> None:
         self.close()
+
+    def _telling(self, rows: _Rows) -> _Rows:
+        """Yield rows; if no message satisfies the condition, warn of unknown names."""
+        for row in rows:
+            self._matched |= not self.select.gathers
+            yield row
+        if not self._matched:
+            condition, tables = self.select.condition, self._source.tables
+            warn_of_unknown_names(condition, tables, self._bounds.read)
 
     def _selected(self, place: ResultPlace) -> _Rows:
         given = place.given
@@ -345,10 +372,13 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         select, bounds, projections = self.select, self._bounds, self._projections
         if self.counted and not bounds.empty:
             count = self._source.count(bounds.read)
+            self._matched = count > 0
             return iter([(count,) * len(select.aggregates)])
         stored = self._read(bounds)
         rows = chain.from_iterable(projections.of(row.table).rows(row) for row in stored)
-        return make_groups(select, projections.names, rows, most)
+        first = list(islice(rows, 1))
+        self._matched = bool(first)
+        return make_groups(select, projections.names, chain(first, rows), most)
 
 
 def _warn_of_seconds(select: Select) -> None:

@@ -5,10 +5,12 @@
 from __future__ import annotations
 
 import difflib
+import logging
+import os
 import threading
 import time
 from datetime import datetime
-from typing import Callable, FrozenSet, Sequence, Union
+from typing import Callable, Collection, FrozenSet, Iterable, Sequence, Union
 
 from cassandra_ros.arguments import check_run, spellings
 from cassandra_ros.errors import RunNotFound
@@ -17,8 +19,13 @@ from cassandra_ros.read import Read, Writers
 from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.registry import Loss, Registry, Run
 
+_log = logging.getLogger(__name__)
+
 RunName = Union[None, str, int, FrozenSet[int]]
-"""A run's name, its writer id as a number or text, or a set of writer ids; None = all runs."""
+"""A run's name, its writer id as a number or text, the path of the file from which it was imported,
+or a set of writer ids; None = all runs."""
+_MOST_NAMED = 3
+"""Maximum number of runs named in a text."""
 FRESH_SEC = 5.0
 """How long the cached name of a writer's run is used, s."""
 
@@ -30,20 +37,28 @@ class Runs:
         keyspace: Name of the keyspace.
         has_written: Returns whether messages of a writer id are stored; clients without a run have
             a writer id too.
+        robots: Returns the nodeIDs that have messages; clients without a run have one too.
     """
 
     def __init__(
-        self, keyspace: str, registry: Registry, has_written: Callable[[int], bool]
+        self,
+        keyspace: str,
+        registry: Registry,
+        has_written: Callable[[int], bool],
+        robots: Callable[[], Iterable[str]],
     ) -> None:
         self._name = keyspace
         self._registry = registry
         self._has_written = has_written
+        self._robots = robots
+        self._seen_robots: set[str] = set()
+        self._told_robots: set[str] = set()
         self._texts: dict[int, tuple[str, float]] = {}
         """Writer id → text of its run, and monotonic time until which it is valid, s."""
         self._mutex = threading.Lock()
 
     def find(self, run: str | int) -> list[Run]:
-        """Return the runs with a name, or with a writer id; the newest first.
+        """Return the runs with a name, a writer id, or an imported file; the newest first.
 
         Raises:
             RunNotFound: There is no such run; the text has similar names.
@@ -56,8 +71,20 @@ class Runs:
 
     def _known(self, run: RunName) -> list[Run]:
         every = sorted(self._registry.runs(), key=_began, reverse=True)
-        found = [each for each in every if each.name == run and run]
-        return found or [each for each in every if str(each.writer) == str(run)]
+        text = str(run)
+        for matches in (
+            [each for each in every if each.name == run and run],
+            [each for each in every if str(each.writer) == text],
+            [each for each in every if os.sep in text and each.source == _absolute(text)],
+        ):
+            if matches:
+                return matches
+        return []
+
+    def describe_several(self, run: str) -> str:
+        """Say which runs a name means; '' = not several."""
+        runs = self._known(run)
+        return describe_runs(runs) if len(runs) > 1 else ""
 
     def writers(self, run: RunName) -> Writers:
         """Return the writer ids of a run, or of all runs with its name; raises like find."""
@@ -79,6 +106,36 @@ class Runs:
         writer = _writer(text)
         return frozenset(writers if writer is None or writer in texts else writers | {writer})
 
+    def unknown(self, text: str) -> str:
+        """Say that no run has this value of RUN, with similar ones; '' = one has it."""
+        writers = self.called(text)
+        named = [run for run in self._registry.runs() if run.writer in writers]
+        if named or any(map(self._has_written, writers)):
+            return ""
+        return self._absent(text)
+
+    def unknown_robot(self, node: str) -> str:
+        """Say that no run and no message is of a robot, with similar names; '' = one is."""
+        if node in self._seen_robots:
+            return ""
+        names = {run.node for run in self._registry.runs()}
+        if node not in names:
+            names.update(self._robots())
+        self._seen_robots |= names
+        if node in names or not names:
+            return ""
+        where = f"no message in keyspace {self._name} is of robot {node!r:.80}"
+        return f"{where}; {_similar(node, names - {''}, 'robots')}"
+
+    def check_robot(self, node: str | None) -> None:
+        """Warn of a robot that has no messages, once; None = all robots."""
+        if node is None or node in self._told_robots:
+            return
+        reason = self.unknown_robot(node)
+        if reason:
+            self._told_robots.add(node)
+            _log.warning("%s", reason)
+
     def text(self, writer: int) -> str:
         """Return the name of a writer's run; its id if it has no run or the run has no name."""
         with self._mutex:
@@ -97,11 +154,14 @@ class Runs:
         return found
 
     def _absent(self, run: RunName) -> str:
-        runs = self._registry.runs()
-        names = sorted({each.name or str(each.writer) for each in runs})
-        near = difflib.get_close_matches(str(run), names, n=3, cutoff=0.5)
-        hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(runs)} runs"
-        return f"there is no run {run!r:.80} in keyspace {self._name}; {hint}"
+        text, runs = str(run), self._registry.runs()
+        where = f"there is no run {run!r:.80} in keyspace {self._name}"
+        for other in runs:
+            names = (other.name, str(other.writer), os.path.basename(other.source))
+            if os.path.basename(text) in names and text:
+                return f"{where}; did you mean {other.name or other.writer}, run {other.writer}?"
+        known = {other.name or str(other.writer) for other in runs}
+        return f"{where}; {_similar(text, known, 'runs')}"
 
     def nodes(self, writers: frozenset[int]) -> frozenset[str] | None:
         """Return the nodeIDs of the runs of some writers; None if a writer has no run."""
@@ -131,6 +191,34 @@ class Runs:
             if whose.nodes is None or loss.node in whose.nodes
             if whose.writers is None or loss.writer in whose.writers
         ]
+
+
+def describe_runs(runs: Sequence[Run]) -> str:
+    """Tell apart, in words, runs that have the name of the first."""
+    descriptions = [
+        f"{run.writer}{f' of robot {run.node}' if run.node else ''}"
+        + (f" (from {run.source})" if run.source else "")
+        for run in runs[:_MOST_NAMED]
+    ]
+    if len(runs) > _MOST_NAMED:
+        descriptions.append(f"{len(runs) - _MOST_NAMED} more, see 'cassandra_bag runs'")
+    return f"{len(runs)} runs are called {runs[0].name}: {', '.join(descriptions)}"
+
+
+def _similar(name: str, known: Collection[str], what: str) -> str:
+    """Return a hint with the known names that are similar, or that there are few, or how many."""
+    lowered = {other.lower(): other for other in sorted(known)}
+    near = difflib.get_close_matches(name.lower(), lowered, n=_MOST_NAMED, cutoff=0.5)
+    if near:
+        return f"did you mean {', '.join(lowered[other] for other in near)}?"
+    if 0 < len(known) <= _MOST_NAMED:
+        return f"it holds the {what} {', '.join(sorted(known))}"
+    return f"it holds {len(known)} {what}"
+
+
+def _absolute(path: str) -> str:
+    """Return the path of a file as it is stored with its run."""
+    return os.path.abspath(path) if "\0" not in path else path
 
 
 def _began(run: Run) -> datetime:

@@ -21,6 +21,12 @@ If there are several FILEs, those that cannot be read are skipped. A table at th
 state of each: stored, salvaged (every message of the damaged file is stored), incomplete, failed,
 or not tried (after the store failed). The exit status is 0 if all are stored or salvaged.
 
+A run is known by its content and its robot; its name, which is that of the file, is a label. A copy
+of a file under another name is stored once, and its run keeps its name. The same file with another
+--node-id is stored once for each robot. Two files with one name are two runs of one name: --run
+with the number that 'runs' lists, or with the path of the file, means one of them. The output says
+which of these cases came about.
+
 An import that ended at damage is continued with --salvage: the messages before the damage, and of
 all chunks after it, are one run. A salvaged bag counts as another bag than the complete one: to
 import that later, delete the salvaged run first.
@@ -245,6 +251,8 @@ def _print_report(report: ImportReport, keyspace: str, seconds: float) -> None:
         f"{keyspace} ({seconds:.1f} s)"
         + (f", with {counted(report.events, 'event')}" if report.events else "")
     )
+    for note in report.notes:
+        print(f"  {shown(note, None)}")
 
 
 def _print_outcomes(outcomes: list[_Outcome], options: argparse.Namespace) -> None:
@@ -282,6 +290,7 @@ def _answer(outcome: _Outcome) -> dict[str, object]:
             lost=report.lost,
             lost_bytes=report.salvaged.lost_bytes,
             warnings=report.warnings,
+            notes=report.notes,
         )
     return {**answer, "error": outcome.error or None}
 

@@ -196,8 +196,8 @@ def _find(options: argparse.Namespace) -> _Description:
             eras = list(map(timeline.picture, views))
         told = (options.yaml or options.json) and options.key in (None, "topics")
         samples = _samples(ros_cas.catalog, infos, options.run) if told else []
-    if options.run:
-        runs = [run for run in runs if options.run in (run.name, str(run.writer))]
+    if whose.writers is not None:
+        runs = [run for run in runs if run.writer in whose.writers]
     place = f"{','.join(hosts)}:{port}"
     return _Description(place, options.keyspace, infos, losses, runs, activity, eras, samples)
 

@@ -5,7 +5,9 @@
 Topic, time, type, md5sum, bytes, connection header and order are compared, as rosbag reads them. If
 the store holds an import of this bag, only the messages of that import are compared, so other bags
 and recordings of the same topics do not matter. Otherwise all stored messages of the bag's topics
-are compared.
+are compared, under the names that the topics have now. A file that was exported of several robots
+names the robot of each message, so they are told apart; of other files the messages of all robots
+are compared together, and a line says so.
 
 With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
 a recording of a bag that was played: its times and connections differ from the bag. --start and
@@ -185,6 +187,12 @@ def _print_left_out(report: VerifyReport) -> None:
     if report.left_out:
         what = f"{counted(report.left_out, 'message')} that the export took from before its window"
         print(f"not compared: {what}, as latched")
+    if report.mixed_robots:
+        robots = ", ".join(shown(robot) or "no name" for robot in report.mixed_robots)
+        print(
+            f"not compared: which message is of which robot ({robots}), for the file does not "
+            "tell it; --node-id compares those of one"
+        )
     for kind, count in report.extras.items():
         print(f"not stored: {kind} of the file, {count}; the store holds messages only")
 

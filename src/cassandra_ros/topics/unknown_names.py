@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Says why a condition finds nothing: it names a robot, a run or an event that is not stored."""
+
+from __future__ import annotations
+
+import logging
+from typing import Iterator, Sequence, TypeVar
+from weakref import WeakSet
+
+from cassandra_ros.keys import MAX_NS
+from cassandra_ros.query.plan.bounds import disk_of
+from cassandra_ros.query.protocols import Stays, Table
+from cassandra_ros.query.tree.syntax import (
+    TIMED,
+    Compare,
+    Expression,
+    InEvent,
+    Leaf,
+    Literal,
+    Near,
+    NodeOperand,
+    OneOf,
+    RunOperand,
+    given,
+    leaves,
+)
+from cassandra_ros.read import Read
+
+_log = logging.getLogger(__name__)
+_T = TypeVar("_T")
+_told: WeakSet[Stays] = WeakSet()
+"""Lookups of places that were told. Those of several topics may share one."""
+
+
+def names_anything(condition: Expression | None) -> bool:
+    """Return whether a condition names a robot, a run, an event or a place."""
+    return any(isinstance(leaf, TIMED) or _names(leaf) for leaf in leaves(condition))
+
+
+def warn_of_unknown_names(
+    condition: Expression | None, tables: Sequence[Table], read: Read
+) -> None:
+    """Log a warning for each name in a condition that is not stored, with similar names.
+
+    Args:
+        condition: The condition, after with_stays. It has found no message.
+        tables: Tables of the topic, which may be in several keyspaces.
+        read: Time range of the messages that were asked for.
+    """
+    for reason in _unknown_names(condition, tables, read):
+        _log.warning("no message is found: %s", reason)
+
+
+def _unknown_names(
+    condition: Expression | None, tables: Sequence[Table], read: Read
+) -> Iterator[str]:
+    runs = _distinct([table.runs for table in tables])
+    events = _distinct([table.events for table in tables])
+    for leaf in leaves(condition) if tables else ():
+        if isinstance(leaf, Near):
+            yield from filter(None, [_nobody_near(leaf, read)])
+        elif isinstance(leaf, InEvent):
+            name = str(leaf.name.value)
+            yield from _of_all([source.unknown(name, leaf.like) for source in events])
+        for is_robot, literal in _names(leaf):
+            name = str(literal.value)
+            yield from _of_all(
+                [
+                    source.unknown_robot(name) if is_robot else source.unknown(name)
+                    for source in runs
+                ]
+            )
+
+
+def _names(leaf: Leaf) -> Sequence[tuple[bool, Literal]]:
+    """Return the names with which a comparison looks for equal ones; True = of robots, not runs."""
+    if not isinstance(leaf, (Compare, OneOf)) or getattr(leaf, "operator", "=") != "=":
+        return ()
+    if not isinstance(leaf.operand, (NodeOperand, RunOperand)):
+        return ()
+    is_robot = isinstance(leaf.operand, NodeOperand)
+    return [(is_robot, literal) for literal in given(leaf)]
+
+
+def _of_all(reasons: Sequence[str]) -> Sequence[str]:
+    """Return the first reason if each keyspace gives one."""
+    return reasons[:1] if all(reasons) else ()
+
+
+def _nobody_near(near: Near, read: Read) -> str:
+    """Say that no robot was on the disk of NEAR in the time of a read; '' = one was."""
+    low, high = read.time_range
+    if near.stays is None or near.stays in _told:
+        return ""
+    if next(near.stays.spans(low, min(high, MAX_NS)), None) is not None:
+        return ""
+    _told.add(near.stays)
+    disk = disk_of(near)
+    return (
+        f"no robot was within {disk.radius:g} m of ({disk.x:g}, {disk.y:g}) in frame "
+        f"{disk.frame} at that time; x and y are metres in this frame, no latitude and longitude"
+    )
+
+
+def _distinct(sources: Sequence[_T]) -> list[_T]:
+    return list({id(source): source for source in sources}.values())
