@@ -46,6 +46,21 @@ def _shown(value: Any) -> str:
         return f"of type {type(value).__name__}"
 
 
+def plain_value(value: Any) -> Any:
+    """Return scalars of numpy as Python's own values, also those in lists and dicts.
+
+    Times and lengths of numpy stay, because Python's have no nanoseconds.
+    """
+    if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
+        return type(value)(map(plain_value, value))
+    if type(value) is dict:
+        return {name: plain_value(inner) for name, inner in value.items()}
+    # By their names: importing numpy would slow down every program.
+    if type(value).__module__ != "numpy" or getattr(value, "shape", None) != ():
+        return value
+    return value.item() if value.dtype.kind in "biufSU" else value
+
+
 def check_text(
     name: str,
     value: Any,
@@ -98,8 +113,9 @@ def check_integer(
 
 def check_seconds(name: str, value: Any) -> float:
     """Return a number of seconds, at least 0, or raise InvalidOption."""
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0:
-        return float(value)
+    number = plain_value(value)
+    if isinstance(number, (int, float)) and not isinstance(number, bool) and number >= 0:
+        return float(number)
     raise InvalidOption(f"{name}={_shown(value)} is no number of seconds: give 0.0 or more")
 
 
@@ -302,7 +318,8 @@ def _json_keys(what: str, keys: Any, taken: Container[str]) -> dict[str, Any]:
     if not isinstance(keys, Mapping):
         raise InvalidName(f"{what}={_shown(keys)} is no mapping: give one like {{'site': 'lab'}}")
     checked: dict[str, Any] = {}
-    for name, value in keys.items():
+    for name, given in keys.items():
+        value = plain_value(given)
         if not isinstance(name, str) or not name or name in taken:
             others = f", or one of {', '.join(FACTS)}" if taken else " of one letter or more"
             raise InvalidName(f"{name!r:.80} cannot be set as {what}: it is no text{others}")

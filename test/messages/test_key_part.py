@@ -52,6 +52,14 @@ def test_what_is_asked_for_is_what_the_message_has(field_type, value, wire):
     assert part.encode(value) == part.value(wire)
 
 
+def test_the_text_of_a_time_keeps_its_nanoseconds():
+    for field_type in ("time", "duration"):
+        part = part_of(field_type)
+        wire = struct.pack("<II", 1368021980, 238582676)
+        for text in ("1368021980.238582676", "1368021980238582676"):
+            assert part.encode(part.from_text(text)) == part.value(wire), text
+
+
 @pytest.mark.parametrize(
     ("field_type", "value"),
     [

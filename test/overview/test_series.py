@@ -221,6 +221,18 @@ def test_what_was_read_of_closed_buckets_is_kept(stored, monkeypatch):
     assert len(pieces) > 5
 
 
+def test_a_plot_whose_time_range_moves_with_now_becomes_complete(stored):
+    for fmt in ("packed", "ros"):
+        window, cache = Window(time_of(0), time_of(COUNT - 1), 50, 0.0), EnvelopeCache()
+        for moved in range(200):
+            where = f"where f > -1e300 and (i > 3 or i < 9) and KEY > {T0 + moved}"
+            series = read(stored, fmt, ["f", "i"], where, window=window, cache=cache)
+            if series.complete:
+                break
+        assert series.complete
+        assert shown(series) == shown(read(stored, fmt, ["f", "i"], where, window=window))
+
+
 def test_what_is_written_meanwhile_is_seen(rosCas):
     cache = EnvelopeCache()
     topic = rosCas.addTopic("/live")

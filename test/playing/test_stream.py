@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from bag.truth import string_connection, string_wire
 from playing.robots import SEC, T0, Robot, played, texts
-from std_msgs.msg import Int64, String
+from std_msgs.msg import Header, Int64, String
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.errors import (
@@ -249,7 +249,6 @@ def test_a_run_that_only_goes_on_after_the_range_gives_nothing(rosCas):
 
 @pytest.mark.parametrize("key_format", ["manual", "hash", "msg_part"])
 def test_latched_topics_with_keys_of_their_own(rosCas, key_format):
-    from std_msgs.msg import Header
 
     kind = "std_msgs/Header" if key_format == "msg_part" else "std_msgs/String"
     part = "stamp" if key_format == "msg_part" else ""
@@ -301,3 +300,20 @@ def test_the_type_that_is_played_is_that_of_the_time_that_is_played(rosCas):
     for options, kind in (({"end": 1}, String), ({"start": 86_399}, Int64)):
         stream = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection(**options))
         assert [channel.type for channel in stream.channels()] == [kind._type]
+
+
+def test_the_first_type_of_a_topic_is_that_of_its_first_message(rosCas):
+    for number, (kind, times) in enumerate(((String, (2, 9)), (Int64, (0, 3, 4)), (Header, (1,)))):
+        with rosCas.messageWriter(writer_id=number + 1) as writer:
+            handle = writer.connect(api_connection("/status", definition_of(kind), "/x"))
+            for t in times:
+                writer.write(handle, T0 + t * SEC, t, serialize(kind()))
+    for options, kinds in (
+        ({}, (Int64, Header, String)),
+        ({"start": 0.5}, (Header, String, Int64)),
+        ({"start": 2.5}, (Int64, String)),
+        ({"start": 5}, (String,)),
+    ):
+        stream = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection(**options))
+        channels = [channel.type for channel in stream.channels()]
+        assert channels == [kind._type for kind in kinds], options

@@ -589,3 +589,42 @@ def test_an_old_python_is_named(robot, monkeypatch):
     monkeypatch.setattr(duck_database, "_OLDEST", (9, 9))
     with pytest.raises(MissingDependency, match="DuckDB 2"):
         robot.sql("SELECT 1")
+
+
+def test_times_are_exact_to_the_nanosecond_or_refused(rosCas):
+    ns = 1368021980238582676
+    topic = rosCas.addTopic("/n", msg_type="std_msgs/UInt64")
+    for n in range(3):
+        topic.addData(UInt64(n), key=Stamp.from_ns(ns + n - 1))
+    utc = "2013-05-08 14:06:20.238582676"
+    there = "2013-05-08T16:06:20.238582676+02:00"
+
+    def rows(condition, *params):
+        return list(rosCas.sql(f"SELECT data FROM n WHERE {condition}", params))
+
+    for time in (Stamp.from_ns(ns), np.datetime64(ns, "ns"), utc, utc.replace(" ", "T") + "Z"):
+        assert rows("KEY = ?", time) == rows(f"KEY = TIMESTAMP_NS '{utc}'") == [(1,)]
+    for condition, params, reason in (
+        (f"KEY >= TIMESTAMP '{utc}'", (), "write TIMESTAMP_NS"),
+        (f"KEY >= '{utc}'::TIMESTAMP", (), "write TIMESTAMP_NS"),
+        (f"KEY >= TIMESTAMPTZ '{utc}Z'", (), "write TIMESTAMP_NS"),
+        ("KEY >= CAST(? AS TIMESTAMP)", (utc,), "write TIMESTAMP_NS"),
+        (f"KEY >= '{there}'", (), "write it in UTC"),
+        (f"'{there}' <= KEY", (), "write it in UTC"),
+        (f"KEY BETWEEN '2013-05-08' AND '{there}'", (), "write it in UTC"),
+        (f"KEY IN ('{there}')", (), "write it in UTC"),
+        (f"KEY = TIMESTAMP_NS '{there}'", (), "write it in UTC"),
+        ("KEY = ?", (there,), "write it in UTC"),
+        ("KEY > 1600000000500", (), "make_timestamp_ns"),
+        ("KEY > ?", (ns,), "make_timestamp_ns"),
+        ("KEY > ?", (1368021980.25,), "make_timestamp_ns"),
+        ("KEY - ? > TIMESTAMP_NS '2013-01-01'", (genpy.Duration(0, 1),), "microseconds"),
+        ("KEY - ? > TIMESTAMP_NS '2013-01-01'", (np.timedelta64(1, "ns"),), "microseconds"),
+    ):
+        with pytest.raises(InvalidQuery, match=reason):
+            rows(condition, *params)
+    zoned = f"TIMESTAMPTZ '{there.replace('582676', '582000')}'::TIMESTAMP"
+    assert rows(f"KEY >= {zoned}") == [(0,), (1,), (2,)]
+    second = f"KEY - ? = TIMESTAMP_NS '{utc.replace('20.', '19.')}'"
+    for length in (genpy.Duration(1), np.timedelta64(1, "s"), timedelta(seconds=1)):
+        assert rows(second, length) == [(1,)]

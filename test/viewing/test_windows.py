@@ -156,6 +156,23 @@ def test_a_condition_with_or_does_not_let_other_robots_in(viewer, tmp_path):
         assert count(condition, "turtle,third") == sum(of_each)
 
 
+def test_a_window_of_several_robots_has_their_events(store, viewer, tmp_path):
+    key, nodes = next(store.getTopic("/tf_static").rows()).key, ("husky", "turtle", "third", "")
+    added = [store.addEvent(f"of {node}", key, key + 1, nodeID=node) for node in nodes]
+    for asked, names in (
+        ("turtle,third", {"of turtle", "of third", "of "}),
+        ("turtle", {"of turtle", "of "}),
+        ("husky,turtle,third", {"of husky", "of turtle", "of third", "of "}),
+    ):
+        reply = viewer.ask("/window.mcap", {"topics": "/tf_static", "nodes": asked})
+        (tmp_path / "w.mcap").write_bytes(reply.data)
+        with open(tmp_path / "w.mcap", "rb") as stream:
+            records = [record.metadata for record in make_reader(stream).iter_metadata()]
+        assert {record["name"] for record in records if "name" in record} == names, records
+    for event in added:
+        store.removeEvent(event)
+
+
 def test_what_is_stored_since_makes_another_file(store, viewer, tmp_path):
     topic = store.addTopic("/notes", msg_type="std_msgs/String")
     topic.addData(String("one"), key=10**18)

@@ -21,7 +21,7 @@ from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time
 from cassandra_ros.overview.latched_messages import LatchedFinder, LatchedRecord, tests_of
-from cassandra_ros.read import LAST_NS, TimeRange, Whose
+from cassandra_ros.read import LAST_NS, Nodes, TimeRange, Whose
 from cassandra_ros.tables.event_table import Event
 from cassandra_ros.topics.catalog import Catalog, Conditions
 from cassandra_ros.topics.event_finder import EventRule
@@ -73,6 +73,7 @@ def export_bag(
     run: RunName = None,
     latched: bool = True,
     event: EventRule = None,
+    event_nodes: Nodes = None,
 ) -> ExportReport:
     """Write stored messages into a bag of format 2.0, or into an MCAP.
 
@@ -105,6 +106,8 @@ def export_bag(
             whose header the field ``latched_from`` is the time at which it was received, ns. With
             ``event`` each of its time ranges begins so, as far as they have changed since.
         event: Only messages of a robot during its events, as in readMessages.
+        event_nodes: Robots whose events are written, where ``where`` selects several; None = those
+            of nodeID. Events of no robot are written, too.
 
     Raises:
         MessageNotFound: There are no messages to export. No file is created or replaced.
@@ -140,7 +143,8 @@ def export_bag(
             if progress is not None:
                 progress(1, len(wire))
             times = TimeRange(min(times.low, t_ns), max(times.high, t_ns))
-        for exported in _events(catalog, reads, times):
+        whose = reads.whole.whose.both(Whose(event_nodes))
+        for exported in _events(catalog, reads, times, whose):
             report.events += writer.add_event(exported)
     return report
 
@@ -179,12 +183,12 @@ def _rows_of_parts(
             yield row.received, row
 
 
-def _events(catalog: Catalog, reads: Reads, times: TimeRange) -> Iterator[Event]:
-    """Yield the events that meet the time range of the messages, and one of the parts."""
+def _events(catalog: Catalog, reads: Reads, times: TimeRange, whose: Whose) -> Iterator[Event]:
+    """Yield the events of robots that meet the time range of the messages, and one of the parts."""
     if times.low > times.high:
         return
     starts = [part.time_range.low for part in reads.parts]
-    for event in catalog.keyspace.events.find(within=times, whose=reads.whole.whose):
+    for event in catalog.keyspace.events.find(within=times, whose=whose):
         n = bisect_right(starts, event.time_range.high) - 1
         if n >= 0 and reads.parts[n].time_range.high >= event.start_ns:
             yield event

@@ -8,6 +8,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING, Mapping
 
+from cassandra_ros.cli.far_times import check_times
 from cassandra_ros.cli.options import hurry_on_interrupt, read_seconds
 from cassandra_ros.cli.parsers import error_line
 from cassandra_ros.cli.target_options import PLACE
@@ -68,6 +69,7 @@ def open_fleet(options: argparse.Namespace) -> Fleet:
         InvalidOption: A store is given twice or is no place, or the file is not valid.
     """
     from cassandra_ros.fleet.fleet import Fleet
+    from cassandra_ros.fleet.fleet_answer import FleetAnswer
 
     fleet = Fleet(
         options.stores,
@@ -79,6 +81,8 @@ def open_fleet(options: argparse.Namespace) -> Fleet:
         consistency=options.consistency,
     )
     hurry_on_interrupt(fleet)
+    if any(getattr(options, name) for name in getattr(options, "time_options", ())):
+        check_times(options, FleetAnswer(fleet.stores).catalogs.values())
     return fleet
 
 

@@ -30,6 +30,7 @@ from typing import (
 )
 
 from cassandra_ros.arguments import check_pairs
+from cassandra_ros.cli.far_times import check_times, read_time
 from cassandra_ros.cli.readers import seconds
 from cassandra_ros.connection.address import (
     DEFAULT_HOST,
@@ -39,7 +40,7 @@ from cassandra_ros.connection.address import (
     port_number,
 )
 from cassandra_ros.connection.login import CQLSHRC, CREDENTIALS, read_login
-from cassandra_ros.errors import ConnectionFailed, InvalidKey, InvalidOption, TlsMismatch
+from cassandra_ros.errors import ConnectionFailed, InvalidOption, TlsMismatch
 from cassandra_ros.formats.table import DEFAULT_FORMAT, FORMATS
 from cassandra_ros.printable import shown, shown_lines
 
@@ -213,6 +214,8 @@ def open_store(
 ) -> RosCassandra:
     """Connect to the store that the options name. The caller closes it (a context manager).
 
+    Times of options that lie far outside of what is stored are told, see ``check_times``.
+
     Args:
         make: The keyspace may be missing; the first write creates it.
         wait: What to do during --wait; default: to tell it on stderr.
@@ -225,13 +228,14 @@ def open_store(
     ros_cas.cassandra.outage.tell_reason(partial(_trouble, directories))
     ros_cas.cassandra.expect_nodes(max(map(local_nodes, directories), default=0))
     hurry_on_interrupt(ros_cas.cassandra.outage)
-    if not make:
-        try:
+    try:
+        if not make:
             ros_cas.catalog.keyspace.side_tables.require_keyspace()
-        except BaseException:
-            ros_cas.close()
-            raise
-        _tell_namesakes(ros_cas, options)
+            _tell_namesakes(ros_cas, options)
+        check_times(options, [ros_cas.catalog])
+    except BaseException:
+        ros_cas.close()
+        raise
     return ros_cas
 
 
@@ -377,6 +381,7 @@ def add_time_options(parser: argparse.ArgumentParser, what: str = "") -> None:
     """Add --start and --end, with ``what`` before their help texts; read_times reads them."""
     parser.add_argument("--start", metavar="T", help=f"{what}first time (default: no limit)")
     parser.add_argument("--end", metavar="T", help=f"{what}last time, included (default: no limit)")
+    parser.set_defaults(time_options=("start", "end"))
 
 
 def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]:
@@ -385,19 +390,6 @@ def read_times(options: argparse.Namespace) -> tuple[Stamp | None, Stamp | None]
     if start is not None and end is not None and start > end:
         raise InvalidOption(f"--start {options.start} is after --end {options.end}")
     return start, end
-
-
-def read_time(option: str, text: str | None) -> Stamp | None:
-    """Return the time in the text of an option; None = the option is missing."""
-    from cassandra_ros.messages.stamps import Stamp, written_time_ns
-
-    if text is None:
-        return None
-    try:
-        # A Stamp: as a key, an integer of nanoseconds that looks like seconds is refused.
-        return Stamp.from_ns(written_time_ns(text))
-    except InvalidKey as exc:
-        raise InvalidOption(f"--{option} {exc}") from exc
 
 
 def add_event_options(parser: argparse._ActionsContainer, what: str = "") -> None:

@@ -20,7 +20,7 @@ from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.overview.envelopes import EnvelopeCache
 from cassandra_ros.overview.plot_series import WHOLE, Series, SeriesRequest, Window, read_series
-from cassandra_ros.query.plan.bounds import meant_as_seconds
+from cassandra_ros.query.plan.bounds import in_another_unit
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.query.tree.parse import parse_select, parse_statement
@@ -42,7 +42,7 @@ from cassandra_ros.topics.indexes import check_indexable
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.query_result import Condition, Cursor, QueryResult, Rows
 from cassandra_ros.topics.removal import delete_rows
-from cassandra_ros.topics.row_finder import seconds_meant
+from cassandra_ros.topics.row_finder import unit_meant
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.unknown_names import warn_of_unknown_names
 
@@ -166,7 +166,7 @@ class Statements:
         condition, read = Condition(statement), Read(whose=self._catalog.whose(node, run))
         bounds = condition.bounds(topic.tables, read)
         if not named:
-            _refuse_seconds(self._keyspace, topic, statement)
+            _refuse_units(self._keyspace, topic, statement)
         if named or not bounds.whole:
             return delete_rows(self._keyspace, condition.rows(topic, read))
         if bounds.empty or not topic.tables:
@@ -250,10 +250,10 @@ def _at(text: str, position: int) -> Iterator[None]:
         raise InvalidQuery(text, position, str(exc)) from exc
 
 
-def _refuse_seconds(keyspace: Keyspace, topic: CassandraTopic, statement: Delete) -> None:
-    """Refuse integers that were meant as seconds: a minimum in 1970 deletes every message."""
-    for literal in meant_as_seconds(statement.condition):
-        reason = seconds_meant(keyspace, topic.tables, literal.value)
+def _refuse_units(keyspace: Keyspace, topic: CassandraTopic, statement: Delete) -> None:
+    """Refuse integers meant in another unit than ns: a minimum in 1970 deletes every message."""
+    for literal in in_another_unit(statement.condition):
+        reason = unit_meant(keyspace, topic.tables, literal.value)
         if reason:
             raise InvalidQuery(statement.text, literal.position, reason)
 

@@ -10,11 +10,12 @@ import struct
 from decimal import Decimal
 from typing import Any, Iterator
 
+from cassandra_ros.arguments import plain_value
 from cassandra_ros.errors import InvalidKey
-from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.definition import Definition
 from cassandra_ros.messages.index_field import MAX_TEXT_BYTES, nearest_fields, normal_float
 from cassandra_ros.messages.spec import CODES, PRIMITIVE_SIZES
+from cassandra_ros.messages.stamps import seconds_to_ns
 from cassandra_ros.messages.wire.cql_values import Primitive, encode_value, pack_list
 from cassandra_ros.messages.wire.wire_plan import wire_plan
 
@@ -76,7 +77,7 @@ class KeyPart:
             InvalidKey: The value is of another type than the field.
         """
         try:
-            raw = self._encode(value)
+            raw = self._encode(plain_value(value))
         except (TypeError, ValueError, ArithmeticError, struct.error) as exc:
             what = (
                 f"field {self.field}, a {self._column.field_type}; {value!r:.80} is no such value"
@@ -90,7 +91,9 @@ class KeyPart:
         try:
             if kind == "bool":
                 return {"true": True, "false": False}[text.strip().lower()]
-            return text if kind == "text" else json.loads(text)
+            # A float would round the nanoseconds of a time.
+            exact = Decimal if kind in ("time", "duration") else None
+            return text if kind == "text" else json.loads(text, parse_float=exact)
         except (KeyError, ValueError, RecursionError) as exc:
             what = f"no value of the key field {self.field}, a {self._column.field_type}"
             raise InvalidKey(f"{text!r:.80} is {what}") from exc
@@ -129,8 +132,8 @@ def _plain(kind: str, value: Any) -> Primitive:
             raise ValueError(value)
         return int(value)
     ns = value.to_nsec() if hasattr(value, "to_nsec") else value
-    if isinstance(ns, float):
-        ns = round(Decimal(repr(ns)) * SECOND_NS)
+    if isinstance(ns, (float, Decimal)):
+        ns = seconds_to_ns(ns)
     if isinstance(ns, bool) or not isinstance(ns, int):
         raise TypeError(value)
     return ns

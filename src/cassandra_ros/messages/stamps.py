@@ -20,6 +20,9 @@ from cassandra_ros.keys import MAX_NS, SECOND_NS
 SECONDS_BELOW = 10**12
 """Limit below which an integer time was probably meant as seconds: as ns it would be less than
 17 minutes after 1970."""
+_MOST_UNITS = 10**16
+"""Limit below which an integer can be meant as seconds, milliseconds or microseconds since 1970; as
+ns it is before May 1970."""
 LENGTHS_BELOW = 10**9
 """Limit below which a number is a length in seconds, where a time or a length may be given. It is
 31 years; as a time it would be before 2001."""
@@ -356,6 +359,31 @@ def written_time_ns(text: str) -> int:
             "1368021980.25), ISO 8601 (2013-05-08T14:06:20Z, no zone means UTC), or nanoseconds, "
             "which are taken for such from 13 digits on"
         ) from exc
+
+
+def other_unit(value: object, first_ns: int) -> str:
+    """Return how an integer of ns is written if it was meant in another unit; '' = it was not.
+
+    Args:
+        value: The time as it was given: an int, or its text.
+        first_ns: Time of the first stored message, ns. In a simulation it is small, and so are the
+            times that are meant in ns.
+
+    Returns:
+        The unit and the time in seconds, as 'seconds are written 1368021980.0'.
+    """
+    if isinstance(value, str):
+        text = value.strip()
+        value = int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None
+    if not isinstance(value, Integral) or not 0 < int(value) < _MOST_UNITS:
+        return ""
+    number = int(value)
+    if first_ns < max(SECONDS_BELOW, 100 * number):
+        return ""
+    if number < SECONDS_BELOW:
+        return f"seconds are written {number}.0"
+    name, size = ("milliseconds", 3) if number < 10**14 else ("microseconds", 6)
+    return f"{name} are written in seconds, {Decimal(number).scaleb(-size):f}"
 
 
 def is_iso_text(text: str) -> bool:

@@ -78,7 +78,8 @@ class _Listed(NamedTuple):
     rows: float
     """Approximate number of messages in the piece."""
     state: tuple[object, ...] | None
-    """Counts of its writers in the directory; None while a robot writes, or after a deletion."""
+    """Counts of its writers in the directory; None while a robot writes, after a deletion, or where
+    the condition takes only a part of the piece."""
 
 
 class Envelopes(NamedTuple):
@@ -182,9 +183,11 @@ class EnvelopeReader:
             cuts = [min(max(begin, n * tile), end + 1) for n in range(first, last + 1)]
         for low, high in zip(cuts, cuts[1:]):
             share = rows * (high - low) / length
-            low, high = max(low, first_ns), min(high - 1, last_ns)
-            if low <= high and any(_reaches(row, low, high) for row in writers):
-                yield _Listed(EnvelopePart(table, node, bucket, low, high), share, state)
+            begins, ends = max(low, first_ns), min(high - 1, last_ns)
+            if begins <= ends and any(_reaches(row, begins, ends) for row in writers):
+                # One that is cut by the condition is not kept: the cut may move with now().
+                kept = state if (begins, ends) == (low, high - 1) else None
+                yield _Listed(EnvelopePart(table, node, bucket, begins, ends), share, kept)
 
     def _key(self, listed: _Listed, grid: Grid) -> object:
         piece = listed.piece

@@ -27,13 +27,13 @@ from cassandra_ros.overview.plot_columns import (
     as_float,
     drawn_columns,
 )
-from cassandra_ros.query.plan.bounds import Bounds, bounds_of, spans_of, with_stays
+from cassandra_ros.query.plan.bounds import Bounds, bounds_of, bounds_time, spans_of, with_stays
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
 from cassandra_ros.query.protocols import Row
 from cassandra_ros.query.rows.projection import ResultRow
 from cassandra_ros.query.rows.result_groups import analyse_select
 from cassandra_ros.query.source import Source
-from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected
+from cassandra_ros.query.tree.syntax import KeyOperand, Select, Selected, conjuncts
 from cassandra_ros.read import ALWAYS, EVERYBODY, Read, Whose
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.keyspace import Keyspace
@@ -158,9 +158,11 @@ def _key(select: Select, bounds: Bounds, drawn: PlotColumns, near: bool) -> str:
     """Return a text that identifies a request among all requests for the same messages."""
     # The trees, because the values of bound parameters are not in the text.
     condition: object = select.condition
-    if bounds.whole and not near:
+    if not near:
         # The parts that are read know their times: a range that moves with now() shares them.
-        condition, bounds = None, replace(bounds, read=replace(bounds.read, time_range=ALWAYS))
+        parts = () if bounds.whole else conjuncts(select.condition)
+        condition = [part for part in parts if not bounds_time(part)]
+        bounds = replace(bounds, read=replace(bounds.read, time_range=ALWAYS))
     key = repr(([column.what for column in drawn.columns], condition, bounds))
     # Poses may be stored later than the messages recorded there.
     return f"{key} {time.time() // NEAR_KEPT_SEC}" if near else key

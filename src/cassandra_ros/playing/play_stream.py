@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import heapq
 from bisect import bisect_left
+from collections import Counter
 from dataclasses import replace
-from itertools import accumulate
+from itertools import accumulate, islice
 from typing import Iterator, Mapping, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.arguments import spellings
@@ -249,31 +250,41 @@ class Stream:
 
     def _plays(self, source: PlaySource, stored_range: StoredRange) -> bool:
         """Return whether a run has a selected message of a table in a window."""
-        topic = stored_range.table.metadata.topic
-        where = {n: text for n, text in (source.where or {}).items() if topic in spellings(n)}
+        alone = _alone(source, stored_range)
         first, last = stored_range.first + source.shift, stored_range.last + source.shift
         met = [window for window in self.windows if first <= window.high and last >= window.low]
-        if not where and source.times is None:
+        if not alone.where and source.times is None:
             # It has a message at each of its ends.
             if any(w.low <= first or last <= w.high for w in met):
                 return True
-        whose = Whose((stored_range.node,), frozenset({stored_range.writer}))
-        alone = replace(source, topics=[topic], whose=whose, where=where or None)
         if len(met) > _MOST_WINDOWS:
             return True
         return any(next(alone.rows(window), None) is not None for window in met)
 
+    def _first_time(self, source: PlaySource, stored_range: StoredRange) -> int:
+        """Return the time of the first message of a run and table that is played, ns."""
+        first, alone = stored_range.first + source.shift, _alone(source, stored_range)
+        met = (window for window in self.windows if first <= window.high)
+        for low, high in islice(met, _MOST_WINDOWS):
+            for t, row in alone.rows(TimeRange(max(low, first), high)):
+                if row.table.name == stored_range.table.name:
+                    return t
+        return MAX_NS
+
     def channels(self) -> list[Channel]:
         """Return the topics to be advertised, by the stored connections.
 
-        They have messages in the windows, or latched ones before them.
+        They have messages in the windows, or latched ones before them. If a topic has several
+        types, they come in the order of their first messages in the windows; ROS takes the first.
         """
         playing: list[StoredRange] = []
         earlier: list[StoredRange] = []
+        sources: dict[StoredRange, PlaySource] = {}
         for source in self._play_sources:
             for each in source.stored_ranges:
                 if self._plays(source, each):
                     playing.append(each)
+                    sources[each] = source
                 elif each.first + source.shift <= self.end_ns:
                     earlier.append(each)
         runs = {(each.node, each.writer) for each in playing}
@@ -283,6 +294,7 @@ class Stream:
             for each in ranges:
                 by_table.setdefault(each.table.name, []).append((each, plays))
         channels: dict[tuple[str, str, str], Channel] = {}
+        played: dict[tuple[str, str, str], set[StoredRange]] = {}
         for name, _, connection in self._store.connections(by_table):
             metadata, latched = by_table[name][0][0].table.metadata, is_latched(connection)
             kind = connection.type or metadata.msg_type
@@ -294,7 +306,15 @@ class Stream:
                 key = (topic, kind, metadata.md5sum)
                 known = channels.get(key, Channel(*key, text, latched))
                 channels[key] = known._replace(latched=known.latched or latched)
-        return sorted(channels.values())
+                if plays:
+                    played.setdefault(key, set()).add(each)
+        types = Counter(channel.topic for channel in channels.values())
+
+        def first_ns(channel: Channel) -> int:
+            ranges = played.get(channel[:3], set()) if types[channel.topic] > 1 else set()
+            return min((self._first_time(sources[each], each) for each in ranges), default=MAX_NS)
+
+        return sorted(channels.values(), key=lambda each: (each.topic, first_ns(each), each))
 
     @property
     def missing(self) -> Mapping[str, str]:
@@ -364,6 +384,14 @@ class Stream:
     def _played(self, t: int, row: PlayedRow, window: TimeRange) -> PlayedMessage:
         name = self._name_of(row.topic, row.node, split_seq(row.seq)[0])
         return PlayedMessage(t, row, name, window)
+
+
+def _alone(source: PlaySource, stored_range: StoredRange) -> PlaySource:
+    """Return the messages of a source that are of the topic, robot and run of a stored range."""
+    topic = stored_range.table.metadata.topic
+    where = {n: text for n, text in (source.where or {}).items() if topic in spellings(n)}
+    whose = Whose((stored_range.node,), frozenset({stored_range.writer}))
+    return replace(source, topics=[topic], whose=whose, where=where or None)
 
 
 def _known(sources: Sequence[PlaySource]) -> TimeRange:

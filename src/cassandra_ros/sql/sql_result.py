@@ -344,6 +344,11 @@ class _Run:
                     statement.position_of(name),
                     f"there is no column {name}{nearest(name, known)}",
                 )
+        if "TIMESTAMP_NS" in reason and "cast" in reason:
+            reason += (
+                "; a time is a text in UTC, '2013-05-08 14:06:20.238582676', or of a number "
+                "make_timestamp_ns(NANOSECONDS)"
+            )
         return InvalidQuery(statement.text, _caret(statement.text, text), reason)
 
     def _known_columns(self) -> list[str]:

@@ -7,11 +7,13 @@ from __future__ import annotations
 import logging
 import re
 from dataclasses import dataclass
+from datetime import timedelta
 from typing import Any, Iterator, Mapping, Sequence, Union
 
+from cassandra_ros.arguments import plain_value
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.installation import optional_module
-from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
+from cassandra_ros.messages.stamps import is_time, iso_time, length_object_ns, to_ns
 from cassandra_ros.sql.pushed_conditions import UNSURE
 
 Params = Union[Sequence[Any], Mapping[str, Any]]
@@ -23,6 +25,10 @@ TABLE_FUNCTIONS = {"range", "generate_series", "unnest", "tf"}
 """Functions that may stand in FROM. All others could read files."""
 _ONE_UNIT = re.compile(r"\s*-?\d+\s*[A-Za-z]*\s*")
 """Texts of intervals that sqlglot reads as DuckDB does; of others it drops the time of day."""
+_ZONED_TIME = re.compile(
+    r"\d{4}-\d{2}-\d{2}[Tt ]\d{2}:\d{2}(?::\d{2}(?:\.(?P<fraction>\d+))?)?"
+    r"\s*(?P<zone>[Zz]|[+-]\d{2}(?::?\d{2})?)?"
+)
 _READ_ONLY = (
     "sql reads topics and changes nothing: it takes a SELECT. To delete messages or to make an "
     "index, use CQL (executeCQL, cassandra_bag query)"
@@ -67,7 +73,7 @@ class SqlStatement:
             raise InvalidQuery(text[:200], 0, f"a statement has at most {MAX_TEXT} characters")
         self._glot = load_parser()
         self.text = self._numbered(text)
-        self.params = _params(params)
+        self.params = _params(text, params)
         self.tree: Any = self._parsed()
         self._check()
 
@@ -134,6 +140,7 @@ class SqlStatement:
             raise InvalidQuery(self.text, 0, _READ_ONLY)
         if self.tree.find(exp.DML, exp.DDL, exp.Command, exp.Into) not in (None, self.tree):
             raise InvalidQuery(self.text, 0, _READ_ONLY)
+        self._check_times()
         for table in self.tree.find_all(exp.Table, exp.Lateral):
             if isinstance(table.this, exp.Func):
                 self._check_function(table.this)
@@ -143,6 +150,39 @@ class SqlStatement:
                 spot = _start(table.parts[0])
                 reason = "tables have no schema; a topic is named whole, in quotes if needed"
                 raise InvalidQuery(self.text, spot, reason)
+
+    def _check_times(self) -> None:
+        """Refuse texts of times whose nanoseconds or zone DuckDB drops without a word."""
+        exp, kinds = self._glot.exp, self._glot.exp.DataType.Type
+        micro = {kinds.TIMESTAMP, kinds.TIMESTAMPNTZ, kinds.TIMESTAMPTZ, kinds.TIMESTAMPLTZ}
+        zoned = {kinds.TIMESTAMPTZ, kinds.TIMESTAMPLTZ}
+        for node in self.tree.find_all(exp.Literal, exp.Placeholder, exp.Parameter):
+            text, within = self._text(node), node.parent
+            time = _ZONED_TIME.fullmatch(text.strip())
+            if time is None:
+                continue
+            # sqlglot reads TIMESTAMPTZ '…'::TIMESTAMP from the right, DuckDB from the left.
+            casts = {c.to.this for c in (within, within.parent) if isinstance(c, exp.Cast)}
+            cast = within.to.this if isinstance(within, exp.Cast) else None
+            if cast is not None and cast in micro and (time["fraction"] or "")[6:].strip("0"):
+                reason = f"{cast.value} has microseconds, {text} more: write TIMESTAMP_NS '…'"
+                raise InvalidQuery(self.text, max(0, self.text.find(text)), reason)
+            compared = isinstance(within, (exp.Predicate, exp.Between, exp.In))
+            drops = bool(cast) and not casts & zoned
+            if (time["zone"] or "").strip("+-0:Zz") and (compared or drops):
+                reason = f"DuckDB ignores the zone of {text}: write it in UTC, as '…Z'"
+                raise InvalidQuery(self.text, max(0, self.text.find(text)), reason)
+
+    def _text(self, node: Any) -> str:
+        """Return the text of a literal or of a parameter; '' = it is none."""
+        if isinstance(node, self._glot.exp.Literal):
+            return str(node.this) if node.is_string else ""
+        name = node.name
+        try:
+            value = self.params[name if isinstance(self.params, dict) else int(name) - 1]
+        except (LookupError, ValueError):
+            return ""  # DuckDB says which parameter is missing
+        return value if isinstance(value, str) else ""
 
     def _check_function(self, function: Any) -> None:
         anonymous = isinstance(function, self._glot.exp.Anonymous)
@@ -195,16 +235,23 @@ def _start(identifier: Any) -> int:
     return int(identifier.meta.get("start", 0))
 
 
-def _params(params: Params) -> Any:
+def _params(text: str, params: Params) -> Any:
     if isinstance(params, Mapping):
-        return {str(name): _param(value) for name, value in params.items()}
-    return [_param(value) for value in params]
+        return {str(name): _param(text, value) for name, value in params.items()}
+    return [_param(text, value) for value in params]
 
 
-def _param(value: Any) -> Any:
+def _param(text: str, given: Any) -> Any:
+    value = plain_value(given)
     if is_time(value) and not isinstance(value, (int, float, str)):
         return optional_module("duckdb", "sql").Value(ns_text(to_ns(value)), "TIMESTAMP_NS")
-    return value
+    length = length_object_ns(value)
+    if length is None:
+        return value
+    if length % 1000:
+        reason = f"an interval of SQL has microseconds, the parameter {length} ns: round it"
+        raise InvalidQuery(text, 0, reason)
+    return timedelta(microseconds=length // 1000)
 
 
 def ns_text(ns: int) -> str:

@@ -34,7 +34,14 @@ from cassandra_ros.topics.indexes import Progress, create_index, has_index, remo
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_adder import MessageAdder
 from cassandra_ros.topics.new_tables import Wish
-from cassandra_ros.topics.row_finder import AnyKey, Filter, Finder, Where, range_between
+from cassandra_ros.topics.row_finder import (
+    AnyKey,
+    Filter,
+    Finder,
+    Where,
+    range_between,
+    refuse_units,
+)
 from cassandra_ros.topics.run_finder import RunName
 from cassandra_ros.topics.stored_row import Key, StoredRow, with_messages
 from cassandra_ros.topics.stored_totals import count_buckets, count_rows
@@ -113,9 +120,9 @@ class CassandraTopic:
         comment = keys.pop("comment", None)
         if comment is not None:
             check_text("comment", comment)
-        check_user_keys(keys)
+        checked = check_user_keys(keys)
         self._typed("; give metadata= to addTopic")
-        self._keyspace.schema.change_topic(self.name, lambda m: m.with_user(keys, comment))
+        self._keyspace.schema.change_topic(self.name, lambda m: m.with_user(checked, comment))
 
     @property
     def format(self) -> CassandraTopic_:
@@ -170,6 +177,7 @@ class CassandraTopic:
                 f"the key of a message of topic {self.name} comes from the message itself "
                 f"(key_format {kind}): leave key out"
             )
+        refuse_units(self._keyspace, self.tables, key)
         return self._adder.add(table, msg, key, node)
 
     def getData(

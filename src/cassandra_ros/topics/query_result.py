@@ -11,13 +11,13 @@ from typing import Callable, Generator, Iterable, Iterator, NamedTuple, Sequence
 
 from cassandra_ros.errors import InvalidKey
 from cassandra_ros.keys import Position, decode_cursor, encode_cursor, is_after
-from cassandra_ros.messages.stamps import is_time, iso_time, to_ns
+from cassandra_ros.messages.stamps import is_time, iso_time, other_unit, to_ns
 from cassandra_ros.printable import MOST_ROWS, html_table
 from cassandra_ros.query.plan.bounds import (
     Bounds,
     NsRange,
     bounds_of,
-    meant_as_seconds,
+    in_another_unit,
     spans_of,
     with_stays,
 )
@@ -215,7 +215,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         bounds = bounds_of(select, Read(whose=whose), tables)
         self.select = select = with_stays(select, tables, bounds.read)
         if not any(table.named for table in tables):
-            _warn_of_seconds(select)
+            _warn_of_units(select, source)
         self._place = place = read_place(after)
         self._given = self._skip = 0
         self._row: Row | None = None
@@ -381,13 +381,17 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         return make_groups(select, projections.names, chain(first, rows), most)
 
 
-def _warn_of_seconds(select: Select) -> None:
-    for found in meant_as_seconds(select.condition):
-        _log.warning(
-            "KEY is compared with %(ns)d, which means nanoseconds since 1970; did you mean "
-            "seconds, %(ns)d.0?",
-            {"ns": found.value},
-        )
+def _warn_of_units(select: Select, source: Source[Row]) -> None:
+    for literal in in_another_unit(select.condition):
+        first = next(iter(source.read(Read(wanted=1))), None)
+        meant = "" if first is None else other_unit(literal.value, first.t)
+        if meant:
+            _log.warning(
+                "KEY is compared with %s, which means nanoseconds since 1970, long before the "
+                "first message; %s",
+                literal.value,
+                meant,
+            )
 
 
 class Rows(list):  # type: ignore[type-arg]

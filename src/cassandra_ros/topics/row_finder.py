@@ -7,7 +7,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import islice
-from numbers import Integral
 from typing import Any, Callable, Iterator, Sequence, Tuple, Union
 
 from cassandra_ros.arguments import check_limit, check_message_name
@@ -22,6 +21,7 @@ from cassandra_ros.messages.stamps import (
     is_iso_text,
     is_time,
     iso_time,
+    other_unit,
     to_ns,
 )
 from cassandra_ros.query.source import Source
@@ -173,7 +173,7 @@ class Finder:
                 f"the keys of topic {self.topic} are {kind}, which have no order: none is "
                 "nearest; leave nearest out"
             )
-        refuse_seconds(self.keyspace, self.tables, key)
+        refuse_units(self.keyspace, self.tables, key)
         return self._nearest(read.time_range.low, nearest)
 
     def _nearest(self, t: int, nearest: str) -> StoredRow | None:
@@ -291,24 +291,25 @@ class Finder:
         raise problem or InvalidKey(f"{text!r:.80} is no key")
 
 
-def seconds_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:
-    """Return the reason why a key was meant in seconds; '' if it was not, or that is unknown."""
-    if not isinstance(key, Integral) or not 0 < int(key) < SECONDS_BELOW:
+def unit_meant(keyspace: Keyspace, tables: Sequence[TopicTable], key: object) -> str:
+    """Return why an integer of ns was meant in another unit; '' = not so, or not known."""
+    if not other_unit(key, LAST_NS):  # nothing has to be read
         return ""
     timed = [table for table in tables if not table.named]
     first = next(keyspace.rows.read(timed, Read(wanted=1)), None)
-    if first is None or first.t < SECONDS_BELOW:  # the times of a simulation are small
+    meant = "" if first is None else other_unit(key, first.t)
+    if first is None or not meant:
         return ""
     return (
         f"{key} means nanoseconds since 1970, long before the first message of topic "
-        f"{first.topic}; seconds are written {key}.0"
+        f"{first.topic}; {meant}"
     )
 
 
-def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
-    """Raise InvalidKey for ints that were meant as seconds: they match all messages, or none."""
+def refuse_units(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: object) -> None:
+    """Raise InvalidKey for integers meant in another unit: they match all messages, or none."""
     for key in keys:
-        reason = seconds_meant(keyspace, tables, key)
+        reason = unit_meant(keyspace, tables, key)
         if reason:
             raise InvalidKey(reason)
 
@@ -316,9 +317,9 @@ def refuse_seconds(keyspace: Keyspace, tables: Sequence[TopicTable], *keys: obje
 def time_range_between(
     keyspace: Keyspace, tables: Sequence[TopicTable], key: Time | None, to_key: Time | None
 ) -> TimeRange:
-    """Return the time range between two times, None = open; refuses keys meant as seconds."""
+    """Return the time range between two times, None = open; refuses keys in another unit."""
     time_range = range_between(key, to_key)
-    refuse_seconds(keyspace, tables, key, to_key)
+    refuse_units(keyspace, tables, key, to_key)
     return time_range
 
 

@@ -232,6 +232,7 @@ def _write(
             where=selection.where or None,
             run=selection.whose.writers,
             latched=latched,
+            event_nodes=selection.whose.nodes,
         )
     except MessageNotFound as exc:
         reason = why_empty(store.catalog, selection.topics, selection.node, selection.whose.writers)

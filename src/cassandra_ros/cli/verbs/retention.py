@@ -27,13 +27,13 @@ import argparse
 from typing import TYPE_CHECKING, Sequence
 
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
+from cassandra_ros.cli.far_times import read_time
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
     add_store_options,
     open_store,
     read_conditions,
     read_pair,
-    read_time,
 )
 from cassandra_ros.cli.readers import age, byte_size, factor, seconds
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_table
@@ -98,6 +98,7 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
     add("--after", metavar="SEC", type=seconds, default=30.0, help=text)
     text = "time from which ages are counted, as --start of other verbs (default: server's time)"
     add("--now", metavar="T", help=text)
+    group.set_defaults(time_options=("now",))
 
 
 def run(options: argparse.Namespace) -> int:

@@ -23,7 +23,7 @@ from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, Tuple, Ty
 from cassandra_ros.arguments import check_node
 from cassandra_ros.errors import InvalidName, InvalidOption, InvalidQuery
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.messages.stamps import SECONDS_BELOW
+from cassandra_ros.messages.stamps import other_unit
 from cassandra_ros.query.protocols import Disk, Runs, Stays, Table
 from cassandra_ros.query.tree.literals import fit_to_text, fit_to_time
 from cassandra_ros.query.tree.syntax import (
@@ -139,13 +139,22 @@ def bounds_of(select: Select, read: Read = EVERYTHING, tables: Sequence[Table] =
     return bounds
 
 
-def meant_as_seconds(condition: Expression | None) -> Iterator[Literal]:
-    """Yield the integers compared with KEY that look like seconds; integers mean ns."""
+def in_another_unit(condition: Expression | None) -> Iterator[Literal]:
+    """Yield the integers compared with KEY that look like s, ms or us; integers mean ns."""
     compared = (leaf for leaf in leaves(condition) if not isinstance(leaf, TIMED))
     keys = (leaf for leaf in compared if isinstance(leaf.operand, KeyOperand))
     for literal in chain.from_iterable(map(given, keys)):
-        if type(literal.value) is int and 0 < literal.value < SECONDS_BELOW:
+        if other_unit(literal.value, MAX_NS):
             yield literal
+
+
+def bounds_time(part: Expression) -> bool:
+    """Return whether a part of a condition only sets an end of the time range of a read."""
+    return (
+        isinstance(part, Compare)
+        and isinstance(part.operand, KeyOperand)
+        and part.operator in ("=", *_ORDERED)
+    )
 
 
 def _narrowed(bounds: Bounds, part: Expression, named: bool, runs: Sequence[Runs]) -> Bounds:

@@ -22,7 +22,7 @@ from typing import (
     cast,
 )
 
-from cassandra_ros.arguments import MAX_LIMIT
+from cassandra_ros.arguments import MAX_LIMIT, plain_value
 from cassandra_ros.errors import InvalidQuery
 from cassandra_ros.query.tree.expressions import fold
 from cassandra_ros.query.tree.field_names import nearest
@@ -268,7 +268,7 @@ class Binding:
             reason = f"the statement has {len(found)} parameters, {len(params)} were given"
             raise InvalidQuery(text, at, reason)
         self._text = text
-        self._values = dict(zip(found, params))
+        self._values = dict(zip(found, map(plain_value, params)))
         self._now = TimeNs(0 if self._fixed else time.time_ns())
 
     def select(self, select: Select) -> Select:
