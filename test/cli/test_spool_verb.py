@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 from nodes.raw_publisher import header_of, message
@@ -96,6 +97,38 @@ def test_export_and_drop(leave, spool, tmp_path):
     assert "--yes" in err
     assert spool("drop", "7", "--yes")[:2] == (0, "run run7 is deleted from the spool\n")
     assert spool("list")[1] == "the spool is empty\n"
+
+
+def test_a_run_whose_label_is_damaged_can_be_exported(leave, spool, tmp_path):
+    leave(7)
+    (path,) = (tmp_path / "spool" / "7").glob("*.mcap")
+    content = bytearray(path.read_bytes())
+    content[content.index(b'"run7"') + 1] ^= 1
+    path.write_bytes(content)
+    status, _, err = spool("drain")
+    assert status == 1
+    assert "cassandra_bag spool export 7 rest.mcap, and import it" in err
+    assert spool("export", "7", tmp_path / "rest.mcap")[0] == 0
+
+
+@pytest.mark.parametrize("how", ["missing", "cut"])
+def test_an_export_tells_what_is_missing(cassandra, keyspace, spool, tmp_path, how):
+    folder = SpoolFolder(tmp_path / "spool").begin(7)
+    label = SpoolLabel(7, 7, keyspace, f"{cassandra.host}:{cassandra.port}", T0)
+    connection = live_connection("/text", header_of(String))
+    totals = {}
+    paths = [folder.new_file() for _ in range(2)]
+    for number, path in enumerate(paths):
+        segment = SegmentWriter(path, label, totals)
+        numbers = range(number * 10, number * 10 + 10)
+        segment.append([(connection, T0 + n, n, text(n)) for n in numbers])
+        segment.close()
+    folder.release()
+    paths[0].unlink() if how == "missing" else os.truncate(paths[0], 100)
+    status, _, err = spool("export", "7", tmp_path / "rest.mcap")
+    assert status == 1
+    assert f"{paths[0]} is {how}" in err
+    assert "messages are missing, 10 of topic /text" in err
 
 
 def test_a_run_that_is_recorded_is_left_alone(leave, spool, tmp_path):

@@ -17,12 +17,13 @@ from upkeep.test_convert import fill, joint_state, seen
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.copying.replicator import Replicator
-from cassandra_ros.errors import InvalidOption, UnsupportedSchema
+from cassandra_ros.errors import InvalidOption, StoreUnavailable, UnsupportedSchema
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.tables.context_blob import NodeGraph, RunContext
+from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.registry import Loss, LossKind, Run
 from cassandra_ros.tables.side_tables import LATER_TABLES
 
@@ -548,3 +549,23 @@ def test_a_bag_that_is_imported_at_home_after_its_copy_is_there_once(
     every = [row.message().data for row in home.getTopic("/t").rows()]
     assert sorted(every) == [-2, -1, *range(5000)]
     assert home.getTopic("/t").countTopicData() == 5002
+
+
+def test_a_bucket_that_cannot_be_closed_in_time_does_not_end_the_copy(rosCas, home, monkeypatch):
+    """Its rows are there; the other topics are copied, and a reader counts it."""
+    fill(rosCas, "ros", 100, "/a")
+    fill(rosCas, "ros", 100, "/b")
+    put, late = Directory.put_recount, ["once"]
+
+    def too_late(self, *args):
+        if late:
+            raise StoreUnavailable(f"closing a bucket took too long {late.pop()}")
+        return put(self, *args)
+
+    monkeypatch.setattr(Directory, "put_recount", too_late)
+    report = Replicator(rosCas, home).copy()
+    assert not late
+    assert report.complete
+    for topic in ("/a", "/b"):
+        assert messages(home, topic) == messages(rosCas, topic)
+        assert home.getTopic(topic).countTopicData() == 200

@@ -9,12 +9,14 @@ import os
 import shutil
 import time
 from concurrent.futures import Future
+from functools import partial
 
 import pytest
 from cassandra import Unauthorized
 from nodes.children import await_true
 from nodes.raw_publisher import header_of, message
 from proxy import Proxy
+from rospy import Time
 from std_msgs.msg import String
 from suites import sparing
 
@@ -329,6 +331,178 @@ def test_a_damaged_file_costs_what_it_hits(proxy, store, rosCas, folder):
     assert folder.runs() == []
 
 
+JOURNAL_BYTES = 800_000
+"""Maximum size of a journal of which a file has an eighth, bytes."""
+STEPS = 40
+PAGE = 4096
+
+
+def record_numbers(store, spool):
+    """Record numbered messages of two topics with a journal, several files without a store."""
+    recorder = Recording(store, node="husky", spool=SpoolPlan(spool, journal=True))
+    headers = {topic: header_of(String) for topic in ("/a", "/b")}
+    ends = [1, *range(50, STEPS * 50 + 1, 50)]
+    # A chunk each, or more. The first is so small that the next one begins in the same page.
+    for first, end in zip([0, *ends], ends):
+        before = spool.nbytes()
+        for n in range(first, end):
+            recorder.received("/a", headers["/a"], message(String(f"{n:0200}")))
+            if n % 10 == 0:
+                recorder.received("/b", headers["/b"], message(String(f"{n:0200}")))
+        await_true(partial(has_grown, spool, before + (end - first) * 200))
+    return recorder
+
+
+def has_grown(spool, nbytes):
+    return spool.nbytes() > nbytes
+
+
+@pytest.fixture(scope="module")
+def waiting(tmp_path_factory):
+    """A journal that had no store, as a kill -9 leaves it."""
+    path = tmp_path_factory.mktemp("journal")
+    spool = SpoolFolder(path / "spool", JOURNAL_BYTES)
+    recorder = record_numbers(Future(), spool)
+    shutil.copytree(spool.path, path / "killed")
+    recorder.close()
+    return path / "killed"
+
+
+@pytest.fixture
+def journal(waiting, tmp_path):
+    return SpoolFolder(shutil.copytree(waiting, tmp_path / "journal"))
+
+
+def zeroed(path, at):
+    content = bytearray(path.read_bytes())
+    content[at : at + PAGE] = bytes(min(PAGE, len(content) - at))
+    path.write_bytes(content)
+
+
+def first_definition(path):
+    return path.read_bytes().index(b"std_msgs/String")
+
+
+def page_of_the_definitions(first, second, last):
+    zeroed(first, first_definition(first))
+
+
+def page_in_the_middle(first, second, last):
+    zeroed(second, second.stat().st_size // 2)
+
+
+def page_at_the_beginning(first, second, last):
+    zeroed(second, 0)
+
+
+def both_files_cut(first, second, last):
+    for path in (first, second):
+        os.truncate(path, path.stat().st_size // 2)
+
+
+def first_missing(first, second, last):
+    first.unlink()
+
+
+def second_missing(first, second, last):
+    second.unlink()
+
+
+def second_empty(first, second, last):
+    os.truncate(second, 0)
+
+
+def page_at_the_end_of_all(first, second, last):
+    zeroed(last, last.stat().st_size - PAGE)
+
+
+DAMAGES = {
+    page_of_the_definitions: 3,
+    page_in_the_middle: 2,
+    page_at_the_beginning: 2,
+    both_files_cut: STEPS,
+    first_missing: STEPS,
+    second_missing: STEPS,
+    second_empty: STEPS,
+}
+"""What damages a journal, and the largest number of steps whose messages it may hit."""
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_what_damage_costs_is_told_by_topic_at_its_place(rosCas, journal, damage):
+    (run_folder,) = journal.runs()
+    files = sorted(run_folder.glob("*.mcap"))
+    assert len(files) > 3
+    damage(files[0], files[1], files[-1])
+    (done,) = drain(rosCas, journal)
+    assert done.complete
+    (run,) = rosCas.runs()
+    missing = 0
+    for topic, step in (("/a", 1), ("/b", 10)):
+        rows = list(rosCas.getTopic(topic).rows())
+        stored = {int(row.wire[4:]): row.t for row in rows}
+        lost = set(range(0, STEPS * 50, step)).difference(stored)
+        missing += len(lost)
+        assert run.lost.get(topic, 0) == done.lost.get(topic, 0) == len(lost)
+        told = [e for e in rosCas.losses([topic]) if e.kind == LossKind.SPOOL_DAMAGED]
+        assert sum(each.count for each in told) == len(lost)
+        before = [t for n, t in stored.items() if lost and n < min(lost)]
+        after = [t for n, t in stored.items() if lost and n > max(lost)]
+        for each in told:
+            assert max(before, default=0) <= each.first_ns <= each.last_ns
+            assert each.last_ns <= min(after)
+    assert 0 < missing <= DAMAGES[damage] * 55
+    assert sum(done.lost.values()) == missing
+
+
+def test_damage_whose_messages_nothing_counts_is_told_without_a_number(rosCas, journal):
+    """At the end of the last file no totals follow."""
+    (run_folder,) = journal.runs()
+    page_at_the_end_of_all(None, None, max(run_folder.glob("*.mcap")))
+    (done,) = drain(rosCas, journal)
+    rows = {topic: len(rows_of(rosCas, topic)) for topic in ("/a", "/b")}
+    lost = STEPS * 55 - sum(rows.values())
+    assert lost > 0
+    assert any("lost" in line for line in lines_of(done))
+    told = [each for each in rosCas.losses() if each.kind == LossKind.SPOOL_DAMAGED]
+    assert {each.topic for each in told} == {"/a", "/b"}
+    assert sum(each.count for each in told) <= lost
+
+
+@pytest.mark.parametrize("damage", [page_of_the_definitions, page_in_the_middle])
+def test_damage_to_what_the_store_has_is_no_loss(rosCas, tmp_path, damage):
+    """A journal holds messages that were stored before the recorder was killed."""
+    folder, killed = SpoolFolder(tmp_path / "spool"), SpoolFolder(tmp_path / "killed")
+    recorder = record_numbers(rosCas.catalog, folder)
+    await_true(lambda: sum(each.stored for each in recorder.reports()) == STEPS * 55)
+    shutil.copytree(folder.path, killed.path)
+    recorder.close()
+    (run_folder,) = killed.runs()
+    last = max(run_folder.glob("*.mcap"))
+    damage(last, last, last)
+    (done,) = drain(rosCas, killed)
+    assert (done.complete, done.lost) == (True, {})
+    assert {each.kind for each in rosCas.losses()} == {LossKind.KILLED}
+    assert len(rows_of(rosCas, "/a")) == STEPS * 50
+
+
+def test_files_whose_messages_are_stored_are_not_missing(rosCas, journal):
+    """The recorder has deleted the first ones, and a drain that was interrupted others."""
+    (run_folder,) = journal.runs()
+    files = sorted(run_folder.glob("*.mcap"))
+    (left,) = journal.left()
+    drained = Drain(rosCas.catalog, read_left(left))
+    drained.run(lambda messages: files[1].exists() or drained.stop())
+    left.release()
+    assert not files[1].exists()
+    assert files[-1].exists()
+    for topic in ("/a", "/b"):  # retention has deleted what was stored
+        rosCas.getTopic(topic).removeData(Time(0), Time(2**32 - 1))
+    (done,) = drain(rosCas, journal)
+    assert (done.complete, done.lost) == (True, {})
+    assert {each.kind for each in rosCas.losses()} == {LossKind.KILLED}
+
+
 @pytest.mark.parametrize("newest", [False, pytest.param(True, marks=IN_EVERY_RUN)])
 def test_a_full_spool_tells_what_it_drops(proxy, store, rosCas, tmp_path, newest):
     folder = SpoolFolder(tmp_path / "spool", max_bytes=100_000)
@@ -403,6 +577,34 @@ def test_a_full_disk_is_told_and_memory_is_used(
     (report,) = recorder.close()
     assert (report.received, report.stored, report.lost) == (3000, 3000, 0)
     assert rows_of(rosCas) == [text(n) for n in range(3000)]
+
+
+def test_a_journal_that_fills_its_disk_goes_on_when_its_messages_are_stored(
+    rosCas, folder, monkeypatch, caplog
+):
+    append, disk_bytes = SegmentWriter.append, 100_000
+
+    def write(self, messages):
+        if folder.nbytes() > disk_bytes:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        append(self, messages)
+
+    monkeypatch.setattr(SegmentWriter, "append", write)
+    monkeypatch.setattr("cassandra_ros.recording.backlog.RETRY_SEC", 1.0)
+    recorder = Recording(rosCas.catalog, spool=SpoolPlan(folder, journal=True))
+    header, sent = header_of(String), 0
+
+    def is_told(line):
+        nonlocal sent
+        send(recorder, range(sent, sent + 100), header=header)
+        sent += 100
+        return line in caplog.text
+
+    await_true(partial(is_told, "without the journal until there is room"))
+    await_true(partial(is_told, "is written again"))
+    (report,) = recorder.close()
+    assert (report.stored, report.lost) == (sent, 0)
+    assert rows_of(rosCas) == [text(n) for n in range(sent)]
 
 
 @pytest.mark.parametrize("fails", [True, False])

@@ -10,6 +10,7 @@ from uuid import UUID
 
 from cassandra_ros.copying.bucket_copy import Selection
 from cassandra_ros.copying.named_copy import named_rows
+from cassandra_ros.copying.uncopied import uncopied
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.read import EVERYTHING
 from cassandra_ros.store.row_counts import settle
@@ -88,6 +89,10 @@ def _add(
             known_rows, copied = min(book.rows, row.rows), min(book.n, row.rows)
             nbytes = book.bytes
             t_max = max(t_max, book.t_max)
+            if not (row.closed or book.rule or copied == row.rows):
+                # The books have what the directory said of a bucket that was being written.
+                known_rows = copied = row.rows - uncopied(table, row, [book]).messages
+                nbytes = row.bytes * copied // row.rows if row.rows else 0
         status.copied += copied
         status.copied_bytes += nbytes
         status.left_out += known_rows - copied

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from uuid import UUID
 
 from cassandra_ros.copying.bucket_copy import is_settled
+from cassandra_ros.copying.uncopied import uncopied as uncopied_of
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.store.row_counts import settle
 from cassandra_ros.tables.copy_books import CopiedBucket, CopyBooks
@@ -164,8 +165,10 @@ def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
     low = row.bucket * table.bucket_ns
     time_range = TimeRange(low, low + table.bucket_ns - 1)
     whose = Whose((row.node,), frozenset([row.writer]))
+    lost = None if confirming else uncopied_of(table, row, [book for _, book in others])
     count = delete_time_range(catalog.keyspace, [table], Read(time_range, whose))
-    if count and not confirming:
+    if lost is not None and min(count, lost.messages):
         place = (table.metadata.topic, row.node, row.writer, LossKind.NO_ROOM)
-        catalog.keyspace.registry.put_loss(Loss(*place, row.t_min, row.t_max, count))
+        times = lost.t_min, lost.t_max
+        catalog.keyspace.registry.put_loss(Loss(*place, *times, min(count, lost.messages)))
     return True

@@ -10,14 +10,17 @@ reader counts it.
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from typing import Callable, Collection, Mapping, Tuple
 
 from cassandra_ros.copying.table_pair import TablePair
-from cassandra_ros.errors import TopicNotFound
+from cassandra_ros.errors import StoreUnavailable, TopicNotFound
 from cassandra_ros.store.row_counts import recount
 from cassandra_ros.tables.directory import HEARTBEAT_SEC, BucketRow, BucketTotals
+
+_log = logging.getLogger(__name__)
 
 _Place = Tuple[str, int]
 """Node and bucket."""
@@ -92,7 +95,13 @@ class TargetBuckets:
             if row is not None and key[2] in final:
                 places.setdefault(key[:2], []).append((key, row))
         for place, entries in places.items():
-            self._close(place, entries, totals)
+            try:
+                self._close(place, entries, totals)
+            except StoreUnavailable as exc:
+                # Its rows are there. What is not closed is counted by each reader, until one of
+                # them closes it; a store that is away is told by the next request.
+                topic = self._pair.topic
+                _log.warning("a bucket of topic %s was copied and stays open: %s", topic, exc)
 
     def _close(
         self,

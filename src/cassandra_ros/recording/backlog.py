@@ -22,8 +22,7 @@ import logging
 import threading
 import time
 from collections import Counter, deque
-from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence
 
@@ -31,10 +30,10 @@ from cassandra_ros.errors import CassandraRosError
 from cassandra_ros.keys import COUNTER_BITS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.recording.message_buffer import Buffer, BufferedMessage, MessageSource
-from cassandra_ros.spool.segment_reader import SegmentReader, TopicTotal
+from cassandra_ros.spool.segment_reader import SegmentReader
 from cassandra_ros.spool.segment_writer import SegmentWriter, SpooledMessage
 from cassandra_ros.spool.spool_folder import RunFolder, SpoolFolder
-from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
+from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel, TopicTotal, Totals
 from cassandra_ros.tables.registry import LossKind
 from cassandra_ros.topics.message_writer import Handle
 
@@ -104,7 +103,10 @@ class _Segment:
     """Number of times that the counter had overflowed."""
     handed: bool
     """Whether its messages were also handed over in memory."""
-    totals: dict[str, TopicTotal] = field(default_factory=dict)
+    totals: Totals = field(default_factory=dict)
+    """The messages in it."""
+    run_totals: Totals = field(default_factory=dict)
+    """The messages of the run up to its end, when it is complete."""
     nbytes: int = 0
     """Size of the file, bytes."""
     message_bytes: int = 0
@@ -155,6 +157,8 @@ class Backlog:
         self._changed = threading.Condition(threading.RLock())
         self._folder: RunFolder | None = None
         self._open: _OpenSegment | None = None
+        self._run_totals: Totals = {}
+        """The messages that were written to files."""
         self._parked: deque[_Segment] = deque()
         """Complete files that are still to be read."""
         self._handed: deque[BufferedMessage] = deque()
@@ -180,6 +184,8 @@ class Backlog:
         self._measured = -RETRY_SEC
         self._gaps = False
         """Whether messages of the journal were handed over without being written."""
+        self._bare = False
+        """Whether they are now."""
         self.leaving = False
         """Whether messages are not taken any more and stay on disk."""
         self._retry_at = 0.0
@@ -301,8 +307,8 @@ class Backlog:
 
     def _delete(self, segment: _Segment) -> None:
         self._own_bytes -= segment.nbytes
-        with suppress(OSError):
-            segment.path.unlink()
+        if self._folder is not None:
+            self._folder.settle(segment.path, segment.run_totals)
 
     @property
     def ended(self) -> bool:
@@ -387,6 +393,9 @@ class Backlog:
         if handed:
             self._hand_over(items)
             segment.through = self._given
+            if self._bare:
+                self._bare = False
+                _log.warning("the journal in the spool %s is written again", self.place)
         else:
             self._messages += len(items)
             self._nbytes += nbytes
@@ -402,13 +411,22 @@ class Backlog:
     def _do_without(self, items: Sequence[BufferedMessage], handed: bool) -> None:
         """Go on with messages that cannot be written."""
         if handed:
-            if not self._gaps:
+            if not self._bare:
                 _log.error(
-                    "the spool is full or cannot be written: messages are stored without the "
-                    "journal until there is room, so a kill -9 may lose more than 1 s; make room "
-                    "by 'cassandra_bag spool drain' or 'spool drop', or give a larger --spool-size"
+                    "the spool %s is full or cannot be written: messages are stored without the "
+                    "journal until there is room, so a kill -9 may lose more than 1 s; its own "
+                    "files are deleted as soon as the store has their messages; other room is made "
+                    "by %s",
+                    self.place,
+                    "deleting files on this disk"
+                    if self._retry_at > time.monotonic()
+                    else "'cassandra_bag spool drain' or 'spool drop', which take what earlier "
+                    "recorders have left, or by a larger --spool-size",
                 )
-            self._gaps = True
+            self._bare = self._gaps = True
+            # A complete file is deleted when the store has its messages: that makes room.
+            if self._open is not None and self._open.segment.handed:
+                self._close_open()
             self._hand_over(items)
         elif self._retry_at > time.monotonic():  # the disk fails: memory is what is left
             self._buffer.put_back(items)
@@ -458,7 +476,7 @@ class Backlog:
         if self._folder is None:
             self._folder = self._plan.folder.begin(label.run)
         path = self._folder.new_file()
-        writer = SegmentWriter(path, label)
+        writer = SegmentWriter(path, label, self._run_totals)
         self._own_bytes += writer.size
         self._open = _OpenSegment(writer, _Segment(path, generation, handed))
         return self._open
@@ -467,6 +485,8 @@ class Backlog:
         opened, self._open = self._open, None
         if opened is None:
             return
+        ends = {topic: replace(total) for topic, total in self._run_totals.items()}
+        opened.segment.run_totals = ends
         if opened.segment.handed:
             self._unsettled.append(opened.segment)
         else:
@@ -614,9 +634,9 @@ class Backlog:
             self._folder.remove()
 
 
-def _totals_of(messages: Iterable[tuple[str, int]]) -> dict[str, TopicTotal]:
+def _totals_of(messages: Iterable[tuple[str, int]]) -> Totals:
     """Return the totals by topic of messages of which topic and time (ns) are given."""
-    totals: dict[str, TopicTotal] = {}
+    totals: Totals = {}
     for topic, t in messages:
         totals.setdefault(topic, TopicTotal()).add(1, t, t)
     return totals

@@ -38,13 +38,15 @@ from cassandra_ros.errors import (
 from cassandra_ros.keys import COUNTER_BITS, MAX_NS, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.read import Read, TimeRange, Whose
+from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.message_buffer import lengths_for
 from cassandra_ros.recording.table_maker import MAX_CONFLICTS, PAUSE_SEC, connect
 from cassandra_ros.recording.topic_settings import Settings, settings_from_json
-from cassandra_ros.spool.segment_reader import SegmentReader, TopicTotal
+from cassandra_ros.spool.message_account import MessageAccount
+from cassandra_ros.spool.segment_reader import Missing, SegmentPart, SegmentReader
 from cassandra_ros.spool.segment_writer import SegmentWriter
 from cassandra_ros.spool.spool_folder import RunFolder
-from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel
+from cassandra_ros.spool.spool_label import RunEnd, SpoolLabel, TopicTotal
 from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.tables.registry import Loss, LossKind, Run
 from cassandra_ros.topics.catalog import Catalog
@@ -105,7 +107,12 @@ def read_left(folder: RunFolder) -> LeftRun:
         except CassandraRosError as exc:
             problem = problem or str(exc)
     if label is None and not problem:
-        problem = f"no file in {folder.path} has a label"
+        problem = (
+            f"no file in {folder.path} has a label that can be read, so it is not known to which "
+            "run and store the messages belong; write them into a file with: rosrun cassandra_ros "
+            f"cassandra_bag spool export {folder.path.name} rest.mcap, and import it; then delete "
+            f"them with: spool drop {folder.path.name}"
+        )
     return LeftRun(folder, label, end, "" if label is not None else problem)
 
 
@@ -135,12 +142,17 @@ class Drain:
     def __init__(self, catalog: Catalog, left: LeftRun) -> None:
         if left.label is None:
             raise SpoolError(f"the spool of run {left.name} cannot be drained: {left.problem}")
-        self._space, self._left, self._label = catalog.keyspace, left, left.label
+        self._catalog, self._space = catalog, catalog.keyspace
+        self._left, self._label = left, left.label
         self._settings: Settings = settings_from_json(left.label.settings)
         self._writers: dict[int, MessageWriter] = {}
         self._handles: dict[tuple[int, Connection], Handle] = {}
-        self._totals: dict[str, TopicTotal] = {}
-        self._losses: list[Loss] = []
+        self._account = MessageAccount(left.folder)
+        self._read = _NumberRanges()
+        """Numbers of the messages that were read, as in their rows."""
+        self._missing: list[Missing] = []
+        """Messages that the files miss, as far as they were read since the last ``_remember``."""
+        self._losses = LossLog(left.label.node, left.label.run)
         self._done = Drained(left.name)
         self._silent = False
         self._refusals = 0
@@ -174,9 +186,11 @@ class Drain:
                 if stays or (self._done.stays and path == files[-1]):
                     self._keep_staying(path)
                 elif path != files[-1]:
-                    with suppress(OSError):
-                        path.unlink()
+                    self._left.folder.settle(path, self._account.totals())
             if not self._done.stays:
+                for part in self._account.finish():
+                    self._note(part)
+                self._remember()
                 self._end()
         finally:
             for writer in self._writers.values():
@@ -226,6 +240,7 @@ class Drain:
                 segment.close()
             # Its time of writing tells when a killed recorder was alive last.
             os.utime(kept, ns=(written.st_atime_ns, written.st_mtime_ns))
+            self._left.folder.note_settled(path, self._account.totals())
             kept.replace(path)
         except OSError as exc:
             _log.warning("%s stays in the spool with all its messages: %s", path, exc)
@@ -237,21 +252,18 @@ class Drain:
         totals, known = reader.totals(), _StoredBlocks(self._space, writer.writer_id)
         handles: dict[int, Handle | None] = {}
         number, self._refusals = 0, 0
-        for part in reader.parts():
-            for each in part.missing:
-                self._miss(each.topic, each.messages, each.first_ns, each.last_ns, part.damage)
-            if part.damage:
-                _log.warning("%s: what is missing of run %s is lost", part.damage, self._left.name)
+        for part in self._account.parts(reader):
+            self._note(part)
             for connection, t_ns, counter, wire in part.messages:
+                self._read.add(writer.writer_id << COUNTER_BITS | counter)
                 if id(connection) not in handles:
                     handles[id(connection)] = self._handle(writer, connection, reader, totals, wire)
                 handle = handles[id(connection)]
                 if connection.topic in self._done.stays:
                     continue
-                self._totals.setdefault(connection.topic, TopicTotal()).add(1, t_ns, t_ns)
                 self._last_counter = max(self._last_counter, counter)
                 if handle is None:
-                    self._miss(connection.topic, 1, t_ns, t_ns, "", LossKind.NO_TABLE)
+                    self._miss(connection.topic, 1, t_ns, t_ns, LossKind.NO_TABLE)
                     continue
                 number += 1
                 if not known.has(handle, t_ns, counter, totals):
@@ -290,7 +302,7 @@ class Drain:
             return
         first = getattr(error, "first_ns", 0) or self._label.begun_ns
         last = getattr(error, "last_ns", 0) or first
-        self._miss(topic, messages, first, last, str(error), LossKind.REFUSED)
+        self._miss(topic, messages, first, last, LossKind.REFUSED)
 
     def _handle(
         self,
@@ -330,27 +342,51 @@ class Drain:
                     raise
         raise AssertionError("the loop above returns or raises")
 
+    def _note(self, part: SegmentPart) -> None:
+        """Note what is damaged and what is missing."""
+        if part.damage:
+            _log.warning("run %s: %s", self._left.name, part.damage)
+        self._missing += part.missing
+
     def _miss(
         self,
         topic: str,
         messages: int,
         first_ns: int,
         last_ns: int,
-        why: str,
         kind: LossKind = LossKind.SPOOL_DAMAGED,
     ) -> None:
         """Count messages that cannot be stored."""
         self._done.lost[topic] += messages
         if topic:
-            label = self._label
-            loss = Loss(topic, label.node, label.run, kind, first_ns, last_ns, messages)
-            self._losses.append(loss)
+            self._losses.add(topic, kind, messages, first_ns, last_ns, "")
 
     def _remember(self) -> None:
         """Store the losses found so far: the file that tells them may be deleted next."""
-        for loss in _joined(self._losses):
+        for topic, messages, first, last in self._missing:
+            lost = messages - self._stored_of(topic, first, last) if messages else 0
+            if lost > 0 or not messages:
+                self._miss(topic, lost, first, last)
+        self._missing.clear()
+        for loss in self._losses.unsaved():
             self._space.registry.put_loss(loss)
-        self._losses.clear()
+        self._losses = LossLog(self._label.node, self._label.run)
+
+    def _stored_of(self, topic: str, first_ns: int, last_ns: int) -> int:
+        """Return how many messages of a time range the recorder has stored, and no file has.
+
+        Those of a journal are usually stored before the recorder is killed.
+        """
+        tables = self._catalog.tables([topic]) if self._catalog.exists(topic) else []
+        tables = [table for table in tables if not table.named]
+        whose = Whose((self._label.node,), frozenset(self._writers) | {self._label.run})
+        stored = 0
+        for table in tables:
+            asked = TimeRange() if table.metadata.own_time else TimeRange(first_ns, last_ns)
+            for row in self._space.rows.read([table], Read(asked, whose, columns=lambda _: ())):
+                is_there = first_ns <= row.received <= last_ns
+                stored += is_there and not self._read.has(row.position.seq)
+        return stored
 
     def _end(self) -> None:
         """Store how the run ended."""
@@ -372,11 +408,12 @@ class Drain:
     def _note_gap(self) -> None:
         """Tell what may be missing after the last message of a killed recorder."""
         label, alive = self._label, self._left.alive_ns()
-        ends = [total.last_ns for total in self._totals.values()]
+        totals = self._account.totals()
+        ends = [total.last_ns for total in totals.values()]
         last = max(ends, default=label.begun_ns)
         # Simulated time cannot be compared with the time at which a file was written.
         until = (last if last < label.begun_ns else max(last, alive)) + GAP_NS
-        for topic, total in self._totals.items():
+        for topic, total in totals.items():
             low = min(total.last_ns, MAX_NS)
             loss = Loss(topic, label.node, label.run, LossKind.KILLED, low, until, 0)
             self._space.registry.put_loss(loss)
@@ -388,6 +425,25 @@ class Drain:
             f"{_time(max(last, alive)):%Y-%m-%dT%H:%M:%S.%fZ}",
             self._last_counter,
         )
+
+
+class _NumberRanges:
+    """A set of numbers that come nearly in order."""
+
+    def __init__(self) -> None:
+        self._ranges: list[list[int]] = []
+        """First and last number of each range."""
+
+    def add(self, number: int) -> None:
+        """Add a number."""
+        if self._ranges and self._ranges[-1][1] + 1 == number:
+            self._ranges[-1][1] = number
+        else:
+            self._ranges.append([number, number])
+
+    def has(self, number: int) -> bool:
+        """Return whether a number was added."""
+        return any(first <= number <= last for first, last in self._ranges)
 
 
 class _StoredBlocks:
@@ -424,20 +480,6 @@ class _StoredBlocks:
         asked = TimeRange() if own else TimeRange(first, last)
         read = Read(asked, whose, columns=lambda table: ())
         return {row.position.seq for row in self._space.rows.read([handle.table], read)}
-
-
-def _joined(losses: list[Loss]) -> list[Loss]:
-    """Join losses of one topic and kind into one each: a loss is a row."""
-    losses_by_kind: dict[tuple[str, LossKind], Loss] = {}
-    for loss in losses:
-        key = (loss.topic, loss.kind)
-        old = losses_by_kind.get(key)
-        if old is not None:
-            first, last = min(old.first_ns, loss.first_ns), max(old.last_ns, loss.last_ns)
-            count = old.count + loss.count
-            loss = replace(old, first_ns=first, last_ns=last, count=count)
-        losses_by_kind[key] = loss
-    return list(losses_by_kind.values())
 
 
 def _time(ns: int) -> datetime:

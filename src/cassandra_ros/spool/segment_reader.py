@@ -4,13 +4,15 @@
 
 A file may end anywhere (the process was killed, the power was cut) and may be damaged anywhere.
 Each chunk has a checksum. After a damaged one reading goes on with the next record that is
-complete, and the message indexes say which messages are missing.
+complete, and the message indexes say which messages are missing. A connection is written more than
+once; if the first ones are damaged, a later one is taken.
 """
 
 from __future__ import annotations
 
 import re
 from collections import defaultdict
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Iterator, NamedTuple, Sequence
@@ -20,7 +22,18 @@ from cassandra_ros.bag.mcap_format import MAGIC, RECORD, find_messages
 from cassandra_ros.errors import BagError, SpoolError
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.spool.segment_writer import SpooledMessage
-from cassandra_ros.spool.spool_label import END, LABEL, RunEnd, SpoolLabel, from_metadata, is_whole
+from cassandra_ros.spool.spool_label import (
+    END,
+    LABEL,
+    TOTALS,
+    RunEnd,
+    RunTotals,
+    SpoolLabel,
+    TopicTotal,
+    Totals,
+    from_metadata,
+    is_whole,
+)
 from cassandra_ros.tables.checksum import crc32
 
 _LOOK_BYTES = 64
@@ -42,27 +55,15 @@ class Missing(NamedTuple):
 
 @dataclass
 class SegmentPart:
-    """The messages of one chunk, or what is missing instead of them."""
+    """The messages of one chunk, what is missing instead of them, or totals."""
 
     messages: Sequence[SpooledMessage] = ()
     damage: str = ""
     """What is damaged, in words; '' = nothing."""
     missing: Sequence[Missing] = ()
-
-
-@dataclass
-class TopicTotal:
-    """The messages of a topic in one or more files."""
-
-    count: int = 0
-    first_ns: int = 2**63
-    last_ns: int = 0
-
-    def add(self, count: int, first_ns: int, last_ns: int) -> None:
-        """Count further messages."""
-        self.count += count
-        self.first_ns = min(self.first_ns, first_ns)
-        self.last_ns = max(self.last_ns, last_ns)
+    """What is missing by the message indexes, which may be damaged too."""
+    totals: Totals | None = None
+    """The messages that the run had written to its files by here; None = not told here."""
 
 
 @dataclass
@@ -95,6 +96,8 @@ class SegmentReader:
         self.connections: dict[int, Connection] = {}
         """Connections that were read so far, by channel id. A file names a connection in several
         chunks; it stays the same object, because users know it by its id."""
+        self._searched = False
+        """Whether all chunks were searched for connections."""
         try:
             # The whole file, for a mapped one ends the process when its disk is removed.
             self._data = path.read_bytes()
@@ -140,6 +143,7 @@ class SegmentReader:
     def parts(self) -> Iterator[SegmentPart]:
         """Yield the messages chunk by chunk, and what is missing where the file is damaged."""
         damage: _Damage | None = None
+        whole: SegmentPart | None = None
         at = len(MAGIC)
         for record in self._records():
             if record.start - RECORD.size > at:
@@ -147,16 +151,24 @@ class SegmentReader:
                 damage.to = record.start - RECORD.size
             at = record.stop
             if record.kind == mcap_records.INDEX_KIND and damage is not None:
-                damage.indexes.append(mcap_records.read_index(self._bytes(record)))
+                listed = mcap_records.read_index(self._bytes(record))
+                if whole is None or not self._is_of(listed, whole):
+                    damage.indexes.append(listed)
+            elif record.kind == mcap_records.METADATA_KIND:
+                totals = self._totals(record)
+                if totals is not None:
+                    if damage is not None:
+                        yield self._told(damage)
+                    damage = None
+                    yield SegmentPart(totals=totals)
             elif record.kind == mcap_records.CHUNK_KIND:
-                messages = self._messages(record)
                 if damage is not None:
                     yield self._told(damage)
-                damage = None
-                if messages is None:
+                damage, whole = None, self._messages(record)
+                if whole is None:
                     damage = _Damage(record.start - RECORD.size, to=record.stop)
                 else:
-                    yield SegmentPart(messages)
+                    yield whole
             elif record.kind == mcap_records.END_KIND:
                 at = self.nbytes
         if damage is not None:
@@ -165,34 +177,74 @@ class SegmentReader:
             why = f"{self.path} is cut short at byte {at} of {self.nbytes}"
             yield SegmentPart(damage=why, missing=[Missing("", 0, 0, 0)])
 
+    def _is_of(self, listed: mcap_records.IndexedMessages, whole: SegmentPart) -> bool:
+        """Return whether an index is one of a chunk that was read, though others are damaged."""
+        connection = self._connection(listed.channel)
+        return [t for each, t, _, _ in whole.messages if each is connection] == list(listed.times)
+
     def _told(self, damage: _Damage) -> SegmentPart:
         totals: defaultdict[str, TopicTotal] = defaultdict(TopicTotal)
         for listed in damage.indexes:
-            connection = self.connections.get(listed.channel)
-            topic = "" if connection is None else connection.topic
-            totals[topic].add(len(listed.times), min(listed.times), max(listed.times))
+            connection = self._connection(listed.channel)
+            if listed.times:
+                topic = "" if connection is None else connection.topic
+                totals[topic].add(len(listed.times), min(listed.times), max(listed.times))
         missing = [Missing(t, n.count, n.first_ns, n.last_ns) for t, n in totals.items()]
         why = f"{self.path} is damaged from byte {damage.at} to {damage.to}"
         return SegmentPart(damage=why, missing=missing or [Missing("", 0, 0, 0)])
 
-    def _messages(self, record: _Record) -> Sequence[SpooledMessage] | None:
+    def _messages(self, record: _Record) -> SegmentPart | None:
         """Return the messages of a chunk; None = its checksum is wrong."""
-        raw = self._bytes(record)
-        content, crc = mcap_records.chunk_content(raw)
-        if crc32(content) != crc:
-            return None
         where = f"{self.path}: the chunk at byte {record.start}"
-        try:
-            for number, connection in mcap_records.read_channels(content, where).items():
-                self.connections.setdefault(number, connection)
-            found = find_messages(content, where)
-            columns = (each.tolist() for each in found)
-            return [
-                (self.connections[channel], t_ns, counter, content[start:stop])
-                for channel, counter, t_ns, _, start, stop in zip(*columns)
-            ]
-        except (BagError, KeyError):  # right checksum, but not written by us, or without channel
+        content = self._content(record)
+        if content is None:
             return None
+        try:
+            self._take_connections(content, where)
+            columns = [each.tolist() for each in find_messages(content, where)]
+        except BagError:  # right checksum, but not written by us
+            return None
+        lost: defaultdict[int, TopicTotal] = defaultdict(TopicTotal)
+        messages: list[SpooledMessage] = []
+        for channel, counter, t_ns, _, start, stop in zip(*columns):
+            connection = self._connection(channel)
+            if connection is None:
+                lost[channel].add(1, t_ns, t_ns)
+            else:
+                messages.append((connection, t_ns, counter, content[start:stop]))
+        if not lost:
+            return SegmentPart(messages)
+        why = f"{where} has messages whose definitions are damaged"
+        missing = [Missing("", n.count, n.first_ns, n.last_ns) for n in lost.values()]
+        return SegmentPart(messages, why, missing)
+
+    def _content(self, record: _Record) -> bytes | None:
+        """Return the records of a chunk; None = its checksum is wrong."""
+        content, crc = mcap_records.chunk_content(self._bytes(record))
+        return content if crc32(content) == crc else None
+
+    def _take_connections(self, content: bytes, where: str) -> None:
+        for number, connection in mcap_records.read_channels(content, where).items():
+            self.connections.setdefault(number, connection)
+
+    def _connection(self, channel: int) -> Connection | None:
+        """Return the connection of a channel; None = it is damaged wherever the file names it."""
+        connection = self.connections.get(channel)
+        if connection is None and not self._searched:
+            self._searched = True
+            for record in self._records():
+                if record.kind == mcap_records.CHUNK_KIND:
+                    content = self._content(record)
+                    with suppress(BagError):
+                        self._take_connections(content or b"", str(self.path))
+            connection = self.connections.get(channel)
+        return connection
+
+    def _totals(self, record: _Record) -> Totals | None:
+        name, values = self._metadata(record)
+        if name != TOTALS or not is_whole(values):
+            return None
+        return from_metadata(RunTotals, values, str(self.path)).totals()
 
     def _metadata(self, record: _Record) -> tuple[str, dict[str, str]]:
         try:

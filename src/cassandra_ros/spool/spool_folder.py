@@ -5,26 +5,33 @@
 Several recorders may use one folder. Each run has its own folder in it, whose lock (flock) its
 process holds: the system lets it go when the process ends, however it ends. A folder without a
 living process is what an earlier one has left, and belongs to the first that locks it.
+
+A file whose messages are stored is deleted. The folder notes that it was, so that a file which is
+missing for another reason is told.
 """
 
 from __future__ import annotations
 
 import fcntl
+import json
 import logging
 import os
 import shutil
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Iterator
 
 from cassandra_ros.errors import SpoolError
 from cassandra_ros.installation import home_folder
+from cassandra_ros.spool.spool_label import RunTotals, Totals
+from cassandra_ros.tables.checksum import crc32
 
 _log = logging.getLogger(__name__)
 
 DEFAULT_BYTES = 2 << 30
 """Default maximum size of all files in the folder, bytes."""
-_LOCK = "lock"
+_LOCK, _SETTLED = "lock", "settled"
 _SUFFIX = ".mcap"
 
 
@@ -40,6 +47,8 @@ class RunFolder:
         self.path = path
         self._lock = lock
         self._next = 1 + max((int(each.stem) for each in self.files()), default=0)
+        self._unnoted: list[str] = []
+        """Lines that no disk has taken yet."""
 
     def files(self) -> list[Path]:
         """Return the files with messages, in the order in which they were written."""
@@ -55,7 +64,52 @@ class RunFolder:
     def new_file(self) -> Path:
         """Return the path of the next file."""
         self._next += 1
-        return self.path / f"{self._next - 1:06d}{_SUFFIX}"
+        return self.file(self._next - 1)
+
+    def file(self, number: int) -> Path:
+        """Return the path of the file with a number."""
+        return self.path / f"{number:06d}{_SUFFIX}"
+
+    def settle(self, path: Path, totals: Totals) -> None:
+        """Delete a file: each of its messages is stored, or told as lost.
+
+        Args:
+            totals: The messages of the run up to its end.
+        """
+        self.note_settled(path, totals)
+        with suppress(OSError):
+            path.unlink()
+        if self._unnoted:  # the disk was full: now it has room
+            self._write_notes()
+
+    def note_settled(self, path: Path, totals: Totals) -> None:
+        """Note of a file that stays that only the messages which are in it now are to be stored."""
+        text = json.dumps({"file": int(path.stem), **asdict(RunTotals.of(totals))})
+        # Each line begins anew: a full disk may have taken a part of the last one.
+        self._unnoted.append(f"\n{crc32(text.encode()):08x} {text}\n")
+        self._write_notes()
+
+    def _write_notes(self) -> None:
+        with suppress(OSError), open(self.path / _SETTLED, "a", opener=_private) as file:
+            file.write("".join(self._unnoted))
+            file.flush()
+            # Before the file is deleted: else it seems to be missing after a power cut.
+            os.fsync(file.fileno())
+            self._unnoted.clear()
+
+    def settled(self) -> dict[int, Totals]:
+        """Return the numbers of the files that were settled, and the totals at their ends."""
+        try:
+            lines = (self.path / _SETTLED).read_bytes().splitlines()
+        except OSError:
+            return {}
+        settled: dict[int, Totals] = {}
+        for line in lines:
+            crc, _, text = line.partition(b" ")
+            if crc == f"{crc32(text):08x}".encode():
+                values = json.loads(text)
+                settled[values["file"]] = RunTotals(values["topics"]).totals()
+        return settled
 
     def release(self) -> None:
         """Release the lock on the folder. A second call does nothing."""
@@ -155,3 +209,7 @@ def _locked(path: Path) -> int | None:
         pass
     os.close(descriptor)
     return None
+
+
+def _private(path: str, flags: int) -> int:
+    return os.open(path, flags, 0o600)

@@ -7,15 +7,15 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Mapping, Sequence, TypeVar
+from typing import Any, Dict, Mapping, Sequence, TypeVar
 
 from cassandra_ros.errors import SpoolError
 
 VERSION = 1
 """Version of the labels that this release writes, and the newest that it reads."""
-LABEL, END = "cassandra_ros.spool", "cassandra_ros.end"
-"""Names of the metadata records with a SpoolLabel and a RunEnd."""
-_T = TypeVar("_T", "SpoolLabel", "RunEnd")
+LABEL, END, TOTALS = "cassandra_ros.spool", "cassandra_ros.end", "cassandra_ros.totals"
+"""Names of the metadata records with a SpoolLabel, a RunEnd and RunTotals."""
+_T = TypeVar("_T", "SpoolLabel", "RunEnd", "RunTotals")
 
 
 @dataclass(frozen=True)
@@ -58,19 +58,59 @@ class RunEnd:
     version: int = VERSION
 
 
-def as_metadata(record: SpoolLabel | RunEnd) -> Mapping[str, str]:
-    """Return a label or an end as the fields of a metadata record."""
+@dataclass
+class TopicTotal:
+    """The messages of a topic in one or more files."""
+
+    count: int = 0
+    first_ns: int = 2**63
+    last_ns: int = 0
+
+    def add(self, count: int, first_ns: int, last_ns: int) -> None:
+        """Count further messages."""
+        self.count += count
+        self.first_ns = min(self.first_ns, first_ns)
+        self.last_ns = max(self.last_ns, last_ns)
+
+
+Totals = Dict[str, TopicTotal]
+"""Topic → its messages in the files of a run up to some place."""
+
+
+@dataclass(frozen=True)
+class RunTotals:
+    """The messages that were written to the files of a run up to this place.
+
+    By them a reader sees how many messages the damaged and missing parts before it had.
+    """
+
+    topics: Mapping[str, Sequence[int]]
+    """Topic → number of messages, first and last time of reception, ns."""
+    version: int = VERSION
+
+    @classmethod
+    def of(cls, totals: Mapping[str, TopicTotal]) -> RunTotals:
+        """Return totals as a record."""
+        return cls({t: (n.count, n.first_ns, n.last_ns) for t, n in totals.items()})
+
+    def totals(self) -> Totals:
+        """Return the totals by topic, as objects of the caller's own."""
+        return {topic: TopicTotal(*numbers) for topic, numbers in self.topics.items()}
+
+
+def as_metadata(record: SpoolLabel | RunEnd | RunTotals) -> Mapping[str, str]:
+    """Return a label, an end or totals as the fields of a metadata record."""
     text = json.dumps(asdict(record), sort_keys=True)
     return {"text": text, "crc": f"{zlib.crc32(text.encode()):08x}"}
 
 
 def is_whole(metadata: Mapping[str, str]) -> bool:
-    """Return whether the checksum of a label or an end is right."""
+    """Return whether the checksum of a label, an end or totals is right."""
     return metadata.get("crc") == f"{zlib.crc32(metadata.get('text', '').encode()):08x}"
 
 
 def from_metadata(kind: type[_T], metadata: Mapping[str, str], where: str) -> _T:
-    """Return the label or the end in a metadata record that is whole.
+    """Return the label, the end or the totals in a metadata record that is whole.
 
     Raises:
         SpoolError: It is of a newer release.

@@ -102,8 +102,9 @@ def _chosen(folder: SpoolFolder, ids: Sequence[str]) -> Iterator[LeftRun]:
 
 def _listed(path: Path, state: str) -> _ListedRun:
     from cassandra_ros.errors import CassandraRosError
-    from cassandra_ros.spool.segment_reader import SegmentReader, TopicTotal
+    from cassandra_ros.spool.segment_reader import SegmentReader
     from cassandra_ros.spool.spool_folder import run_bytes, run_files
+    from cassandra_ros.spool.spool_label import TopicTotal
 
     total, label = TopicTotal(), None
     for file in run_files(path):
@@ -209,7 +210,7 @@ def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
 def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
     from cassandra_ros.bag.file_formats import make_file
     from cassandra_ros.messages.connection_header import Connection
-    from cassandra_ros.spool.segment_reader import SegmentReader
+    from cassandra_ros.spool.message_account import read_run
 
     if len(options.runs) < 2:
         options.parser.error("export needs RUN and FILE: spool export 1398090783 rest.mcap")
@@ -222,14 +223,13 @@ def _export(options: argparse.Namespace, folder: SpoolFolder) -> int:
     with make_file(target) as writer:
         numbers: dict[Connection, int] = {}
         for left in _chosen(folder, ids):
-            for path in left.folder.files():
-                for part in SegmentReader(path).parts():
-                    damaged += [part.damage] * bool(part.damage)
-                    for connection, t_ns, _, wire in part.messages:
-                        if connection not in numbers:
-                            numbers[connection] = writer.connection(connection)
-                        writer.write(numbers[connection], t_ns, wire)
-                        messages += 1
+            for part in read_run(left.folder):
+                damaged += [part.damage] * bool(part.damage)
+                for connection, t_ns, _, wire in part.messages:
+                    if connection not in numbers:
+                        numbers[connection] = writer.connection(connection)
+                    writer.write(numbers[connection], t_ns, wire)
+                    messages += 1
     for text in damaged:
         print(text, file=sys.stderr)
     if options.json:
