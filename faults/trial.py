@@ -12,7 +12,7 @@ import time
 import uuid
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Callable
+from typing import Callable, Sequence
 
 from cassandra import DriverException
 from cassandra.cluster import NoHostAvailable
@@ -173,7 +173,7 @@ class Trial:
 
     def start_recorder(self, *options: object, place: Place | None = None, **env: str) -> Program:
         """Start a recorder; it does not record yet."""
-        where = self._store_options(place or self.place)
+        where = self._store_options(place or self.place, options)
         return self.run(PROGRAMS / "recorder", *where, *options, **env)
 
     def record(
@@ -188,7 +188,7 @@ class Trial:
     def verb(self, *words: object, place: Place | None = None) -> Program:
         """Start a verb of cassandra_bag."""
         verb, *others = words
-        where = self._store_options(place or self.place)
+        where = self._store_options(place or self.place, others)
         return self.run(PROGRAMS / "cassandra_bag", verb, *where, *others)
 
     def done(self, *words: object, status: int = 0, place: Place | None = None) -> str:
@@ -338,8 +338,10 @@ class Trial:
         with contextlib.suppress(DriverException), store:
             list(store.select(f"DROP KEYSPACE IF EXISTS {keyspace}"))
 
-    def _store_options(self, place: Place) -> list[object]:
-        return ["--host", place.host, "--port", place.port, "--keyspace", self.keyspace]
+    def _store_options(self, place: Place, options: Sequence[object]) -> list[object]:
+        """Return what names the store and the keyspace, but for what the options name."""
+        named = {"--host": place.host, "--port": place.port, "--keyspace": self.keyspace}
+        return [word for pair in named.items() if pair[0] not in options for word in pair]
 
 
 class Publisher:

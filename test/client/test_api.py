@@ -420,6 +420,7 @@ class TestAnotherClient:
 
 
 def test_scalars_of_numpy_are_values(rosCas):
+    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
     switch, number = rosCas.addTopic("/b", msg_type="std_msgs/Bool"), rosCas.addTopic("/f")
     by_field = rosCas.addTopic("/k", key_format="msg_part", key_part="data")
     for n in range(4):

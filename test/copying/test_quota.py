@@ -80,23 +80,22 @@ def test_a_bucket_that_was_added_to_since_is_not_deleted(rosCas, home):  # noqa:
     assert {row.seq >> 32 for row in rosCas.getTopic("/a").rows()} == {2}
 
 
-def half_copied(rosCas, home, fmt):  # noqa: F811
-    """Copy 60 messages of a bucket that is being written; return its writer, still open."""
-    writer = rosCas.messageWriter(writer_id=1, format=fmt)
+def half_copied(rosCas, home, writer):  # noqa: F811
+    """Copy 60 messages of a bucket that is being written; return the handle for more."""
     handle = writer.connect(api_connection("/a", definition_of(Int64), "/n"), bucket_ns=1000 * SEC)
     for n in range(60):
         writer.write(handle, T0 + n * SEC, n, serialize(Int64(n)))
     writer.flush()
     Replicator(rosCas, home).copy()
-    return writer, handle
+    return handle
 
 
 @pytest.mark.parametrize("fmt", ["ros", "packed"])
 def test_of_a_bucket_that_is_copied_in_part_only_the_rest_is_a_loss(rosCas, home, fmt):  # noqa: F811
-    writer, handle = half_copied(rosCas, home, fmt)
-    for n in range(60, 100):
-        writer.write(handle, T0 + n * SEC, n, serialize(Int64(n)))
-    writer.close()
+    with rosCas.messageWriter(writer_id=1, format=fmt) as writer:
+        handle = half_copied(rosCas, home, writer)
+        for n in range(60, 100):
+            writer.write(handle, T0 + n * SEC, n, serialize(Int64(n)))
     there = len(messages(home, "/a"))
     keep_under(rosCas.catalog, 0, uncopied=True)
     assert rosCas.getTopic("/a").countTopicData() == 0
@@ -108,15 +107,15 @@ def test_of_a_bucket_that_is_copied_in_part_only_the_rest_is_a_loss(rosCas, home
 @pytest.mark.parametrize("fmt", ["ros", "packed"])
 def test_what_is_copied_counts_at_once_though_its_writer_goes_on(rosCas, home, fmt):  # noqa: F811
     """The directory counts a bucket only when its writer closes it, or is dead for a minute."""
-    writer, handle = half_copied(rosCas, home, fmt)
-    (status,) = copy_status(rosCas.catalog)
-    assert (status.copied, status.waiting) == (60, 0)
-    writer.write(handle, T0 + 60 * SEC, 60, serialize(Int64(60)))
-    writer.flush()
-    (status,) = copy_status(rosCas.catalog)
-    assert status.copied + status.waiting == 61
-    assert status.waiting > 0
-    writer.close()
+    with rosCas.messageWriter(writer_id=1, format=fmt) as writer:
+        handle = half_copied(rosCas, home, writer)
+        (status,) = copy_status(rosCas.catalog)
+        assert (status.copied, status.waiting) == (60, 0)
+        writer.write(handle, T0 + 60 * SEC, 60, serialize(Int64(60)))
+        writer.flush()
+        (status,) = copy_status(rosCas.catalog)
+        assert status.copied + status.waiting == 61
+        assert status.waiting > 0
 
 
 def copy_nothing_more(store, home, **options):  # noqa: F811

@@ -173,6 +173,9 @@ class User:
         """Run cassandra_bag as this user; return what it prints."""
         out, err = io.StringIO(), io.StringIO()
         login = self.fleet.login(self.role) if logs_in else []
+        if login and "--keyspace" in words:
+            place = login.index("--keyspace")
+            del login[place : place + 2]
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
             try:
                 status = cassandra_bag.main([words[0], *login, *map(str, words[1:])])

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import copyreg
 import importlib.abc
 import struct
 import threading
@@ -58,8 +57,10 @@ class RawMessage(genpy.Message):
     def __init__(self, _buff: bytes = b"") -> None:
         self._buff = _buff
 
-    def __reduce__(self) -> tuple[Callable[..., RawMessage], tuple[bytes]]:
-        return type(self), (self._buff,)
+    def __reduce__(self) -> tuple[object, ...]:
+        if type(self) is RawMessage:
+            return RawMessage, (self._buff,)
+        return _new_raw_message, (self._type, self._md5sum, self._buff)
 
     def _get_types(self) -> list[str]:
         return self._slot_types
@@ -77,28 +78,25 @@ class RawMessage(genpy.Message):
         return self
 
 
-class _Generated(type):
-    """The type of generated classes. Pickle sends their definition, for they lie in no module."""
+class _GeneratedMessage(genpy.Message):
+    """The base of generated classes. Pickle sends their definition, for they lie in no module.
 
-
-class _GeneratedMessage(genpy.Message, metaclass=_Generated):
-    """The base of generated classes."""
+    Not by a metaclass: rospy publishes only classes whose type is ``type``.
+    """
 
     __slots__: list[str] = []
+    _generated_for: Definition
+
+    def __reduce__(self) -> tuple[object, ...]:
+        of = self._generated_for
+        made = _new_message, (of.type, of.text, of.md5sum, self._type)
+        return (*made, self.__getstate__())
 
 
-def _restored(of: tuple[str, str, str], msg_type: str) -> Any:
-    """Return a class that was pickled as the definition from which it was generated."""
-    cls = message_class(read_definition(*of))
-    return cls if msg_type == cls._type else cls.serialize.__globals__[_name(msg_type)]
-
-
-def _reduced(cls: Any) -> tuple[Callable[..., Any], tuple[tuple[str, str, str], str]]:
-    of: Definition = cls._generated_for
-    return _restored, ((of.type, of.text, of.md5sum), cls._type)
-
-
-copyreg.pickle(_Generated, _reduced)
+def _new_message(of_type: str, text: str, md5sum: str, msg_type: str) -> Any:
+    """Return a message without values, of a type in a definition that was pickled."""
+    cls = message_class(read_definition(of_type, text, md5sum))
+    return (cls if msg_type == cls._type else cls.serialize.__globals__[_name(msg_type)])()
 
 
 def _name(msg_type: str) -> str:
@@ -141,18 +139,11 @@ def message_class(definition: Definition) -> Any:
 def raw_class(msg_type: str, md5sum: str) -> Any:
     """Return a class for messages whose definition is unusable: it holds their bytes."""
     attributes = {"__slots__": [], "_type": msg_type, "_md5sum": md5sum}
-    return _Raw("RawMessage", (RawMessage,), attributes)
+    return type("RawMessage", (RawMessage,), attributes)
 
 
-class _Raw(type):
-    """The type of classes of raw_class. Pickle sends the type and md5 of their messages."""
-
-
-def _reduced_raw(cls: Any) -> tuple[Callable[..., Any], tuple[str, str]]:
-    return raw_class, (cls._type, cls._md5sum)
-
-
-copyreg.pickle(_Raw, _reduced_raw)
+def _new_raw_message(msg_type: str, md5sum: str, buff: bytes) -> Any:
+    return raw_class(msg_type, md5sum)(buff)
 
 
 def _generate(definition: Definition) -> Any:
