@@ -82,6 +82,7 @@ def test_results_under_names(cassandra, keyspace, ros_env, tmp_path):
         assert not done.stderr
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_the_listing_reads_what_the_environment_names(cassandra, keyspaces, connect, ros_env):
     topics = ["/fix", "/tf", "/imu/time_reference", "/husky/data/encoders"]
     with keyspaces.lend() as recorded, keyspaces.lend() as notes:
@@ -117,6 +118,7 @@ def test_every_example_takes_the_files_of_a_login():
         assert "RosCassandra(args.host, args.port" in text and "**login)" in text, name
 
 
+@pytest.mark.suite("all", "it starts many programs")
 @pytest.mark.parametrize("name", ["figure3b", "figure4", "named_results", "storyboard"])
 def test_what_writes_does_so_into_a_keyspace_of_its_own(ros_env, name):
     done = subprocess.run(

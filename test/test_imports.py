@@ -132,7 +132,7 @@ def test_every_folder_has_its_place_among_the_layers():
     assert layers == set(BELOW)
 
 
-@pytest.mark.suite("test", "it reads all sources")
+@pytest.mark.suite("all", "it parses all sources")
 def test_imports_point_downwards():
     for path in modules():
         layer = layer_of(path)
@@ -148,6 +148,7 @@ def test_imports_point_downwards():
             assert used in allowed, f"{name_of(path)} imports {imported}, which lies above {layer}"
 
 
+@pytest.mark.suite("all", "it parses all sources")
 def test_foreign_modules_come_in_by_their_door():
     for path in modules():
         for imported in imports(path):
@@ -169,6 +170,7 @@ def test_only_command_lines_print():
         assert not calls, f"{name_of(path)} prints in lines {calls}"
 
 
+@pytest.mark.suite("all", "it parses all sources")
 def test_text_from_outside_is_never_code():
     for path in modules():
         for imported in imports(path):
@@ -279,6 +281,7 @@ def listed_private_names():
                 yield from ((file, name) for name in re.findall(r"`(\w+)`", cells[2]))
 
 
+@pytest.mark.suite("all", "it parses all sources")
 def test_private_names_of_other_packages_are_listed():
     listed = set(listed_private_names())
     ours = {("messages/classes.py", "_definition"), ("messages/definition.py", "_definition")}

@@ -221,6 +221,7 @@ def test_no_python_is_given_a_release_that_refuses_it(version):
             assert version in SpecifierSet(needed or ""), f"{pin} needs Python {needed}"
 
 
+@pytest.mark.suite("all", "it parses all sources")
 @pytest.mark.parametrize(
     "folder", ["src", "scripts", "examples", "benchmark", "faults", "test", "doc"]
 )

@@ -158,6 +158,7 @@ def test_every_kind_of_field(fmt, seed, odd):
         assert {array.dtype for array in rows} == {dtype}
 
 
+@pytest.mark.suite("all", "a search over random types")
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
 @search(200)
 @given(seed=SEEDS, odd=st.booleans())

@@ -198,6 +198,7 @@ def test_salvage_ends_at_what_is_too_large(tmp_path, bomb):
     assert peak < 450, "MiB"
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_millions_of_tiny_messages_take_little_more_than_their_bytes(tmp_path):
     """One of them takes some 300 bytes as Python objects, 46 in the chunk."""
     each, messages = len(bagformat.message_head(0, 10, 0)), 500_000
@@ -259,6 +260,7 @@ def test_the_ratio_counts_all_chunks_once(tmp_path, monkeypatch):
             assert sum(1 for _ in reader.messages()) == 4
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_nothing_of_a_bomb_is_stored(rosCas, tmp_path):
     with pytest.raises(BagTooLarge, match="--allow-large-chunks"):
         import_bag(rosCas, BOMBS["bag many"](tmp_path / "a.bag"))

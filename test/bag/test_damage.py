@@ -152,6 +152,7 @@ def test_header_fields_stand_in_any_order(tmp_path, order):
     assert read_all(tmp_path / "a.bag") == [(0, 5, b"\x01\0\0\0x")]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("compression", [b"bz2", b"lz4"])
 def test_a_bomb_is_not_unpacked(tmp_path, compression):
     pack = bz2.compress if compression == b"bz2" else lz4.frame.compress

@@ -198,6 +198,7 @@ def test_of_a_cut_chunk_of_unknown_compression_nothing_is_kept(tmp_path):
         assert " is cut short or damaged in the chunk at byte " in reader.salvaged.told("a.mcap")
 
 
+@pytest.mark.suite("all", "a search over damage")
 def test_damage_is_found_or_changes_nothing(tmp_path):
     """The bytes of each message come back, or BagError says where the damage is."""
     whole = foreign(tmp_path / "a.mcap").read_bytes()

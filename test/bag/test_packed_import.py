@@ -117,6 +117,7 @@ def test_a_deleted_message_is_there_again_after_the_import(rosCas, cql, tmp_path
     assert sum(counts_agree(rosCas, cql).values()) == 500
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_an_import_into_blocks_that_a_conversion_cut_doubles_nothing(
     rosCas, cql, tmp_path, monkeypatch
 ):

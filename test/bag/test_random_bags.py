@@ -119,6 +119,7 @@ def compare(path, back, in_order):
     assert sorted(exported, key=repr) == sorted(read, key=repr), path
 
 
+@pytest.mark.suite("all", "a search over random bags")
 @pytest.mark.search
 @pytest.mark.parametrize("form", sparing(FORMATS, kept=FEW_FORMATS))
 def test_a_random_bag_comes_back_as_it_was(fresh, tmp_path, form, record_property):

@@ -34,6 +34,7 @@ def test_rosbag_reads_a_copy_like_the_original(bags, tmp_path, name):
     assert read_with_rosbag(tmp_path / "copy.bag") == read_with_rosbag(bags / f"{name}.bag")
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
 def test_all_twelve_connections_survive_any_chunking(bags, tmp_path, compression):
     copy(bags / "turtlesim_tf.bag", tmp_path / "copy.bag", compression, 5000)

@@ -330,6 +330,7 @@ def test_errors_are_one_line_and_status_1(type_in, bags, tmp_path):
         assert not (tmp_path / "out.bag").exists()
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_reading_makes_no_keyspace(type_in, cql, new_keyspace, tmp_path):
     for arguments in (("list",), ("info",), ("export", tmp_path / "out.bag")):
         status, _, err = type_in(*arguments, CASSANDRA_ROS_KEYSPACE=new_keyspace)
@@ -339,6 +340,7 @@ def test_reading_makes_no_keyspace(type_in, cql, new_keyspace, tmp_path):
     assert new_keyspace not in {row[0] for row in rows}
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_reading_makes_no_table(call, cql, bags, new_keyspace, tmp_path):
     cql.execute(
         f"CREATE KEYSPACE {new_keyspace} WITH replication = "

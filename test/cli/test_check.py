@@ -162,6 +162,7 @@ def test_what_is_being_written_is_no_damage(rosCas, call, cql):
         assert {state for (state,) in states} == {"closed"}
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_is_removed_meanwhile_is_no_damage(rosCas, connect):
     large = UInt8MultiArray(data=bytes(2 * CHUNK_BYTES))
     for name, fmt in (("/blocks", "packed"), ("/rows", "ros")):
@@ -185,6 +186,7 @@ def test_what_is_removed_meanwhile_is_no_damage(rosCas, connect):
     assert rosCas.upkeep.check(["/x"], progress=remove).damages == []
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_a_conversion_leaves_noted_is_no_damage(store, call, monkeypatch):
     monkeypatch.setattr("cassandra_ros.tables.replacement.SETTLE_SEC", 0.05)
     for target in ("packed", "yaml", "packed"):
@@ -201,6 +203,7 @@ BOUNDS = {
 }
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("what", BOUNDS)
 def test_bounds_of_a_block_are_measured_again(store, call, cql, what):
     column, value = BOUNDS[what]

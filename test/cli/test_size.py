@@ -32,6 +32,7 @@ def of_bag(capsys, *words):
     return json.loads(capsys.readouterr()[0])
 
 
+@pytest.mark.suite("all", "it imports a whole bag in each format")
 def test_the_estimate_agrees_with_what_the_benchmark_measured():
     """Bytes of the tables' data in the last make bench; rows, for an import fills blocks better."""
     measured = json.loads((ROOT / "benchmark/results/full.json").read_text(encoding="utf-8"))

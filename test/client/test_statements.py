@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sensor_msgs.msg import Image, NavSatFix
 from std_msgs.msg import String
-from suites import search
+from suites import search, sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
@@ -73,7 +73,7 @@ def rosCas(cassandra, cql):
     cql.execute(f"DROP KEYSPACE {name}")
 
 
-@pytest.fixture(scope="module", params=["ros", "binary"])
+@pytest.fixture(scope="module", params=sparing(["ros", "binary"], kept=["ros"]))
 def kept(request, rosCas):
     return Kept(rosCas, request.param)
 
@@ -294,6 +294,7 @@ def test_indexes(rosCas):
     assert ask("select count(*) from imu where latitude >= 1") == [(10,)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_names_of_indexes(rosCas, cassandra):
     ask = rosCas.executeCQL
     for name in ("/first", "/b"):

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 from copying.test_replicator import SEC, T0, home, messages  # noqa: F401
 from std_msgs.msg import String
-from suites import sparing
+from suites import FEW_FORMATS, sparing
 from upkeep.test_convert import fill
 
 from cassandra_ros.copying.copy_status import copy_status
@@ -15,7 +15,7 @@ from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.formats.table import FORMATS
 
 
-@pytest.mark.parametrize("there", FORMATS)
+@pytest.mark.parametrize("there", sparing(FORMATS, kept=FEW_FORMATS))
 @pytest.mark.parametrize("here", sparing(["ros", "packed"], kept=["packed"]))
 def test_copies_are_equal_in_any_format(rosCas, home, here, there):  # noqa: F811
     fill(rosCas, here, 60)
@@ -100,6 +100,7 @@ def test_the_books_say_what_is_copied_and_what_waits(rosCas, home):  # noqa: F81
     assert (states["/maps"].copied, states["/maps"].waiting) == (2, 0)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_keyspace_made_again_has_nothing_of_what_was_copied(rosCas, connect, new_keyspace, cql):
     fill(rosCas, "ros", 10)
     with connect(keyspace=new_keyspace) as home:  # noqa: F811

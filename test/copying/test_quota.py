@@ -125,6 +125,7 @@ def copy_nothing_more(store, home, **options):  # noqa: F811
     replicator.copy()
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_keyspace_that_was_made_again_confirms_nothing(rosCas, connect, new_keyspace, cql):
     store(rosCas, "/a", 0)
     with connect(keyspace=new_keyspace) as home:  # noqa: F811
@@ -179,6 +180,7 @@ def add(store, topic, second, counter, writer_id=1):
         writer.write(handle, T0 + second * SEC + 1, counter, serialize(Int64(counter)))
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("how", ["again", "late", "rule"])
 def test_what_was_deleted_here_stays_there_whatever_happens_to_the_bucket(
     rosCas,

@@ -12,6 +12,7 @@ from nav_msgs.msg import OccupancyGrid
 from nodes.children import await_true
 from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Int64, String
+from suites import FEW_FORMATS, sparing
 from upkeep.test_convert import fill, joint_state, seen
 
 from cassandra_ros.bag.bag_writer import BagWriter
@@ -80,7 +81,7 @@ def directory(store):
     return sorted(found)
 
 
-@pytest.mark.parametrize("fmt", FORMATS)
+@pytest.mark.parametrize("fmt", sparing(FORMATS, kept=FEW_FORMATS))
 def test_rows_are_copied_as_they_are_stored(rosCas, home, cql, fmt):
     fill(rosCas, fmt)
     report = Replicator(rosCas, home).copy()
@@ -213,6 +214,7 @@ def test_named_messages_come_with_all_versions(rosCas, home, cql, key_format):
     assert messages(home, "/maps") == messages(rosCas, "/maps")
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_two_copies_at_once_end_in_the_same_rows(rosCas, home, cql):
     fill(rosCas, "ros")
     fill(rosCas, "packed", topic="/p")

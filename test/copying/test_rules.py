@@ -135,6 +135,7 @@ def test_messages_are_chosen_by_condition_and_thinned(rosCas, home, fmt):  # noq
     assert states(rosCas) == {"/t": (101, 0, 0)}
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("fmt", ["ros", "packed"])
 def test_a_period_goes_on_in_the_next_bucket(rosCas, home, fmt):  # noqa: F811
     with rosCas.messageWriter(writer_id=1, format=fmt) as writer:

@@ -131,6 +131,7 @@ ROBOTS = st.sampled_from([None, "", "husky", "nobody"])
 WHERE = st.sampled_from([None, "linear.x > 3", "linear.y < 50.0 AND NODE = 'husky'", "RUN = '7'"])
 
 
+@pytest.mark.suite("all", "a search; make test asks some of its cases")
 @search(200)
 @given(topic=TOPICS, low=TIMES, high=TIMES, limit=LIMITS, robot=ROBOTS, where=WHERE, data=st.data())
 def test_a_fleet_answers_like_one_store_with_all_messages(
@@ -252,6 +253,7 @@ def test_copies_are_the_same_messages_also_under_names(stores, connect):
             assert len(list(fleet.readMessages(received=True))) == 3 + len(values)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_who_lacks_a_topic_is_not_missing_and_if_all_do_all_are_named(stores, connect, cassandra):
     first, second, _ = stores
     fill(first, "/a", [1])
@@ -515,6 +517,7 @@ def test_messages_that_only_a_store_had_that_went_away_are_counted(stores, proxi
     assert 1 <= int(told[1]) <= 6 - count
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_of_a_damaged_copy_the_sound_one_is_read(stores, cql):
     first, second, _ = stores
     image = Image(height=1, data=bytes(1 << 20))
@@ -567,6 +570,7 @@ def test_a_closed_fleet_says_so(stores):
         fleet.topics()
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_an_event_that_has_ended_in_one_store_has_ended(stores):
     """The copy at home still lasts; a statement takes the end, as events() does."""
     home, robot, _ = stores
@@ -585,6 +589,7 @@ def test_an_event_that_has_ended_in_one_store_has_ended(stores):
             assert len(list(fleet.readMessages(event="bump"))) == 3
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_who_does_not_wait_any_more_ends_the_counting(stores):
     class Gone(Exception):
         pass

@@ -111,6 +111,7 @@ def facts(fleet, topic):
     return [[getattr(info, name) for name in names] for info in fleet.info([topic])]
 
 
+@pytest.mark.suite("all", "a search; make test asks some of its cases")
 @search(20)
 @given(
     formats=st.fixed_dictionaries({"husky": PACKING, "jackal": PACKING}),
@@ -167,6 +168,7 @@ def given_by(fleet, robot, topic="/s", **asked):
     return len(rows), sum(place(robot) in row.stores for row in rows)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("format", sparing(["ros", "packed"], kept=["packed"]))
 def test_only_what_home_lacks_or_may_lack_is_read_from_the_robot(stores, format):
     home, husky, _ = stores.values()

@@ -250,6 +250,7 @@ def test_a_message_and_an_image(mixed):
     assert viewer.fail("/api/message", topic="/t", key="5")[0] == 404
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_topic_that_has_no_common_order_is_named_and_the_others_are_shown(fresh):
     with fresh() as first, fresh() as second:
         fill(first, "/a", [1])
@@ -334,6 +335,7 @@ def test_a_store_that_answers_again_is_asked_again(fresh, proxied):  # noqa: F81
                 assert viewed.begin().missing == {}
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("first_made", ["robot", "home"])
 def test_pages_go_on_in_copies(fresh, first_made):
     """A replicator copies while a user looks at a result page by page, backwards."""

@@ -125,6 +125,7 @@ def test_every_installed_type_is_exact(name):
             checkWire(storage, WireMaker(definition, seed, odd=True).make())
 
 
+@pytest.mark.suite("all", "a search over broken messages")
 @every_format
 @settings(deadline=None)
 @given(data=st.data(), msg_type=st.sampled_from(installedTypes()), seed=SEEDS)

@@ -66,6 +66,7 @@ def test_every_installed_type_comes_back_equal(fresh, name, record_property):
             checkStored(rosCas, name, batch, examples(3, least=3))
 
 
+@pytest.mark.suite("all", "a search over random types")
 @pytest.mark.parametrize("name", sparing(FORMATS, kept=FEW_FORMATS))
 @pytest.mark.search
 def test_random_types_come_back_equal(fresh, name):

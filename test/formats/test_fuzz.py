@@ -68,6 +68,7 @@ def makeWire(storage, seed):
     return WireMaker(storage.definition, seed, odd=bool(seed % 2)).make()
 
 
+@pytest.mark.suite("all", "a search over broken messages")
 @broken
 def test_broken_buffers_are_stored_exactly(name, number, seed, fuzz):
     storage = storageOf(name, number)
@@ -83,6 +84,7 @@ def test_broken_buffers_are_stored_exactly(name, number, seed, fuzz):
         assert type(message) is message_class(storage.definition)
 
 
+@pytest.mark.suite("all", "a search over broken messages")
 @broken
 def test_broken_columns_are_bytes_or_corrupt(name, number, seed, fuzz):
     storage = storageOf(name, number)

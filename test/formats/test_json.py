@@ -171,6 +171,7 @@ def test_a_type_whose_shortest_text_is_too_long_has_none():
     assert storage.encode_wire(wire) == ((None,), True, wire)
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_large_messages_are_not_turned_into_objects():
     storage = json_format("nav_msgs/Path")
     pose = struct.pack("<IIII", 0, 0, 0, 0) + bytes(56)

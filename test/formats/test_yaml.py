@@ -44,6 +44,7 @@ def checkPublished(msg_type, seed):
     assert serialize(message) == wire
 
 
+@pytest.mark.suite("all", "it writes each installed type")
 def test_rostopic_publishes_every_installed_type():
     for seed, msg_type in enumerate(installedTypes()):
         checkPublished(msg_type, seed)
@@ -231,6 +232,7 @@ def checkTree(tree):
     return said, text
 
 
+@pytest.mark.suite("all", "a search over random trees")
 @search(600)
 @given(tree=trees)
 def test_random_trees_are_read_as_they_were_written(tree):

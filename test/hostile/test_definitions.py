@@ -8,6 +8,7 @@ import json
 import re
 from pathlib import Path
 
+import pytest
 from hostile.mutate import changed_bytes, changed_json, changed_text
 from messages.random_wire import DefinitionMaker, installedTypes
 
@@ -60,6 +61,7 @@ def test_definitions(give):
     give("definitions", 2000, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_connection_headers(give):
     real = texts()
     names = ["type", "md5sum", "message_definition", "callerid", "latching", "topic", "", "x=y"]
@@ -92,6 +94,7 @@ def test_connection_headers(give):
     give("connection headers", 2000, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_table_comments(give):
     real = []
     for kind, text in texts():
@@ -127,6 +130,7 @@ def test_table_comments(give):
     give("table comments", 4000, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_recorder_settings(give):
     text = (ROOT / "config/recorder.yaml").read_text(encoding="utf-8")
     text = "".join(re.findall(r"(?m)^[^#\n]+(?=#|\n)|\n", text))  # most of it is comments

@@ -9,6 +9,7 @@ import re
 import struct
 from pathlib import Path
 
+import pytest
 from hostile.mutate import changed_bytes
 
 from cassandra_ros.bag.bag_writer import BagWriter
@@ -137,6 +138,7 @@ def changed_file(chance, real, path):
     path.write_bytes(changed)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_bags(give, tmp_path):
     real = real_bags(tmp_path)
 
@@ -148,6 +150,7 @@ def test_bags(give, tmp_path):
     give("bags", 250, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_mcaps(give, tmp_path):
     real = real_mcaps(tmp_path)
 

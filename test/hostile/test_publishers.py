@@ -47,6 +47,7 @@ def wires_of(chance, kind):
     return [*wires, changed_bytes(chance, wires[0], range(0, len(wires[0]), 4), wires)]
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_messages_that_are_written(give, rosCas):
     """Right headers and changed messages go into tables that stand; a changed header rarely does
     not make another table, which takes as long as a hundred messages."""

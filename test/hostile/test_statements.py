@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
 from geometry_msgs.msg import Twist
 from hostile.mutate import LONGS, changed_text
 from mapping.room import Drive
@@ -50,6 +51,7 @@ def statements():
     return [*REAL, *re.findall(r"(?im)^\s*((?:select|delete) .+?);?$", page)]
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_statements_parsed(give):
     real = statements()
     assert len(real) > len(REAL)
@@ -69,6 +71,7 @@ def test_statements_parsed(give):
     give("statements parsed", 2000, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_cursors(give):
     real = [
         encode_cursor(Position(5, "röbot", 1 << 40, "t_0")),
@@ -83,6 +86,7 @@ def test_cursors(give):
     give("cursors", 3000, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_statements_run(give, rosCas):
     Drive().store(rosCas, ("/tf", "/tf_static", "/odom", "/scan"), "a")
     topic = rosCas.addTopic("/cmd_vel", format="packed")
@@ -105,6 +109,7 @@ def test_statements_run(give, rosCas):
     give("statements run", 300, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_completion(give):
     real = statements()
     fields = installed_definition("sensor_msgs/LaserScan")

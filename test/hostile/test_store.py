@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from geometry_msgs.msg import Twist
 from hostile.mutate import LONGS, changed_bytes, changed_json, changed_text
 from mapping.room import T0, Drive
@@ -171,6 +172,7 @@ def read(chance, store, name):
     return asked()
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_changed_rows(give, rosCas, cql):
     fill(rosCas)
     changer = Changer(cql, rosCas)
@@ -185,6 +187,7 @@ def test_changed_rows(give, rosCas, cql):
     give("rows, blocks and directory", 400, attempt)
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_changed_comments(give, rosCas, cql):
     fill(rosCas)
     tables = {

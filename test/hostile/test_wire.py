@@ -9,6 +9,7 @@ from itertools import accumulate
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 import zstandard
 from hostile.mutate import LONGS, changed_bytes
 from messages.random_wire import DefinitionMaker, WireMaker, fuzzed, installedTypes
@@ -62,6 +63,7 @@ def sized(column):
     return struct.pack(">i", -2) if column is None else struct.pack(">i", len(column)) + column
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_columns(give):
     every = [storage for storage in storages() if storage.columns]
 
@@ -89,6 +91,7 @@ def test_columns(give):
 TABLE = SimpleNamespace(name="t_1", metadata=SimpleNamespace(topic="/x"))
 
 
+@pytest.mark.suite("all", "a search over changed inputs")
 def test_blocks(give):
     """What a block's row says agrees with its bytes more often than chance would have it."""
     every = [storage for storage in storages() if storage.NAME == "packed"]

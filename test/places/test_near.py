@@ -307,6 +307,7 @@ def read_keys(monkeypatch, store):
     return spans
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_the_index_is_asked_and_right(rosCas, monkeypatch):
     hour = 3600 * SEC
     lane(rosCas, run="a")
@@ -342,6 +343,7 @@ def test_the_index_is_asked_and_right(rosCas, monkeypatch):
         asked(rosCas, condition)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_poses_that_are_not_in_the_index_count(rosCas):
     lane(rosCas, run="a")
     rosCas.upkeep.indexPlaces()
@@ -355,6 +357,7 @@ def test_poses_that_are_not_in_the_index_count(rosCas):
     assert asked(rosCas, "NEAR(200, 0, 2)") == [T0 + n * SEC + 1 for n in (20, 61)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_who_asks_for_a_time_finds_a_robot_that_came_before_it(rosCas):
     """A robot stands at one place for ten minutes; only a part of that time is asked for."""
     with Writer(rosCas, "", "stands") as writer:
@@ -449,6 +452,7 @@ def test_a_recorder_notes_places(rosCas, monkeypatch):
     assert all(high.to_nsec() - low.to_nsec() <= SEC for _, low, high in spans)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_recorder_notes_part_by_part(rosCas, monkeypatch):
     """What is not noted yet is found all the same; a clock that goes back is noted, too."""
     moments = list(drive_moments(60))
@@ -680,6 +684,7 @@ def test_where_poses_are_deleted_the_robot_went_straight(rosCas):
     assert all(asked(rosCas, straight, nodeID=how) == [t + 4 * SEC] for how, t in later.items())
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("how", ["condition", "thinned"])
 def test_poses_of_two_runs_that_are_deleted_together(rosCas, how):
     """The records of both are withdrawn, although that of the second begins after the first."""
@@ -700,6 +705,7 @@ def test_poses_of_two_runs_that_are_deleted_together(rosCas, how):
     assert asked(rosCas, "NEAR(50, 0, 2)") == [T0 + 2 * SEC, later + 2 * SEC]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_long_stretch_that_is_deleted_leaves_the_index_of_the_rest(rosCas):
     lane(rosCas, count=60)
     rosCas.upkeep.indexPlaces()
@@ -801,6 +807,7 @@ def test_a_recorder_whose_clock_goes_back_takes_back_what_it_noted(rosCas):
     assert asked(rosCas, "NEAR(700, 0, 1)") == [T0 + 70 * SEC]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_recorder_says_nothing_of_poses_among_which_some_were_lost(rosCas):
     recording = begun(rosCas)
     source = next(s for s in recording._sources.values() if s.topic == "/odom")
@@ -840,6 +847,7 @@ def test_a_recorder_that_cannot_keep_up_gives_the_index_up(rosCas, monkeypatch):
     assert asked(rosCas, "NEAR(800, 0, 1)") == [T0 + 80 * SEC]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_recorder_without_a_thread_for_places_records_all_the_same(rosCas, monkeypatch):
     start = threading.Thread.start
 

@@ -147,6 +147,7 @@ def test_a_half_way_turn_goes_the_shorter_way():
     assert np.allclose(there.inverse().apply(there.apply(np.eye(3))), np.eye(3))
 
 
+@pytest.mark.suite("all", "it looks at each time of a bag")
 def test_all_times_of_a_recording_are_where_lookups_say(store, monkeypatch):
     """In stretches of 7 s, so that there are several."""
     monkeypatch.setattr(poses_module, "MAX_SPAN_NS", 7 * SEC)

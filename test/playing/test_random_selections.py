@@ -164,6 +164,7 @@ SELECTIONS = st.builds(
 )
 
 
+@pytest.mark.suite("all", "a search; make test asks some of its cases")
 @search(30)
 @given(selection=SELECTIONS, at=HALVES)
 def test_what_is_played(recordings, selection, at):

@@ -104,6 +104,7 @@ def server(roscore, cassandra, store):
             )
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_row_that_is_too_large_is_refused_by_the_viewer(viewer):
     status, _ = viewer.ask("/api/query", q="select data from text")
     assert status == 200

@@ -287,6 +287,7 @@ def test_what_is_computed_is_bounded(count):
         shown(UInt64(2), text)
 
 
+@pytest.mark.suite("all", "a search; make test asks some of its cases")
 @pytest.mark.search
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 @pytest.mark.parametrize("name", ["every", "mixed", "scan", "tf"])

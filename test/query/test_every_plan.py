@@ -70,6 +70,7 @@ def stored(request, rosCas):
 
 @pytest.mark.search
 # The threads of the driver draw random numbers meanwhile.
+@pytest.mark.suite("all", "a search; make test asks single plans")
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 def test_every_plan_finds_what_python_finds(stored, record_property):
     asker = Asker(stored.kind.types, stored.messages, stored.kind.indexes)

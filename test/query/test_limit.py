@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import pytest
 from geometry_msgs.msg import TransformStamped
+from suites import sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros.messages.classes import serialize
@@ -65,6 +66,7 @@ def ask(store, statement, **options):
         return rows, result.cursor, result.read
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("format", FORMATS)
 def test_limits_at_every_element(store, format, reverse):
@@ -89,7 +91,7 @@ def test_limits_at_every_element(store, format, reverse):
 
 
 @pytest.mark.parametrize("reverse", [False, True])
-@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("format", sparing(FORMATS, kept=["packed"]))
 @pytest.mark.parametrize(("where", "rows"), [("", ROWS), (SOME, KEPT)], ids=["all", "some"])
 def test_pages_of_a_limit(store, format, reverse, where, rows):
     """Pages of each size give together what LIMIT leaves, at whichever element it ends."""
@@ -108,7 +110,7 @@ def test_pages_of_a_limit(store, format, reverse, where, rows):
 
 
 @pytest.mark.parametrize("reverse", [False, True])
-@pytest.mark.parametrize("format", FORMATS)
+@pytest.mark.parametrize("format", sparing(FORMATS, kept=["packed"]))
 def test_a_page_behind_a_message_that_was_removed(fresh, format, reverse):
     """What was given of it is not left out of the next message."""
     with fresh() as store:

@@ -440,6 +440,7 @@ def test_lists_without_elements():
     assert parse_condition("x in ?", [[]]).values == ()
 
 
+@pytest.mark.suite("all", "it parses statements of great depth")
 @pytest.mark.parametrize("count", [10_000, 100_000])
 def test_depth_is_bounded(count):
     assert isinstance(parse_condition("(" * 1000 + "x = 1" + ")" * 1000), Compare)

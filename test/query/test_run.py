@@ -63,6 +63,7 @@ def husky(request, cassandra, cql, bags):
     cql.execute(f"DROP KEYSPACE {name}")
 
 
+@pytest.mark.suite("all", "it reads each message of whole bags")
 def test_fields_of_every_message(husky):
     expected = [(key(t), m.latitude, m.header.frame_id) for t, m in husky.messages["/fix"]]
     assert husky.ask("select KEY, latitude, header.frame_id from fix") == expected

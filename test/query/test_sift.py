@@ -118,6 +118,7 @@ def isKept(select, table, wires):
     return bool(odd and zones.odd) or any(serverKeeps(q, zones, columns) for q in others)
 
 
+@pytest.mark.suite("all", "a search; make test asks some of its cases")
 @pytest.mark.search
 @pytest.mark.filterwarnings("ignore:Do not use the `random` module inside strategies")
 @pytest.mark.parametrize("name", sparing(KINDS_HERE, kept=["tf", "mixed", "string"]))

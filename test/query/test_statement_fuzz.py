@@ -222,6 +222,7 @@ def fuzz(store, answered, asked, short):
         answered[word, "some" if rows and rows[0][0] not in (0, None) else "none"] += 1
 
 
+@pytest.mark.suite("all", "a search over changed statements")
 @pytest.mark.search
 def test_fuzz_of_statements(store):
     answered = Counter()

@@ -93,6 +93,7 @@ def test_together_and_apart(fleet):
         ]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_conditions(fleet):
     for plan in PLANS:
         check_conditions(fleet, plan)
@@ -122,6 +123,7 @@ def check_conditions(fleet, plan):
     assert fleet.ask(f"select KEY, NODE from point where {either}", plan=plan) == expected
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_counts(fleet):
     topic = fleet.store.getTopic("point")
     assert fleet.ask("select count(*) from point") == [(2 * COUNT,)]
@@ -144,6 +146,7 @@ def test_counts(fleet):
     assert fleet.ask(text) == [(*ROBOTS, min(times), max(times), canonical(total))]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_deleted_apart(fleet):
     topic = fleet.store.getTopic("point")
     low, high = T0 + 100 * SECOND, T0 + 200 * SECOND

@@ -77,7 +77,7 @@ HOW = {
 
 
 @pytest.mark.parametrize("form", sparing(["packed", "ros"], kept=["packed"]))
-@pytest.mark.parametrize("how", HOW)
+@pytest.mark.parametrize("how", sparing(HOW, kept=["delete"]))
 def test_what_is_told_is_what_is_gone(rosCas, connect, recorded, caplog, form, how):
     recorded.begin(form)
     told = 0
@@ -125,6 +125,7 @@ def write(store, writer_id, times):
             writer.write(handle, t, number, serialize(String(str(t))))
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("form", ["packed", "ros"])
 def test_a_recorder_says_once_that_its_table_was_replaced(rosCas, connect, recorded, caplog, form):
     recorded.begin(form)

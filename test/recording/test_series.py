@@ -129,6 +129,7 @@ def test_a_run_that_cannot_begin_keeps_nothing_from_ending(cassandra, keyspace, 
             await_true(lambda: [run.state for run in store.runs()] == ["ended", "ended"])
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize(
     "bound", [{"size": 1000}, {"duration": 0.05}, {"duration": 0.05, "repeat_latched": True}]
 )

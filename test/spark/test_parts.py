@@ -191,6 +191,7 @@ BOUNDS = [
 WHERES = [None, "x > 3 AND x < 9", ("x = ?", [2.0]), "d > 1 AND NOT x < 15"]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("bounds", BOUNDS)
 def test_what_is_pushed_is_what_a_filter_leaves(stored, bounds):
     """Times, robots, runs and conditions that the executors ask for, against those of toArrow."""

@@ -73,6 +73,7 @@ def test_a_file_says_what_it_is(lake):
     assert units["linear_acceleration.x"] == "m/s²" and units["header.stamp"] == "ns"
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_two_programs_do_not_write_at_once(lake, rosCas):
     fill(rosCas, 3, first=20)
     refused = []
@@ -86,6 +87,7 @@ def test_two_programs_do_not_write_at_once(lake, rosCas):
     assert not Lake(rosCas.catalog, lake).verify().differences
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_the_name_of_a_run_that_comes_later_is_written(lake, rosCas):
     rosCas.catalog.keyspace.registry.put_run(Run("r1", 1, "recording", name="patrol"))
     again = RosCassandra(*place_of(rosCas), keyspace=rosCas.keyspace)
@@ -138,6 +140,7 @@ def test_only_what_has_changed_is_written(lake, rosCas):
     assert not Lake(rosCas.catalog, lake).verify().differences
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_bucket_that_a_deletion_left_open_is_written_once(lake, rosCas, monkeypatch):
     for module in ("sql.lake", "store.row_counts"):
         monkeypatch.setattr(f"cassandra_ros.{module}.STALE_SEC", -1.0)
@@ -147,6 +150,7 @@ def test_a_bucket_that_a_deletion_left_open_is_written_once(lake, rosCas, monkey
     assert not Lake(rosCas.catalog, lake).verify().differences
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_other_columns_are_written_to_all_files(lake, rosCas):
     with rosCas.messageWriter(nodeID="r1", format="packed") as writer:
         connection = api_connection("/imu/data", definition_of(Header), "/y")
@@ -173,6 +177,7 @@ def test_differences_are_found(lake, rosCas):
     ]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_file_whose_messages_are_all_deleted_is_a_difference(lake, rosCas):
     path = sorted(lake.rglob("*.parquet"))[0]
     robot = path.parent.name.partition("=")[2]

@@ -521,6 +521,7 @@ def test_ctrl_c_stops_a_statement(robot):
     timer.join()
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_sort_that_does_not_fit_into_memory_goes_to_disk(robot, monkeypatch):
     """DuckDB writes its temporary files though it may open no other file."""
     text = "SELECT count(*) FROM (SELECT n FROM range(3000000) t(n) ORDER BY hash(n) OFFSET 1)"

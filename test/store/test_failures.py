@@ -35,6 +35,8 @@ from cassandra_ros.tables.directory import slot_of
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import bind
 
+pytestmark = pytest.mark.suite("all", "requests fail in it")
+
 
 def write_small(writer, number):
     """Write a message and wait until it is stored: the ticker has come by meanwhile."""

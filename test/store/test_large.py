@@ -370,6 +370,7 @@ def requests_held(before=()):
     return [each for each in held if each._event.is_set() and id(each) not in earlier]
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_an_answered_request_does_not_stay_in_memory(rosCas, no_collector):
     """A recorder of images grew by the MB until the collector came round, minutes later."""
     # Those of an earlier test's client that was not closed stay as long as it does.

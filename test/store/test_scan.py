@@ -89,6 +89,7 @@ def test_equal_stamps_at_the_start_of_a_bucket_come_in_one_order(rosCas, reverse
     assert found == (wanted[::-1] if reverse else wanted)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("page_bytes", [1, 10**6])
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("few", sparing([False, True], kept=[True]))

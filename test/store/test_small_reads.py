@@ -264,6 +264,7 @@ ENTRIES = st.lists(
 )
 
 
+@pytest.mark.suite("all", "a search; make test asks some of its cases")
 @search(40, suppress_health_check=list(HealthCheck))
 @given(data=st.data(), entries=ENTRIES, unit=st.sampled_from([SEC, SEC // 4]))
 def test_small_reads_give_what_a_plain_list_gives(fresh, data, entries, unit):

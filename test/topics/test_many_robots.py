@@ -123,6 +123,7 @@ class Fleet:
         assert counts == {r: n for r in ROBOTS if (n := sum(m[1] == r for m in every))}
 
 
+@pytest.mark.suite("all", "a search; make test asks two robots")
 @pytest.mark.parametrize("form", FORMATS)
 @search(20, suppress_health_check=list(HealthCheck))
 @given(steps=lives)

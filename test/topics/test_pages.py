@@ -56,6 +56,7 @@ def store(rosCas, topic, cls, wires, fmt, **options):
     return rosCas.getTopic(topic)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("fmt", ["ros", "binary"])
 @pytest.mark.parametrize("make", [transforms, headers])
 def test_every_message_comes_back(rosCas, fmt, make):

@@ -227,7 +227,7 @@ class Life:
         assert sorted(found) == sorted((e[2],) for e in wanted if e[1] == node), (name, self.log)
 
 
-@pytest.mark.suite("test", "a life of a topic, whole")
+@pytest.mark.suite("all", "a search over lives of a topic")
 @pytest.mark.search
 def test_random_lives_agree_with_the_model(fresh, tmp_path, record_property):
     lives = examples(4)

@@ -161,6 +161,7 @@ DELETIONS = {
 }
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("way", DELETIONS)
 def test_a_deletion_spares_nothing_that_was_acknowledged(rosCas, far, way):
     add_first(rosCas)

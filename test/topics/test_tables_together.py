@@ -51,6 +51,7 @@ def facts(rosCas):
     }
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("form", ["ros", "packed"])
 def test_they_are_those_that_are_made_one_by_one(rosCas, connect, new_keyspace, form):
     with rosCas.messageWriter(format=form) as writer:

@@ -58,6 +58,7 @@ def merged(keep):
     return [(node, seq) for _, node, seq in sorted(every)]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @every_key
 def test_merged_separate_and_counted(rosCas, kind):
     topic = fill(rosCas, kind, "/h")
@@ -87,6 +88,7 @@ def test_values_of_one_node(rosCas):
     assert (topic.countTopicData("3"), topic.countTopicData("3", nodeID="r1")) == (4, 0)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @every_key
 def test_deleted_apart(rosCas, kind):
     topic = fill(rosCas, kind, "/h")

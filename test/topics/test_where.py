@@ -327,6 +327,7 @@ def test_several_topics_merged_by_time(rosCas, received):
     assert sum(row.topic == "/hash" for row in some) == 60
 
 
+@pytest.mark.suite("all", "large messages, to see how much memory they take")
 def test_reading_is_lazy_and_its_memory_bounded(rosCas, monkeypatch):
     # Pages of 32 KiB, and 12 MB of messages.
     monkeypatch.setattr(reader, "PAGE_BYTES", 32 * 1024)

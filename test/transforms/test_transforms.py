@@ -162,6 +162,7 @@ CASES = {
 }
 
 
+@pytest.mark.suite("all", "it asks whole bags at random times")
 @pytest.mark.parametrize("bag", sparing(CASES, kept=["turtlesim_tf.bag"]))
 @search(60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
@@ -174,6 +175,7 @@ def test_real_robots_at_any_time(stored, bag, data):
     assert_same(recorded.store, recorded.whole, *frames, time)
 
 
+@pytest.mark.suite("all", "it asks each pair of frames of whole bags")
 @pytest.mark.parametrize("bag", CASES)
 def test_every_pair_of_frames(stored, bag):
     recorded = stored(bag)
@@ -727,6 +729,7 @@ with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as rosCas
 """
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_stamps_over_2_to_the_31(store, cassandra):
     """They end a process that gives them to tf2, so another one asks."""
     start = (2**31 + 1000) * SEC

@@ -88,6 +88,7 @@ def test_another_keyspace_is_read_by_its_name(viewer, stored, fresh):
     assert viewer.fail("/api/topics", keyspace="no name")[1]["error"] == "InvalidName"
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_only_some_keyspaces_keep_what_they_have_read(stored, monkeypatch, fresh):
     monkeypatch.setattr(viewer_context, "_KEPT_KEYSPACES", 1)
     with fresh() as one, fresh() as other, running_viewer(stored) as viewer:

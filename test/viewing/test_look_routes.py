@@ -156,7 +156,7 @@ def all_pages(viewer, **parameters):
         after = {"after": found.next}
 
 
-@pytest.mark.suite("test", "a real bag, whole")
+@pytest.mark.suite("all", "it reads a whole bag in small pages")
 def test_pages_give_the_messages_of_a_real_bag_byte_for_byte(viewer):
     _, expected = read_with_rosbag(HUSKY)
     # In the store equal times come by the counter of their writer, as rosbag reads them.

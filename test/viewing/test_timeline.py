@@ -266,6 +266,7 @@ def test_the_directory_is_read_again_after_some_seconds(store, monkeypatch):
         now[0] += reader.KEEP_SEC + 1
 
 
+@pytest.mark.suite("all", "it stores a year")
 def test_a_year_of_many_buckets_costs_what_a_day_costs(fresh, monkeypatch):
     """The directory says that 10**9 messages are there; of it no more is read than a bound."""
     monkeypatch.setattr(reader, "MAX_BUCKETS", 600)
