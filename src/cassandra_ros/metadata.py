@@ -9,7 +9,7 @@ import logging
 import re
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache, partial
-from typing import Any, Callable, Iterator, Mapping
+from typing import Any, Callable, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.errors import UnsupportedSchema
 from cassandra_ros.keys import KEY_FORMATS, NAMED_FORMATS
@@ -79,11 +79,6 @@ class TopicMetadata:
     version: int = SCHEMA_VERSION
 
     @property
-    def kind(self) -> tuple[str, str]:
-        """The kind of all messages of the table, see ``message_kind``."""
-        return message_kind(self.md5sum, self.msg_type)
-
-    @property
     def named(self) -> bool:
         """Whether rows are found by a name, not by their time."""
         return self.key_format in NAMED_FORMATS
@@ -150,12 +145,35 @@ class TopicMetadata:
         return replace(self, **changes)
 
 
-def message_kind(md5sum: str, msg_type: str) -> tuple[str, str]:
-    """Return the kind of messages: their md5sum, and their type if the md5sum is ANY_MD5.
+class Kind(NamedTuple):
+    """The identity of a definition. Messages of one topic, kind and format share a table."""
 
-    Messages of one topic, kind and format share a table.
+    md5sum: str
+    msg_type: str
+    """Name of the type if the md5sum is ANY_MD5, otherwise ''."""
+    arrays: tuple[str, ...]
+    """Paths of the arrays of messages, see Definition; the md5 leaves their brackets out."""
+
+
+def message_kind(md5sum: str, msg_type: str, arrays: tuple[str, ...]) -> Kind:
+    """Return the kind of messages.
+
+    Args:
+        arrays: Paths of the arrays of messages in their definition; () = it is unusable.
     """
-    return md5sum, msg_type if md5sum == ANY_MD5 else ""
+    return Kind(md5sum, msg_type if md5sum == ANY_MD5 else "", arrays)
+
+
+def type_text(msg_type: str, kind: Kind, other: Kind) -> str:
+    """Return a type as a text for the user, who must tell it from another one.
+
+    If both have the same md5sum it names the arrays of messages that only this one has.
+    """
+    text = f"{msg_type} [{kind.md5sum}]"
+    if kind.md5sum != other.md5sum or kind.arrays == other.arrays:
+        return text
+    arrays = ", ".join(array for array in kind.arrays if array not in other.arrays)
+    return f"{text} with {arrays or 'single messages'}"
 
 
 def shadow_column(number: int) -> str:

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 
 import pytest
 import rosbag
@@ -19,10 +20,16 @@ from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.stored_bag import Bag
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.messages.classes import serialize, to_yaml
+from cassandra_ros.messages import definition as definitions
+from cassandra_ros.messages.classes import message_class, serialize, to_yaml
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.metadata import Kind
+from cassandra_ros.playing.play_selection import PlaySelection
+from cassandra_ros.playing.play_stream import Stream
+from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.recording.recording import Recording
+from cassandra_ros.topics import topic_table
 
 T0 = 1_500_000_000 * 10**9
 every_format = pytest.mark.parametrize("form", FORMATS)
@@ -114,6 +121,87 @@ def test_a_second_definition_lies_beside_the_first(rosCas, tmp_path, caplog, for
     with pytest.raises(TypeMismatch, match="nothing was stored"):
         topic.addData(TFMessage())
     assert topic.countTopicData() == len(rows)
+
+
+POINT = "\n" + "=" * 80 + "\nMSG: way_msgs/Point\nfloat64 x\n"
+SINGLE, MANY = (header("way_msgs/Way", f"Point{b} p\nint32 n{POINT}") for b in ("", "[]"))
+
+
+def way(n):
+    """Return a message of SINGLE or of MANY, by turns, whose numbers are n and n / 2."""
+    one = struct.pack("<d", n / 2)
+    wire = one if n % 2 else struct.pack("<I", 2) + 2 * one
+    return (SINGLE if n % 2 else MANY), wire + struct.pack("<i", n)
+
+
+def check_ways(rosCas):
+    topic = rosCas.getTopic("/t")
+    assert len(topic.tables) == 2
+    found = [(m.n, m.p.x if m.n % 2 else [p.x for p in m.p]) for _, m in topic.items()]
+    assert found == [(n, n / 2 if n % 2 else [n / 2] * 2) for n in range(6)]
+    assert [m.n for _, m in topic.items(where="n >= 3")] == [3, 4, 5]
+    assert rosCas.executeCQL("select n from /t where p.x = 1.5") == [(3,)]
+    assert sum(info.count for info in rosCas.info(["/t"])) == 6
+
+
+@pytest.mark.parametrize(
+    ("put", "form"),
+    [(by_import, "ros"), (by_import, "packed"), (by_writer, "json"), (by_recorder, "packed")],
+)
+def test_two_definitions_with_one_md5_get_two_tables(rosCas, tmp_path, caplog, form, put):
+    """The md5 of ROS leaves out the brackets of an array of messages."""
+    assert SINGLE["md5sum"] == MANY["md5sum"]
+    messages = [way(n) for n in range(6)]
+    put(rosCas, tmp_path, messages, form)
+    (warning,) = warnings(caplog)
+    assert "p[]" in warning and "single messages" in warning
+    check_ways(rosCas)
+    if put is by_import:
+        path = tmp_path / "6.bag"
+        import_bag(rosCas, path)
+        check_ways(rosCas)
+        assert verify_bag(rosCas, path).equal
+        export_bag(rosCas, tmp_path / "out.bag")
+        assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+    rosCas.convertTopic("/t", "yaml")
+    check_ways(rosCas)
+
+
+def test_a_message_of_another_definition_with_the_same_md5_is_refused(rosCas):
+    single, many = (
+        message_class(parse_definition("way_msgs/Way", fields["message_definition"]))
+        for fields in (SINGLE, MANY)
+    )
+    topic = rosCas.addTopic("/t")
+    topic.addData(single(n=1))
+    with pytest.raises(TypeMismatch, match=r"p\[\].*another topic"):
+        topic.addData(many(n=2))
+    assert [message.n for _, message in topic.items()] == [1]
+
+
+def test_what_earlier_releases_kept_in_one_table_is_divided_by_a_repeated_import(
+    rosCas, connect, tmp_path, monkeypatch
+):
+    path = write_bag(tmp_path / "a.bag", [way(n) for n in range(6)])
+    with monkeypatch.context() as earlier:
+        for module in (topic_table, definitions):
+            earlier.setattr(module, "message_kind", lambda md5sum, *_: Kind(md5sum, "", ()))
+        import_bag(rosCas, path, format="binary")
+        assert len(rosCas.getTopic("/t").tables) == 1
+    with connect(keyspace=rosCas.keyspace) as other:
+        import_bag(other, path)
+        check_ways(other)
+
+
+def test_messages_of_another_definition_with_the_same_md5_are_not_played_together(rosCas, tmp_path):
+    by_writer(rosCas, tmp_path, [way(n) for n in range(6)], "binary")
+    stream = Stream(PlayedKeyspace(rosCas.catalog), PlaySelection())
+    first, second = stream.channels()
+    assert (first.definition, second.definition) == (
+        MANY["message_definition"],
+        SINGLE["message_definition"],
+    )
+    assert first.kind != second.kind
 
 
 def test_a_third_definition_is_one_warning_too(rosCas, tmp_path, caplog):

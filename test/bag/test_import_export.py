@@ -18,7 +18,6 @@ from nodes.raw_publisher import header_of
 from std_msgs.msg import String
 from suites import sparing
 
-from cassandra_ros import metadata
 from cassandra_ros.bag import exporter
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.bag_writer import BagWriter
@@ -40,7 +39,9 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.metadata import Kind
 from cassandra_ros.tables.registry import Run
+from cassandra_ros.topics import topic_table
 
 
 def stored_rows(rosCas):
@@ -279,7 +280,9 @@ def test_two_types_with_unusable_definitions_get_two_tables(rosCas, cql, tmp_pat
 def test_types_that_share_a_table_stay_there(rosCas, connect, cql, tmp_path, monkeypatch):
     path = two_unusable_types(tmp_path / "a.mcap")
     with monkeypatch.context() as earlier:
-        earlier.setattr(metadata, "message_kind", lambda md5sum, msg_type: (md5sum, ""))
+        earlier.setattr(
+            topic_table, "message_kind", lambda md5sum, _, arrays: Kind(md5sum, "", arrays)
+        )
         import_bag(rosCas, path)
     rows = stored_rows(rosCas)
     assert tables_of(rosCas) == [("odd_msgs/One", "*", 20)]

@@ -39,7 +39,7 @@ from cassandra_ros.errors import (
 from cassandra_ros.formats.table import FALLBACK_FORMAT
 from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
-from cassandra_ros.metadata import message_kind
+from cassandra_ros.metadata import Kind
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
 from cassandra_ros.tables.event_table import Event
@@ -51,7 +51,7 @@ from cassandra_ros.topics.message_writer import (
     Asked,
     Handle,
     MessageWriter,
-    layout_md5sum,
+    connection_kind,
     usable_definition,
 )
 from cassandra_ros.topics.removal import delete_time_range
@@ -450,7 +450,7 @@ def _formats(
     for number in sorted(numbers):
         connection = reader.connections[number]
         stored = _stored_formats(keyspace, connection, run) if is_repeated else set()
-        md5sum = layout_md5sum(connection)
+        md5sum = connection_kind(connection).md5sum
         new = run.format or keyspace.new_tables.format_for(connection.topic, md5sum)
         usable, _ = usable_definition(connection, new)
         if run.format and stored - {new if usable is not None else FALLBACK_FORMAT}:
@@ -469,11 +469,12 @@ def _stored_formats(keyspace: Keyspace, connection: Connection, run: Run) -> set
     """Return the formats of the tables that hold rows of a run from a connection."""
     whose = Whose((run.node,), frozenset((run.writer,)))
     tables = keyspace.tables.of_topic(connection.topic)
-    md5sum = layout_md5sum(connection)
+    kind = connection_kind(connection)
     return {
         table.metadata.format
         for table in tables
-        if table.metadata.md5sum == md5sum
+        # Earlier releases kept all types of an unknown md5sum in one table.
+        if table.kind._replace(msg_type=kind.msg_type) == kind
         and keyspace.connections.has(table.name, connection)
         and holds_any(keyspace.directory, [table], whose)
     }
@@ -483,8 +484,9 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
     """Delete what an earlier import of the bag stored that ours will not overwrite.
 
     These are blocks that begin at other messages, after a conversion or if the topic was removed
-    during the import, and rows that release 1.0.0 stored under an md5sum that is not that of the
-    definition. Their messages would be stored twice.
+    during the import, and rows that earlier releases stored in the table of another definition: of
+    the md5sum in the header, or of one that differs in the brackets of arrays of messages. Their
+    messages would be stored twice.
     """
     whose = Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
@@ -494,14 +496,9 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
         if placed:
             keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
     other = [t for t in tables.values() if t.packed and (t.metadata.replaces or t.metadata.cut)]
-    stated = {
-        (handle.topic, handle.connection.md5sum)
-        for handle in handles.values()
-        if handle.connection.md5sum != handle.table.metadata.md5sum
-    }
-    for topic, md5sum in stated:
-        former = [t for t in keyspace.tables.of_topic(topic) if t.metadata.md5sum == md5sum]
-        other += [t for t in former if t.name not in tables]
+    for handle in handles.values():
+        others = (t for t in keyspace.tables.of_topic(handle.topic) if t.kind != handle.table.kind)
+        other += [t for t in others if keyspace.connections.has(t.name, handle.connection)]
     for table in other:
         if holds_any(keyspace.directory, [table], whose):
             delete_time_range(keyspace, [table], Read(TimeRange(0, MAX_NS), whose))
@@ -580,11 +577,9 @@ def table_lengths(reader: MessageFile, sizes: Mapping[int, int]) -> dict[int, Le
         sizes: Size of the serialised messages by connection number, bytes.
     """
     # Connections of equal topic and kind share a table.
-    rates: dict[tuple[str, tuple[str, str]], _Rate] = {}
+    rates: dict[tuple[str, Kind], _Rate] = {}
     means = {number: sizes[number] / max(count, 1) for number, count in reader.counts.items()}
-    keys = {
-        n: (c.topic, message_kind(layout_md5sum(c), c.type)) for n, c in reader.connections.items()
-    }
+    keys = {n: (c.topic, connection_kind(c)) for n, c in reader.connections.items()}
     for chunk in range(reader.chunk_count):
         info = reader.chunk_info(chunk)
         seen = set()

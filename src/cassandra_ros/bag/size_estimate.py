@@ -23,9 +23,11 @@ from cassandra_ros.formats.table import FORMATS, format_class
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
 from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.messages.stamps import Stamp
+from cassandra_ros.metadata import Kind
 from cassandra_ros.tables.directory import MAX_BYTES, MAX_MESSAGES
 from cassandra_ros.tables.row_table import CHUNK_BYTES, INLINE_COLUMN_BYTES
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
+from cassandra_ros.topics.message_writer import connection_kind
 from cassandra_ros.topics.stored_totals import TopicInfo
 
 SAMPLE_BYTES = 2 << 20
@@ -95,11 +97,11 @@ def sample_file(reader: MessageFile, topics: Sequence[str] | None, most: int) ->
     """Sample the first messages of each topic and type of a bag or an MCAP, at most ``most``."""
     numbers = connections_of_topics(reader, topics)
     seconds = (reader.end_ns - reader.start_ns) / SECOND_NS
-    samples: dict[tuple[str, str], TopicSample] = {}
+    samples: dict[tuple[str, Kind], TopicSample] = {}
     of: dict[int, TopicSample] = {}
     for number in sorted(numbers):
         found = reader.connections[number]
-        key = (found.topic, found.md5sum)
+        key = (found.topic, connection_kind(found))
         if key not in samples:
             definition = _usable(found.type, found.definition_text, found.md5sum)
             samples[key] = TopicSample(found.topic, found.type, found.md5sum, definition)

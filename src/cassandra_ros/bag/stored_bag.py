@@ -496,7 +496,8 @@ class Bag:
                 raise TypeMismatch(f"{msg!r:.80} is no message: give a message object")
             cls, wire = type(msg), serialize(msg)
             kind, md5sum = cls._type, cls._md5sum
-        key: object = (topic, kind, md5sum)
+        # Definitions that differ in the brackets of arrays of messages have the same md5.
+        key: object = (topic, kind, md5sum, getattr(cls, "_full_text", None))
         if connection_header is not None:
             key = live_connection(check_new_topic(topic), connection_header)
         handle = self._handles.get(key)

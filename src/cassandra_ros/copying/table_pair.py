@@ -15,7 +15,7 @@ from cassandra_ros.metadata import TopicMetadata
 from cassandra_ros.store.verbatim import StoredColumns, shared_columns
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.new_tables import check_packed
-from cassandra_ros.topics.topic_table import TopicTable, stored_format
+from cassandra_ros.topics.topic_table import TopicTable, stored_format, type_texts
 from cassandra_ros.upkeep.conversion import block_span
 
 
@@ -89,10 +89,9 @@ def find_pair(
     _check_renamed(there, metadata, known)
     for table in tables:
         _check_alike(metadata, table.metadata)
-    kinds = [table for table in tables if table.metadata.kind == metadata.kind]
+    kinds = [table for table in tables if table.kind == source.kind]
     if tables and not kinds and not _has_kinds(here, metadata.topic, tables):
-        other = tables[0].metadata
-        ours, theirs = (f"{m.msg_type} [{m.md5sum}]" for m in (metadata, other))
+        ours, theirs = type_texts(metadata, tables[0].metadata)
         raise _refusal(metadata, f"type {ours}", theirs)
     if format is not None and source.definition is None:
         format = FALLBACK_FORMAT
@@ -127,7 +126,7 @@ def find_existing(here: Keyspace, there: Keyspace, source: TopicTable) -> TableP
     tables = _tables_there(there, metadata)
     for table in tables:
         _check_alike(metadata, table.metadata)
-    kinds = [table for table in tables if table.metadata.kind == metadata.kind]
+    kinds = [table for table in tables if table.kind == source.kind]
     if not kinds:
         return None
     name = _format_there(metadata, [table.metadata for table in kinds], None)
@@ -183,8 +182,8 @@ def _refusal(metadata: TopicMetadata, ours: str, theirs: str) -> SchemaConflict:
 
 def _has_kinds(here: Keyspace, topic: str, tables: Sequence[TopicTable]) -> bool:
     """Return whether one of the types there is one that the topic has here, too."""
-    kinds = {table.metadata.kind for table in here.tables.of_topic(topic)}
-    return any(table.metadata.kind in kinds for table in tables)
+    kinds = {table.kind for table in here.tables.of_topic(topic)}
+    return any(table.kind in kinds for table in tables)
 
 
 def _format_there(

@@ -12,7 +12,7 @@ import keyword
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Mapping
+from typing import Any, Iterator, Mapping
 
 from cassandra_ros.errors import DefinitionError
 from cassandra_ros.messages.installed_types import installed_class
@@ -24,6 +24,7 @@ from cassandra_ros.messages.spec import (
     parse_spec,
     resolve_type,
 )
+from cassandra_ros.metadata import Kind, message_kind
 
 MAX_TEXT = 1 << 20
 MAX_TYPES = 256
@@ -46,13 +47,18 @@ class Definition:
     """Specs of the type itself and of every type that it uses, directly or not, by type name."""
     md5sums: Mapping[str, str] = field(compare=False, repr=False)
     """md5 of each of these types, by type name."""
-    arrays: tuple[tuple[str, str, int | None], ...] = field(repr=False)
-    """Type, field and length (None = variable) of each array of messages."""
+    arrays: tuple[str, ...] = field(repr=False)
+    """Path of each array of messages with its brackets, as 'transforms[]' or 'arms[2].joints[]'."""
 
     @property
     def root(self) -> MessageSpec:
         """Spec of the type itself."""
         return self.specs[self.type]
+
+    @property
+    def kind(self) -> Kind:
+        """Kind of the messages of this type."""
+        return message_kind(self.md5sum, self.type, self.arrays)
 
     def nested(self, msg_type: str) -> Definition:
         """Return the definition of a type that this one uses, constants included."""
@@ -122,13 +128,24 @@ def _parse(msg_type: str, text: str, md5sum: str | None) -> Definition:
         where = f" ({', '.join(sorted(missing))} taken from installed packages)" if missing else ""
         what = f"has md5 {md5sums[msg_type]}, not {md5sum[:80]!r} as its connection says"
         raise DefinitionError(f"the definition of {msg_type}{where} {what}")
-    fields = ((name, f) for name in sorted(specs) for f in specs[name].fields)
-    arrays = tuple((n, f.name, f.length) for n, f in fields if f.is_array and not f.is_primitive)
+    arrays = tuple(_message_arrays(msg_type, specs, ""))
     definition = Definition(msg_type, md5sums[msg_type], text, specs, md5sums, arrays)
     if missing:
         # Text from installed packages is kept too: other machines may lack it or have a newer one.
         definition = replace(definition, text=_render_whole(definition, msg_type))
     return definition
+
+
+def _message_arrays(msg_type: str, specs: Specs, prefix: str) -> Iterator[str]:
+    """Yield the path of each array of messages in a checked type."""
+    for each in specs[msg_type].fields:
+        if each.is_primitive:
+            continue
+        length = "" if each.length is None else each.length
+        path = f"{prefix}{each.name}[{length}]" if each.is_array else f"{prefix}{each.name}"
+        if each.is_array:
+            yield path
+        yield from _message_arrays(each.type, specs, f"{path}.")
 
 
 def _split(msg_type: str, text: str) -> dict[str, list[str]]:

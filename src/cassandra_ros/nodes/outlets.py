@@ -18,7 +18,8 @@ from rosgraph_msgs.msg import Clock
 from cassandra_ros.arguments import check_ros_name
 from cassandra_ros.errors import CassandraRosError, CorruptMessage, InvalidName, TypeMismatch
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.nodes.publication import ANY, AnyPublication, MessageKind, advertise
+from cassandra_ros.metadata import Kind, type_text
+from cassandra_ros.nodes.publication import AnyPublication, MessageKind, advertise
 from cassandra_ros.playing.play_stream import Channel, PlayedMessage
 
 _log = logging.getLogger(__name__)
@@ -31,6 +32,11 @@ LAST_SEC = 10.0
 """Time without progress after which a subscriber gets no rest of its queue at the end, s."""
 
 _stamp = struct.Struct("<II").pack
+
+
+def _layout(kind: Kind) -> tuple[str, tuple[str, ...]]:
+    """Return what two kinds have in common whose messages have the same bytes."""
+    return kind.md5sum, kind.arrays
 
 
 class PlayedTopic(NamedTuple):
@@ -66,6 +72,8 @@ class Outlets:
         self._stopping = threading.Event()
         self._closed = threading.Event()
         self._publications: dict[str, AnyPublication] = {}
+        self._kinds: dict[str, Kind] = {}
+        """Name on the ROS graph → kind of the messages that are played there."""
         self._left_out: Counter[str] = Counter()
         self._said: set[Hashable] = set()
         self._ways: dict[Hashable, tuple[AnyPublication | None, Hashable | None]] = {}
@@ -84,26 +92,25 @@ class Outlets:
         if self._clock is not None and name == self._clock.topic:
             self._say(topic, "%s is not played as stored: --clock publishes it", topic)
             return
-        kind = MessageKind.of(channel.type, channel.md5sum, channel.definition)
+        kind = MessageKind.of(channel.type, channel.kind.md5sum, channel.definition)
         # Two stored topics may be remapped to one.
         publication = next((p for p in self._publications.values() if p.topic == name), None)
         if publication is not None:
-            if publication.kind._md5sum == kind._md5sum:
+            published = self._kinds[name]
+            if _layout(published) == _layout(channel.kind):
                 self._publications[topic] = publication
                 return
             self._say(
-                (topic, kind),
-                "topic %s was stored with several types; only %s [%s] is played, "
-                "%s [%s] is left out",
+                (topic, channel.type, channel.kind),
+                "topic %s was stored with several types; only %s is played, %s is left out",
                 name,
-                publication.kind._type,
-                publication.kind._md5sum,
-                channel.type,
-                channel.md5sum,
+                type_text(publication.kind._type, published, channel.kind),
+                type_text(channel.type, channel.kind, published),
             )
             return
         try:
             self._publications[topic] = advertise(check_ros_name(topic), kind, latched, queue)
+            self._kinds[name] = channel.kind
         except InvalidName as exc:
             hint = f"it can be played under another name: '{topic}:=/NAME'"
             self._say(topic, "topic %s is not played: %s; %s", topic, exc, hint)
@@ -152,7 +159,9 @@ class Outlets:
     ) -> tuple[AnyPublication | None, Hashable | None]:
         """Return the publisher for the messages of a connection, and ``key`` if it was latching."""
         publication, row = self._publications.get(played.topic), played.row
-        if publication is None or publication.kind._md5sum != (row.md5sum or ANY):
+        if publication is None:
+            return None, None
+        if _layout(self._kinds[publication.topic]) != _layout(row.table.kind):
             return None, None
         try:
             return publication, key if row.connection.latching else None

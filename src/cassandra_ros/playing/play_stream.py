@@ -19,6 +19,7 @@ from cassandra_ros.arguments import spellings
 from cassandra_ros.errors import InvalidOption, MessageNotFound
 from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
+from cassandra_ros.metadata import Kind
 from cassandra_ros.overview.latched_messages import LatchedRecord, Source, is_latched
 from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
@@ -100,12 +101,13 @@ class PlayedMessage(NamedTuple):
 
 
 class Channel(NamedTuple):
-    """A topic that is advertised before the first message, by name, type and md5sum."""
+    """A topic that is advertised before the first message, by name, type and definition."""
 
     topic: str
     """Name under which it is published."""
     type: str
-    md5sum: str
+    kind: Kind
+    """Kind of the messages."""
     definition: str
     """Text of the message definition, as stored."""
     latched: bool
@@ -293,17 +295,18 @@ class Stream:
         for ranges, plays in ((playing, True), (earlier, False)):
             for each in ranges:
                 by_table.setdefault(each.table.name, []).append((each, plays))
-        channels: dict[tuple[str, str, str], Channel] = {}
-        played: dict[tuple[str, str, str], set[StoredRange]] = {}
+        channels: dict[tuple[str, str, Kind], Channel] = {}
+        played: dict[tuple[str, str, Kind], set[StoredRange]] = {}
         for name, _, connection in self._store.connections(by_table):
-            metadata, latched = by_table[name][0][0].table.metadata, is_latched(connection)
-            kind = connection.type or metadata.msg_type
+            table, latched = by_table[name][0][0].table, is_latched(connection)
+            metadata = table.metadata
+            msg_type = connection.type or metadata.msg_type
             text = connection.definition_text or metadata.definition
             for each, plays in by_table[name]:
                 if not (plays or latched):
                     continue
                 topic = self._name_of(metadata.topic, each.node, each.writer)
-                key = (topic, kind, metadata.md5sum)
+                key = (topic, msg_type, table.kind)
                 known = channels.get(key, Channel(*key, text, latched))
                 channels[key] = known._replace(latched=known.latched or latched)
                 if plays:

@@ -16,7 +16,7 @@ from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.stamps import Stamp
 from cassandra_ros.query.protocols import Disk, Events, NamedTime, Stays
 from cassandra_ros.read import Read
-from cassandra_ros.topics.message_writer import layout_md5sum, usable_definition
+from cassandra_ros.topics.message_writer import connection_kind, usable_definition
 
 
 class _NoRuns:
@@ -86,7 +86,7 @@ class LiveTable:
         self.definition: Definition | None = None
         try:
             self.definition, _ = usable_definition(connection, FALLBACK_FORMAT)
-            self.msg_type, self.name = connection.type, layout_md5sum(connection)
+            self.msg_type, self.name = connection.type, str(connection_kind(connection))
         except CassandraRosError:  # not even a header
             self.msg_type = ""
         self.index_fields: Mapping[str, IndexField] = {}

@@ -37,9 +37,9 @@ from cassandra_ros.recording.losses import LossLog
 from cassandra_ros.recording.store_future import is_there
 from cassandra_ros.tables.place_index import IndexedPoses, Visit
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.message_writer import layout_md5sum
+from cassandra_ros.topics.message_writer import connection_kind
 from cassandra_ros.topics.row_finder import range_between
-from cassandra_ros.transforms.transform_samples import TRANSFORMS_MD5
+from cassandra_ros.transforms.transform_samples import TRANSFORMS
 
 if TYPE_CHECKING:
     from cassandra_ros.recording.message_buffer import MessageSource
@@ -89,10 +89,10 @@ class LiveTopic:
     def add(self, taken: _PoseMessage) -> None:
         """Add a message."""
         connection = taken.source.connection
-        md5sum = layout_md5sum(connection)
-        table = self._tables.get(md5sum)
+        name = str(connection_kind(connection))
+        table = self._tables.get(name)
         if not isinstance(table, LiveTable):
-            table = self._tables[md5sum] = LiveTable(connection)
+            table = self._tables[name] = LiveTable(connection)
         if table.definition is None:
             return
         row = LiveRow(table, self.name, self._node, taken.t, taken.wire, len(taken.wire))
@@ -140,7 +140,7 @@ def tells_places(connection: Connection) -> bool:
     """Return whether the messages of a connection have poses of a robot."""
     try:
         if connection.topic in (TF, TF_STATIC):
-            return layout_md5sum(connection) == TRANSFORMS_MD5
+            return connection_kind(connection) == TRANSFORMS
         return connection.type in POSES
     except CassandraRosError:  # not even a header
         return False

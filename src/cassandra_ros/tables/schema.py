@@ -24,7 +24,7 @@ from cassandra_ros.connection.cql_names import (
     table_name,
 )
 from cassandra_ros.errors import CassandraRosError, SchemaConflict, TopicNotFound
-from cassandra_ros.metadata import SCHEMA_VERSION, SHADOW, TopicMetadata, from_comment
+from cassandra_ros.metadata import SCHEMA_VERSION, SHADOW, Kind, TopicMetadata, from_comment
 from cassandra_ros.tables.row_table import RowTable
 from cassandra_ros.tables.side_tables import SchemaLock, SideTables
 from cassandra_ros.tables.table_files import TableFiles
@@ -121,7 +121,7 @@ Planner = Callable[[Sequence[TopicMetadata]], TablePlan]
 class TableWish(NamedTuple):
     """A table for new messages, that is found or made."""
 
-    key: tuple[str, tuple[str, str], str]
+    key: tuple[str, Kind, str]
     """Topic, kind and format."""
     plan: Planner
     """Called under the lock if the table must be made, with the metadata of the topic's other
@@ -159,10 +159,20 @@ class _NewTable(NamedTuple):
 
 
 class Schema:
-    """Topic tables of one keyspace. Thread-safe; the list of tables is cached until it changes."""
+    """Topic tables of one keyspace. Thread-safe; the list of tables is cached until it changes.
 
-    def __init__(self, cassandra: Cassandra, side_tables: SideTables) -> None:
+    Args:
+        kind_of: Returns the kind of a table's messages by its metadata.
+    """
+
+    def __init__(
+        self,
+        cassandra: Cassandra,
+        side_tables: SideTables,
+        kind_of: Callable[[TopicMetadata], Kind],
+    ) -> None:
         self._cassandra = cassandra
+        self._kind_of = kind_of
         self.keyspace = side_tables.keyspace
         self._side_tables = side_tables
         self._listing: Listing | None = None
@@ -275,7 +285,7 @@ class Schema:
         All are made under one lock, with one reading of the comments before and one after. A name
         is None if the table was dropped as soon as it was made.
         """
-        names = _find_all(self.listing(), wishes)
+        names = self._find_all(self.listing(), wishes)
         if None in names:
             with self.lock() as lock:
                 names = self._make_missing(wishes, lock)
@@ -287,13 +297,35 @@ class Schema:
         tables: list[_NewTable] = []
         for wish in wishes:
             mine = [table.metadata for table in tables if table.metadata.topic == wish.key[0]]
-            done = wish.key in ((m.topic, m.kind, m.format) for m in mine)
-            if not done and _find(listing, wish) is None:
+            done = any(self._is_for(m, wish) for m in mine)
+            if not done and self._find(listing, wish) is None:
                 others = [listing.visible[name] for name in listing.by_topic.get(wish.key[0], ())]
                 tables.append(_new_table(*wish.plan([*others, *mine]), large=wish.large))
         self._make(tables, lock)
         self._check(tables)
-        return _find_all(self.listing(), wishes)
+        return self._find_all(self.listing(), wishes)
+
+    def _is_for(self, metadata: TopicMetadata, wish: TableWish) -> bool:
+        """Return whether a table is one of the topic, kind and format of a wish."""
+        topic, kind, format_name = wish.key
+        alike = (metadata.topic, metadata.format) == (topic, format_name)
+        return alike and self._kind_of(metadata) == kind
+
+    def _find(self, listing: Listing, wish: TableWish) -> str | None:
+        """Return the table for new messages of a topic, kind and format; None = not in the listing.
+
+        Of several it is the one that came from a conversion: a repeated import finds its rows
+        there.
+        """
+        found = [
+            name
+            for name in listing.by_topic.get(wish.key[0], ())
+            if name not in listing.leaving and self._is_for(listing.visible[name], wish)
+        ]
+        return max(found, key=lambda name: bool(listing.visible[name].replaces), default=None)
+
+    def _find_all(self, listing: Listing, wishes: Sequence[TableWish]) -> list[str | None]:
+        return [self._find(listing, wish) for wish in wishes]
 
     def create(self, planned: TablePlan, lock: SchemaLock) -> str:
         """Make a table as planned, under the lock, and check it; return its name."""
@@ -448,7 +480,7 @@ class Schema:
                 # With new names, so that a writer with an old listing cannot write into them.
                 read = [name for name in tables if name in listing.visible]
                 one_each = {
-                    (m.kind, m.format): (name, m.with_(replaces=(), cut=False))
+                    (self._kind_of(m), m.format): (name, m.with_(replaces=(), cut=False))
                     for name, m in tables.items()
                     if name in read
                 }
@@ -475,24 +507,6 @@ class Schema:
                         what=f"dropping table {name}",
                     )
             self._cassandra.forget(table)
-
-
-def _find(listing: Listing, wish: TableWish) -> str | None:
-    """Return the table for new messages of a topic, kind and format; None = not in the listing.
-
-    Of several it is the one that came from a conversion: a repeated import finds its rows there.
-    """
-    found: list[str] = []
-    for name in listing.by_topic.get(wish.key[0], ()):
-        metadata = listing.visible[name]
-        if (metadata.topic, metadata.kind, metadata.format) == wish.key:
-            if name not in listing.leaving:
-                found.append(name)
-    return max(found, key=lambda name: bool(listing.visible[name].replaces), default=None)
-
-
-def _find_all(listing: Listing, wishes: Sequence[TableWish]) -> list[str | None]:
-    return [_find(listing, wish) for wish in wishes]
 
 
 def _new_table(

@@ -88,7 +88,7 @@ class CassandraTopic:
 
     @property
     def tables(self) -> WholeTopic:
-        """Tables of the topic, one for each md5 and format; empty before the first message."""
+        """Tables of the topic, one for each kind and format; empty before the first message."""
         return self._keyspace.tables.of_topic(self.name)
 
     @property

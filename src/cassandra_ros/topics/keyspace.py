@@ -22,7 +22,7 @@ from cassandra_ros.topics.row_reader import FollowingReader, RowReader
 from cassandra_ros.topics.run_finder import Runs
 from cassandra_ros.topics.stored_headers import ConnectionCache
 from cassandra_ros.topics.stored_totals import holds_any
-from cassandra_ros.topics.topic_table import TopicTable, TopicTables
+from cassandra_ros.topics.topic_table import TopicTable, TopicTables, kind_of
 
 
 class Keyspace:
@@ -38,7 +38,7 @@ class Keyspace:
         self.cassandra = cassandra
         self.name = name
         self.side_tables = SideTables(cassandra, name)
-        self.schema = Schema(cassandra, self.side_tables)
+        self.schema = Schema(cassandra, self.side_tables, kind_of)
         self.indexes = IndexChanges(self.schema)
         self.directory = Directory(cassandra, self.side_tables)
         self.registry = Registry(self.side_tables)

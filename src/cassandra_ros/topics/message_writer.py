@@ -39,7 +39,7 @@ from cassandra_ros.keys import COUNTER_BITS, MAX_NS, MAX_WRITER, new_writer_id
 from cassandra_ros.messages.classes import installed_definition
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, read_definition
-from cassandra_ros.metadata import ANY_MD5, TopicMetadata
+from cassandra_ros.metadata import ANY_MD5, Kind, TopicMetadata, message_kind
 from cassandra_ros.store.writer import LossCallback, RowWriter, WriteStats
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import NewRow
@@ -257,7 +257,7 @@ class MessageWriter:
             like or TopicMetadata("", "", "", "", 0, ttl=self._ttl or 0),
             topic=connection.topic,
             msg_type=connection.type,
-            md5sum=layout_md5sum(connection),
+            md5sum=connection_kind(connection).md5sum,
             format=wanted if definition is not None else FALLBACK_FORMAT,
             bucket_ns=asked.bucket_ns or 0,
             span_ns=asked.span_ns or 0,
@@ -281,7 +281,8 @@ class MessageWriter:
 
     def format_of(self, connection: Connection) -> str:
         """Return the format in which a connection's topic is stored, or would be by default."""
-        return self._keyspace.new_tables.format_for(connection.topic, layout_md5sum(connection))
+        md5sum = connection_kind(connection).md5sum
+        return self._keyspace.new_tables.format_for(connection.topic, md5sum)
 
     def _other_ttl(self, stored: TopicMetadata) -> str | None:
         if self._ttl in (None, stored.ttl):
@@ -621,13 +622,15 @@ def usable_definition(
     )
 
 
-def layout_md5sum(connection: Connection) -> str:
-    """Return the md5sum of the table for a connection's messages: that of its definition.
+def connection_kind(connection: Connection) -> Kind:
+    """Return the kind of the messages of a connection, by its definition.
 
-    If the definition is unusable, it is the md5sum of the header.
+    If the definition is unusable, the md5sum is that of the header.
     """
     definition, _ = usable_definition(connection, FALLBACK_FORMAT)
-    return connection.md5sum if definition is None else definition.md5sum
+    if definition is not None:
+        return definition.kind
+    return message_kind(connection.md5sum, connection.type, ())
 
 
 @lru_cache(maxsize=256)

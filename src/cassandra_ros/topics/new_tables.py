@@ -36,7 +36,13 @@ from cassandra_ros.messages.key_part import KeyPart
 from cassandra_ros.metadata import TopicMetadata, shadow_column
 from cassandra_ros.tables.directory import MIN_SPAN_NS, UNKNOWN_SPAN_NS, limit_for_ttl
 from cassandra_ros.tables.schema import Planner, Schema, TablePlan, TableWish
-from cassandra_ros.topics.topic_table import TopicTable, TopicTables, stored_format
+from cassandra_ros.topics.topic_table import (
+    TopicTable,
+    TopicTables,
+    kind_of,
+    stored_format,
+    type_texts,
+)
 
 
 def wished_topic(
@@ -82,8 +88,8 @@ class Wish:
     def check(self, stored: TopicMetadata, definition: Definition | None) -> None:
         """Raise TopicExists if the topic is stored with other values than requested."""
         wrong, wanted = [], self.metadata
-        if definition is not None and definition.md5sum != stored.md5sum:
-            wrong.append(f"type {stored.msg_type} [{stored.md5sum}]")
+        if definition is not None and definition.kind != kind_of(stored):
+            wrong.append(f"type {type_texts(stored, _typed(wanted, definition))[0]}")
         key = (wanted.key_format, wanted.key_part)
         if wanted.key_format and key != (stored.key_format, stored.key_part):
             wrong.append(f"key_format {stored.key_format} {stored.key_part}".rstrip())
@@ -109,7 +115,7 @@ class NewTable(NamedTuple):
 
 def _wish(table: NewTable) -> TableWish:
     metadata, definition, large = table
-    key = (metadata.topic, metadata.kind, metadata.format)
+    key = (metadata.topic, kind_of(metadata), metadata.format)
     return TableWish(key, planner(metadata, definition), large)
 
 
@@ -172,9 +178,7 @@ class NewTables:
         """Find or make the table for messages of this definition, in the requested format."""
         for path in wish.metadata.indexes:
             IndexField(definition, path, "")  # raises InvalidName if there is no such field
-        kind, md5sum, text = definition.type, definition.md5sum, definition.text
-        metadata = wish.metadata.with_(msg_type=kind, md5sum=md5sum, definition=text)
-        table = self.make(metadata, definition)
+        table = self.make(_typed(wish.metadata, definition), definition)
         wish.check(table.metadata, None)  # another client may have made it first
         return table
 
@@ -188,17 +192,23 @@ class NewTables:
             )
         definition = definition_of(type(msg))
         tables = self._tables.of_topic(topic)
-        fitting = [t for t in tables if t.metadata.md5sum == definition.md5sum]
+        fitting = [table for table in tables if table.kind == definition.kind]
         wished = [t for t in fitting if t.metadata.format == wish.metadata.format]
         if wished or (fitting and not wish.asked):
             return (wished or fitting)[0]
         if tables and not fitting:
-            stored = tables[0].metadata
+            stored, given = type_texts(tables[0].metadata, _typed(wish.metadata, definition))
             raise TypeMismatch(
-                f"topic {topic} holds {stored.msg_type} [{stored.md5sum}], the message is "
-                f"{definition.type} [{definition.md5sum}]; nothing was stored"
+                f"topic {topic} holds {stored}, the message is {given}; nothing was stored: store "
+                "it under another topic"
             )
         return self.for_wish(wish, definition)
+
+
+def _typed(wanted: TopicMetadata, definition: Definition) -> TopicMetadata:
+    """Return metadata with the type of a definition."""
+    kind, md5sum, text = definition.type, definition.md5sum, definition.text
+    return wanted.with_(msg_type=kind, md5sum=md5sum, definition=text)
 
 
 def planner(metadata: TopicMetadata, definition: Definition | None) -> Planner:
@@ -232,10 +242,10 @@ def _beside(metadata: TopicMetadata, others: Sequence[TopicMetadata]) -> TopicMe
     if not others:
         return metadata
     first = others[0]
-    if all(other.kind != metadata.kind for other in others):
-        was, now = (f"{each.msg_type} [{each.md5sum}]" for each in (first, metadata))
+    kind = kind_of(metadata)
+    if all(kind_of(other) != kind for other in others):
         text = "topic %s was stored with type %s and goes on with %s in a table of its own; "
-        _log.warning(text + "reading merges both", metadata.topic, was, now)
+        _log.warning(text + "reading merges both", metadata.topic, *type_texts(first, metadata))
     elif metadata.format not in (formats := {other.format for other in others}):
         was, now = ", ".join(sorted(formats)), metadata.format
         text = "topic %s is stored in format %s and goes on in format %s in a table of its own; "

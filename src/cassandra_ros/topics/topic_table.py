@@ -21,7 +21,7 @@ from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.definition import Definition, read_definition
 from cassandra_ros.messages.index_field import IndexField
 from cassandra_ros.messages.key_part import KeyPart
-from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.metadata import Kind, TopicMetadata, message_kind, type_text
 from cassandra_ros.query.protocols import Places as RobotPlaces
 from cassandra_ros.tables.row_encoder import Indexed, Shadows
 from cassandra_ros.tables.row_table import NewRow, RowTable, encode_long
@@ -44,7 +44,7 @@ _new_row = partial(tuple.__new__, NewRow)  # _make is a function of Python
 
 
 class TopicTable(RowTable):
-    """A table with messages of one topic, one md5 and one format."""
+    """A table with messages of one topic, one kind and one format."""
 
     def __init__(
         self,
@@ -60,6 +60,8 @@ class TopicTable(RowTable):
     ) -> None:
         self.definition = definition = definition_in(metadata)
         """Checked definition; None = the stored one is not usable, and rows are bytes then."""
+        self.kind = _kind(metadata, definition)
+        """Kind of its messages."""
         self.format: CassandraTopic_ = format_class(metadata.format)(
             metadata.msg_type, metadata.md5sum, definition
         )
@@ -131,7 +133,7 @@ class TopicTable(RowTable):
             text = connection.definition_text
             if connection.type != definition.type or (text and text != definition.text):
                 # The same md5 under another name, as tf/tfMessage and tf2_msgs/TFMessage, or with
-                # another text: the md5 does not distinguish an array of messages from a single one.
+                # another text. Earlier releases kept arrays of messages here, too, beside messages.
                 definition = read_definition(connection.type, text, md5sum)
             return message_class(definition)
         except DefinitionError as exc:
@@ -180,7 +182,7 @@ class TopicTable(RowTable):
 
 
 class WholeTopic(List[TopicTable]):
-    """All tables of a topic in one listing: one for each md5 and format.
+    """All tables of a topic in one listing: one for each kind and format.
 
     A read of such a list, in place of a plain one, includes tables that were made before it began.
     """
@@ -280,7 +282,7 @@ class TopicTables:
             return make()
 
     def of_topic(self, topic: str, *, fresh: bool = False) -> WholeTopic:
-        """Return the tables of a topic: one for each md5 and format."""
+        """Return the tables of a topic: one for each kind and format."""
         return self._whole(topic, self._schema.listing(fresh=fresh))
 
     def _whole(self, topic: str, listing: Listing, others: Iterable[str] = ()) -> WholeTopic:
@@ -306,6 +308,22 @@ def definition_in(metadata: TopicMetadata) -> Definition | None:
     except DefinitionError as exc:
         _log.debug("topic %s has no usable definition: %s", metadata.topic, exc)
         return None
+
+
+def kind_of(metadata: TopicMetadata) -> Kind:
+    """Return the kind of a table's messages."""
+    return _kind(metadata, definition_in(metadata))
+
+
+def _kind(metadata: TopicMetadata, definition: Definition | None) -> Kind:
+    arrays = () if definition is None else definition.arrays
+    return message_kind(metadata.md5sum, metadata.msg_type, arrays)
+
+
+def type_texts(one: TopicMetadata, other: TopicMetadata) -> tuple[str, str]:
+    """Return the types of two tables as texts for the user, see ``type_text``."""
+    ours, theirs = kind_of(one), kind_of(other)
+    return type_text(one.msg_type, ours, theirs), type_text(other.msg_type, theirs, ours)
 
 
 def stored_format(tables: Sequence[TopicMetadata], md5sum: str = "") -> str:

@@ -19,6 +19,7 @@ from typing import Any, Iterator, NamedTuple, Sequence, Tuple
 
 from cassandra_ros.errors import CorruptMessage, TypeMismatch
 from cassandra_ros.keys import MAX_NS, SECOND_NS, Position
+from cassandra_ros.metadata import message_kind
 from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.rows.projection import Extractor
 from cassandra_ros.query.source import Source
@@ -27,8 +28,8 @@ from cassandra_ros.read import Read, TimeRange, Whose, Writers
 
 _log = logging.getLogger(__name__)
 
-TRANSFORMS_MD5 = "94810edda583a504dfda3829e70d7eec"
-"""md5 of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
+TRANSFORMS = message_kind("94810edda583a504dfda3829e70d7eec", "", ("transforms[]",))
+"""Kind of tf2_msgs/TFMessage, and of tf/tfMessage, its name before tf2."""
 _HEAD = ("header.stamp", "header.frame_id", "child_frame_id")
 _MOVED = tuple(f"transform.translation.{c}" for c in "xyz")
 _TURNED = tuple(f"transform.rotation.{c}" for c in "xyzw")
@@ -214,7 +215,7 @@ class TransformTopic:
     def _extractor(self, table: Table) -> tuple[Extractor, Extractor]:
         if table.name not in self._extractors:
             definition = table.definition
-            if definition is None or definition.md5sum != TRANSFORMS_MD5:
+            if definition is None or definition.kind != TRANSFORMS:
                 raise TypeMismatch(
                     f"topic {self._topic.name} holds {table.msg_type}, no transforms: name the "
                     "topics of tf2_msgs/TFMessage with tf= and tf_static="

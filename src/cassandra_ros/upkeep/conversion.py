@@ -26,7 +26,7 @@ from cassandra_ros.errors import (
 )
 from cassandra_ros.formats.table import FALLBACK_FORMAT, format_class
 from cassandra_ros.keys import SECOND_NS
-from cassandra_ros.metadata import TopicMetadata
+from cassandra_ros.metadata import Kind, TopicMetadata
 from cassandra_ros.read import EVERYBODY, Read, TimeRange, Whose
 from cassandra_ros.store.fetch import list_names
 from cassandra_ros.tables import replacement
@@ -131,9 +131,9 @@ def _plans(space: Keyspace, report: Converted) -> list[_Plan]:
     tables = space.tables.of_topic(report.topic)
     if not tables:
         raise TopicNotFound(f"topic {report.topic} has no type yet: there is nothing to convert")
-    groups: dict[tuple[str, str], list[TopicTable]] = {}
+    groups: dict[Kind, list[TopicTable]] = {}
     for table in tables:
-        groups.setdefault(table.metadata.kind, []).append(table)
+        groups.setdefault(table.kind, []).append(table)
     plans = []
     for olds in groups.values():
         newest = max(olds, key=lambda old: (old.metadata.date, old.name))
