@@ -17,6 +17,7 @@ from upkeep.test_convert import fill, joint_state, seen
 
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.copying.copy_status import copy_status
 from cassandra_ros.copying.replicator import Replicator
 from cassandra_ros.errors import InvalidOption, StoreUnavailable, UnsupportedSchema
 from cassandra_ros.formats.table import FORMATS
@@ -253,6 +254,30 @@ def test_a_bucket_that_is_written_is_followed(rosCas, home, monkeypatch):
     Replicator(rosCas, home).copy()
     assert messages(home) == messages(rosCas)
     assert directory(home) == directory(rosCas)
+
+
+@pytest.mark.parametrize("fmt", ["ros", "packed"])
+def test_the_status_does_not_take_new_messages_for_those_that_were_deleted(rosCas, home, fmt):
+    """A topic is truncated while it is written, and gets as many messages again."""
+
+    def status():
+        (found,) = copy_status(rosCas.catalog)
+        return found.copied, found.waiting
+
+    with rosCas.messageWriter(writer_id=5, format=fmt) as writer:
+        handle = writer.connect(api_connection("/t", definition_of(Int64), "/x"))
+        for first in (0, 50):
+            for n in range(first, first + 50):
+                writer.write(handle, T0 + n, n, serialize(Int64(n)))
+            writer.flush()
+            if not first:
+                Replicator(rosCas, home).copy()
+                assert status() == (50, 0)
+                assert rosCas.truncateTopic("/t") == 50
+                assert status() == (0, 0)
+        assert status() == (0, 50)
+        Replicator(rosCas, home).copy()
+        assert status() == (50, 0)
 
 
 def test_a_selection_is_copied(rosCas, home):

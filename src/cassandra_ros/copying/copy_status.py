@@ -85,11 +85,12 @@ def _add(
         book = known.get((row.node, row.bucket, row.writer))
         known_rows, copied, nbytes, t_max = 0, 0, 0, row.t_min
         # With fewer messages than the book tells of, some were deleted: what is there may be new.
-        if book is not None and (book.rows <= row.rows or book.confirms(row, [book.there])):
+        alike = book is not None and book.rows <= row.rows
+        if book is not None and (row.cut or alike or book.confirms(row, [book.there])):
             known_rows, copied = min(book.rows, row.rows), min(book.n, row.rows)
             nbytes = book.bytes
             t_max = max(t_max, book.t_max)
-            if not (row.closed or book.rule or copied == row.rows):
+            if row.cut or not (row.closed or book.rule or copied == row.rows):
                 # The books have what the directory said of a bucket that was being written.
                 known_rows = copied = row.rows - uncopied(table, row, [book]).messages
                 nbytes = row.bytes * copied // row.rows if row.rows else 0

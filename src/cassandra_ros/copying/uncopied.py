@@ -40,10 +40,12 @@ def uncopied(table: TopicTable, row: BucketRow, books: Iterable[CopiedBucket]) -
         for book in books
         if book.there and (book.final or not row.closed or book.heartbeat != row.heartbeat)
     ]
-    least = row.rows - max((min(book.n, row.rows) for book in books), default=0)
+    # After a deletion those that were copied may be the deleted ones.
+    there = 0 if row.cut else max((min(book.n, row.rows) for book in books), default=0)
+    most = row.rows - there
     seen = max((book.seen for book in books if not book.rule), default=0)
     if not seen:
-        return Uncopied(least, row.t_min, row.t_max)
+        return Uncopied(most, row.t_min, row.t_max)
     writers = frozenset([row.writer])
     written = row_keys(table, row.node, row.bucket, writers)
     late = {key for key, written_us in written.items() if written_us > seen}
@@ -53,7 +55,7 @@ def uncopied(table: TopicTable, row: BucketRow, books: Iterable[CopiedBucket]) -
     else:
         counts = [(1, t, t) for t, _ in late]
     return Uncopied(
-        min(least, sum(messages for messages, _, _ in counts)),
+        min(most, sum(messages for messages, _, _ in counts)),
         min((first for _, first, _ in counts), default=row.t_min),
         max((last for _, _, last in counts), default=row.t_max),
     )
