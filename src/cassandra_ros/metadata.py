@@ -71,6 +71,9 @@ class TopicMetadata:
     """The user's own keys (setMeta)."""
     replaces: tuple[str, ...] = ()
     """Names of all tables that this one has replaced, directly or indirectly."""
+    since_us: int = 0
+    """Server time before the messages of the replaced tables were copied, us; 0 = unknown. Messages
+    that were written later into these tables may be missing here."""
     filling: bool = False
     """Whether messages of the replaced tables are still being copied; readers ignore the table."""
     cut: bool = False
@@ -294,7 +297,7 @@ _CHECKS: Mapping[str, Callable[[object], bool]] = {
     "key_format": partial(_is_one_of, KEY_FORMATS),
     "bucket_ns": partial(_is_integer, least=1),
     "ttl": partial(_is_integer, most=MAX_LIFETIME_SEC),
-    **dict.fromkeys(("generation", "span_ns"), _is_integer),
+    **dict.fromkeys(("generation", "span_ns", "since_us"), _is_integer),
     "index_count": partial(_is_integer, most=10**9),
     "version": partial(_is_integer, least=1),
     **dict.fromkeys(("own_time", "filling", "cut"), _is_bool),

@@ -441,6 +441,43 @@ def test_what_comes_late_into_a_bucket_that_stayed_open_is_taken_along(
     assert len(list(topic.rows())) == 42
 
 
+@pytest.mark.parametrize("form", ["ros", "packed", "names"])
+def test_what_comes_after_a_conversion_was_broken_off_is_taken_along(
+    rosCas, connect, monkeypatch, form
+):
+    """A conversion dies after the switch; a client that does not know of it goes on; then again."""
+    if form == "names":
+        rosCas.addTopic("/t", "ros", msg_type="sensor_msgs/JointState", key_format="manual")
+        for number in range(3):
+            rosCas.getTopic("/t").addData(joint_state(number), key=f"n{number}")
+    else:
+        fill(rosCas, form, 20)
+    topic, finish = rosCas.getTopic("/t"), replacement.finish
+    before = topic.countTopicData()
+
+    def finish_then_die(*arguments):
+        finish(*arguments)
+        raise KeyboardInterrupt
+
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        handle = writer.connect(api_connection("/t", definition_of(JointState), "/late"))
+        monkeypatch.setattr(other.catalog.keyspace.schema, "takes_rows", lambda table: True)
+        with monkeypatch.context() as killed, pytest.raises(KeyboardInterrupt):
+            killed.setattr(replacement, "finish", finish_then_die)
+            rosCas.convertTopic("/t", "json")
+        deleted = topic.removeData("n1") if form == "names" else topic.removeData(T0, T0)
+        assert deleted > 0
+        writer.write(handle, T0 + 5, 1, serialize(joint_state(99)), "late")
+        writer.flush()
+    assert topic.countTopicData() == before - deleted
+    for _ in range(2):
+        rosCas.convertTopic("/t", "json")
+        assert topic.countTopicData() == len(list(topic.rows())) == before - deleted + 1
+        (late,) = (row for row in topic.rows() if row.connection.callerid == "/late")
+        assert (late.received, late.message().header.seq) == (T0 + 5, 99)
+        assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
+
+
 CHANGES = ["convert", "rename", "delete", "index"]
 
 

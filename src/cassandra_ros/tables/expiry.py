@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Lifetime of stored rows that expire, for copies that expire at the same time."""
+"""Lifetime of stored rows that expire, and when rows were written, for copies of them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ STEPS = 100
 _PAGE_ROWS = 5000
 _LEFT = 'TTL("_conn")'
 """The remaining lifetime of a column that each row has and that is never updated."""
+_WRITTEN = 'WRITETIME("_conn")'
 
 
 def rounded(left: int, ttl: int) -> int:
@@ -33,11 +34,19 @@ def left_in_bucket(table: RowTable, node: str, bucket: int) -> int:
 
 def left_by_name(table: RowTable) -> dict[Position, int]:
     """Return the remaining lifetime of each row of a table whose rows have names; all in memory."""
+    return _by_name(table, _LEFT)
 
+
+def written_by_name(table: RowTable) -> dict[Position, int]:
+    """Return the server time at which each row of such a table was written, us; all in memory."""
+    return _by_name(table, _WRITTEN)
+
+
+def _by_name(table: RowTable, column: str) -> dict[Position, int]:
     def read(rows: Iterable[RawRow]) -> dict[Position, int]:
         return {_position(values[:-1], table.name): decode_long(values[-1]) for values in rows}
 
-    return table.collect(bind(table.select_names(_LEFT), (), _PAGE_ROWS), read)
+    return table.collect(bind(table.select_names(column), (), _PAGE_ROWS), read)
 
 
 def _position(values: RawRow, table: str) -> Position:

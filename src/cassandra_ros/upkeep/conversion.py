@@ -208,7 +208,16 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
 
 
 def _forget_left(space: Keyspace, topic: str) -> None:
-    """Delete what killed conversions left, and the entries of replaced tables."""
+    """Delete what killed conversions left, and the entries of replaced tables.
+
+    What clients stored in a replaced table after the switch is taken along before.
+    """
+    every = space.schema.listing(fresh=True).every
+    for table in space.tables.of_topic(topic):
+        names = [name for name in table.metadata.replaces if name in every]
+        if names and table.metadata.since_us:
+            olds = [space.tables.get(name, every[name]) for name in names]
+            TableCopy(space, olds, table, None).add_written_since(table.metadata.since_us)
     replacement.clear(space.schema, topic, space.forget_table)
     for table in space.tables.of_topic(topic):
         for old in table.metadata.replaces:
@@ -321,7 +330,9 @@ class Conversion:
         span_ns = 0
         if format_class(self._plan.format).PACKED:
             span_ns = block_span(self._space, self._olds, len(headers))
-        metadata_of_new = self._plan.metadata.with_(span_ns=span_ns)
+        # What comes late comes after SETTLE_SEC, which is more than clocks of servers differ.
+        since_us = self._space.cassandra.server_time_us()
+        metadata_of_new = self._plan.metadata.with_(span_ns=span_ns, since_us=since_us)
 
         def planned(olds: Sequence[TopicMetadata]) -> TablePlan:
             # The plan already contains what the metadata of the other tables say.

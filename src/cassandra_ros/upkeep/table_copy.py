@@ -12,7 +12,15 @@ from cassandra_ros.errors import CassandraRosError, CorruptMessage, WriteFailed
 from cassandra_ros.keys import split_seq
 from cassandra_ros.read import EVERYTHING, Read, TimeRange, Whose
 from cassandra_ros.store.fetch import RowKey, fetch_row, fetch_rows, list_names
-from cassandra_ros.tables.expiry import left_by_name, left_in_bucket, rounded, set_lifetime
+from cassandra_ros.store.verbatim import row_keys
+from cassandra_ros.tables.expiry import (
+    left_by_name,
+    left_in_bucket,
+    rounded,
+    set_lifetime,
+    written_by_name,
+)
+from cassandra_ros.tables.row_table import Order
 from cassandra_ros.topics.keyspace import Keyspace
 from cassandra_ros.topics.message_writer import Handle, MessageWriter
 from cassandra_ros.topics.row_reader import RowReader
@@ -219,14 +227,59 @@ class TableCopy:
         Args:
             read: Where they are looked for, a bucket; None = everywhere, which takes long.
         """
-        count = 0
         if read is None:
-            rows = self._rows(self._olds)
-            late = (row for row in rows if fetch_row(self._new, row.position) is None)
-        else:
-            known = {row.place for row in self._rows([self._new], read)}
-            late = (row for row in self._rows(self._olds, read) if row.place not in known)
+            return self._add(self._not_there(self._rows(self._olds)))
+        return self._add(self._missing(self._olds, read))
+
+    def add_written_since(self, since_us: int) -> int:
+        """Copy the rows that were written into the old tables after a server time, us.
+
+        Other rows that are only there were deleted since from the new table.
+
+        Returns:
+            Their number.
+        """
+        count = 0
+        for table in self._olds:
+            if table.named:
+                written = written_by_name(table).items()
+                late = [RowKey(table, place) for place, us in written if us > since_us]
+                rows = _fetching(table, late)()
+                count += self._add(
+                    row for row in rows if fetch_row(self._new, row.position) is None
+                )
+                continue
+            writers: dict[tuple[str, int], set[int]] = {}
+            for entry in buckets_of(self._space.directory, table):
+                writers.setdefault((entry.node, entry.bucket), set()).add(entry.writer)
+            length = table.bucket_ns
+            for (node, bucket), some in sorted(writers.items()):
+                found = row_keys(table, node, bucket, frozenset(some))
+                keys = {key for key, us in found.items() if us > since_us}
+                low = bucket * length
+                read = Read(TimeRange(low, low + length - 1), Whose((node,), frozenset(some)))
+                if keys:
+                    count += self._add(r for r in self._missing([table], read) if _key(r) in keys)
+        return count
+
+    def _not_there(self, rows: Iterator[StoredRow]) -> Iterator[StoredRow]:
+        """Return those of some rows that are not in the new table, each asked for alone."""
+        return (row for row in rows if fetch_row(self._new, row.position) is None)
+
+    def _missing(self, tables: Sequence[TopicTable], read: Read) -> Iterator[StoredRow]:
+        """Return the rows of old tables in a bucket that are not in the new one."""
+        known = {row.place for row in self._rows([self._new], read)}
+        return (row for row in self._rows(tables, read) if row.place not in known)
+
+    def _add(self, late: Iterator[StoredRow]) -> int:
+        """Write late rows into the new table, with the headers of their connections."""
+        count = 0
         while some := list(islice(late, TOLD)):
+            if not count:
+                headers = self._space.registry.headers({old.name for old in self._olds})
+                self._space.registry.put_headers(
+                    [(self._new.name, conn, header) for _, conn, header in headers]
+                )
             count += len(some)
             self._write(iter(some))
         return count
@@ -251,6 +304,12 @@ class _CopyProgress:
     def _tell(self) -> None:
         if self._progress is not None:
             self._progress(self._done, max(self._done, self._total))
+
+
+def _key(row: StoredRow) -> Order:
+    """Return the key of a row with a message, or with the block that contains it."""
+    block, _ = row.block
+    return (row.t, row.seq) if block is None else (block.t, block.seq)
 
 
 def _fetching(table: TopicTable, wanted: Sequence[RowKey]) -> Callable[[], Iterator[StoredRow]]:
