@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import random
 import signal
+import time
 
 import pytest
 from bag.test_import_export import counts_agree
@@ -102,6 +103,38 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
     rows = table_rows(rosCas, cql)
     import_bag(rosCas, path, format="packed")
     assert table_rows(rosCas, cql) == rows
+
+
+@pytest.mark.parametrize("form", ["packed", "ros"])
+@pytest.mark.parametrize("whole", [True, False])
+def test_what_a_deletion_of_a_server_with_a_fast_clock_hides_is_told(
+    rosCas, cql, tmp_path, form, whole
+):
+    path = tmp_path / "a.bag"
+    with BagWriter(path) as writer:
+        number = writer.connection(string_connection("/a"))
+        for i in range(20):
+            writer.write(number, START + i, string_wire(str(i)))
+    import_bag(rosCas, path, format=form)
+    (table,) = rosCas.getTopic("/a").tables
+    rows = cql.execute(f'SELECT "_node", "_bucket", "_t", "_seq" FROM {table.qualified}').all()
+    row = '"_node" = %s AND "_bucket" = %s AND "_t" = %s AND "_seq" = %s'
+    # As that server would: the mark in the directory, and what it deletes an hour from now.
+    assert rosCas.upkeep.delete(["/a"], START, START + (19 if whole else 2))["/a"] > 2
+    later = time.time_ns() // 1000 + 3600 * 10**6
+    for key in rows if whole or form == "packed" else rows[:3]:
+        if whole or form == "ros":
+            cql.execute(f"DELETE FROM {table.qualified} USING TIMESTAMP {later} WHERE {row}", key)
+        else:
+            marks = f'UPDATE {table.qualified} USING TIMESTAMP {later} SET "_gone" = "_gone" + '
+            cql.execute(f"{marks}{{0, 1, 2}} WHERE {row}", key)
+    report = import_bag(rosCas, path)
+    hidden = 20 if whole else 3
+    assert rosCas.getTopic("/a").countTopicData() == 20 - hidden == report.messages
+    assert report.lost == {"/a": hidden}
+    assert f"{hidden} messages of topic /a" in report.warnings[0] and "clock" in report.warnings[0]
+    (run,) = rosCas.runs()
+    assert (run.stored, run.lost) == ({"/a": 20 - hidden}, {"/a": hidden})
 
 
 def test_a_deleted_message_is_there_again_after_the_import(rosCas, cql, tmp_path):

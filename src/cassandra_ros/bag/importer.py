@@ -7,6 +7,7 @@ from __future__ import annotations
 import logging
 import os
 import threading
+import time
 from collections import deque
 from dataclasses import dataclass, field, replace
 from types import TracebackType
@@ -41,7 +42,8 @@ from cassandra_ros.keys import MAX_NS, MAX_WRITER, SECOND_NS
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.metadata import Kind
 from cassandra_ros.read import Read, TimeRange, Whose
-from cassandra_ros.tables.directory import Lengths, bucket_for, span_for
+from cassandra_ros.store.writer import WriteStats
+from cassandra_ros.tables.directory import CLOCKS_SEC, Lengths, bucket_for, span_for
 from cassandra_ros.tables.event_table import Event
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.tables.row_table import CHUNK_BYTES
@@ -280,8 +282,28 @@ def import_bag(
             chosen = topics_of(reader, topics)
             others = {topic: n for topic, n in run.lost.items() if topic not in chosen}
             writer.close(lost={**others, **report.lost})
+            if _tell_hidden(writer.stats(), report):
+                stored = {topic: each.messages for topic, each in report.topics.items()}
+                lost = {**others, **report.lost}
+                keyspace.registry.put_run(replace(run, stored={**run.stored, **stored}, lost=lost))
         _store_events(keyspace.events, reader, run, report)
     return report
+
+
+def _tell_hidden(stats: Mapping[str, WriteStats], report: ImportReport) -> bool:
+    """Count as lost what was stored and cannot be read; return whether there is anything of it."""
+    hidden = {topic: part.hidden for topic, part in stats.items() if part.hidden}
+    for topic, count in hidden.items():
+        report.topics[topic].messages -= count
+        report.lost[topic] = report.lost.get(topic, 0) + count
+        report.warnings.append(
+            f"{report.path}: {count} messages of topic {topic} were stored, but cannot be read: "
+            "they were deleted meanwhile, or before by a server whose clock is ahead, so that this "
+            "deletion has the later time. Set the clocks of the servers (NTP, chrony), and import "
+            "it once more when that time has passed"
+        )
+        _log.warning("%s", report.warnings[-1])
+    return bool(hidden)
 
 
 def _store_events(events: Events, reader: MessageFile, run: Run, report: ImportReport) -> None:
@@ -499,9 +521,11 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
     for handle in handles.values():
         others = (t for t in keyspace.tables.of_topic(handle.topic) if t.kind != handle.table.kind)
         other += [t for t in others if keyspace.connections.has(t.name, handle.connection)]
-    for table in other:
-        if holds_any(keyspace.directory, [table], whose):
-            delete_time_range(keyspace, [table], Read(TimeRange(0, MAX_NS), whose))
+    read = Read(TimeRange(0, MAX_NS), whose)
+    held = [table for table in other if holds_any(keyspace.directory, [table], whose)]
+    if delete_time_range(keyspace, held, read):
+        # What a server stores whose clock is behind would lie under the deletion.
+        time.sleep(CLOCKS_SEC)
 
 
 def _batches(reader: MessageFile, numbers: AbstractSet[int]) -> Iterator[MessageBatch]:

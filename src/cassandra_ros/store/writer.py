@@ -400,6 +400,10 @@ class WriteStats:
     lost: int = 0
     reason: str = ""
     """Error text of the first loss; '' = no row was lost."""
+    hidden: int = 0
+    """Number of stored messages that were missing when their bucket was counted at the end: deleted
+    meanwhile, or under an earlier deletion with a later time. Only buckets that the writer had used
+    before are counted."""
 
     def store(self, messages: int, nbytes: int) -> None:
         """Count messages as stored."""
@@ -415,6 +419,7 @@ class WriteStats:
         """Count what another writer, or the table of another part of the topic, counted."""
         self.store(other.stored, other.bytes)
         self.lose(other.lost, other.reason)
+        self.hidden += other.hidden
 
 
 class RowWriter:
@@ -873,6 +878,8 @@ class RowWriter:
             if bucket.must_recount:
                 counted = recount(bucket.table, bucket.node, bucket.bucket)
                 totals = counted.get(self._writer_id, BucketTotals())
+                stats = self.stats[bucket.table.name]
+                stats.hidden += max(0, bucket.totals.rows - totals.rows)
             self._put(bucket, totals, closed=True)
         except StoreUnavailable:
             raise
