@@ -437,6 +437,19 @@ def test_no_name_of_a_living_node_is_taken(roscore, recorder, rosCas):
     assert len(wires(rosCas, "/x")) == 2
 
 
+@pytest.mark.suite("all", "it starts many programs")
+def test_recorders_that_start_at_the_same_moment_have_two_names(roscore, recorder, rosCas):
+    """The run, too: it is told that a second run has its name, and how to name one of them."""
+    both = [recorder("/x", "--name", "lab", ready="") for _ in range(2)]
+    with publisher(roscore, "/x") as one:
+        one.await_subscribers(2).publish(text(1))
+        await_stored(rosCas, x=2)
+    assert [child.end() for child in both] == [0, 0]
+    second = ["this one is /recorder_" in child.output for child in both]
+    assert sorted(second) == [False, True]
+    assert any("2 runs are called lab: " in child.output for child in both)
+
+
 def test_quiet(roscore, recorder):
     with publisher(roscore, "/x") as one:
         child = recorder("/x", "-q", "--limit", "1", ready="")

@@ -24,10 +24,10 @@ def publish_map(message: Any, topic: str, argv: Sequence[str], say: Callable[[st
         argv: The command line, with remappings.
         say: Prints a line for the user.
     """
-    name, full_name, taken = own_name(_NAME, argv)
-    # With a name on the command line rospy would not choose an anonymous one.
-    words = [word for word in argv if not (taken and word.startswith(REMAP))]
-    rospy.init_node(name, argv=words, anonymous=taken, disable_rostime=True)
+    with own_name(_NAME, argv) as (name, full_name, taken):
+        # With a name on the command line rospy would not choose an anonymous one.
+        words = [word for word in argv if not (taken and word.startswith(REMAP))]
+        rospy.init_node(name, argv=words, anonymous=taken, disable_rostime=True)
     forward_logging()
     bound_master_calls()
     if taken:

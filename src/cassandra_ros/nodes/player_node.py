@@ -119,17 +119,17 @@ def _start_node(argv: Sequence[str]) -> None:
 
     It uses wall time, also if /use_sim_time is set: it may itself publish /clock.
     """
-    name, full_name, taken = own_name("player", argv)
-    # With a name on the command line rospy would not choose an anonymous one.
-    words = [word for word in argv if not (taken and word.startswith(REMAP))]
-    rospy.init_node(
-        name,
-        argv=words,
-        anonymous=taken,
-        disable_signals=True,
-        disable_rostime=True,
-        disable_rosout=True,
-    )
+    with own_name("player", argv) as (name, full_name, taken):
+        # With a name on the command line rospy would not choose an anonymous one.
+        words = [word for word in argv if not (taken and word.startswith(REMAP))]
+        rospy.init_node(
+            name,
+            argv=words,
+            anonymous=taken,
+            disable_signals=True,
+            disable_rostime=True,
+            disable_rosout=True,
+        )
     log_as_rosout()
     forward_logging()
     bound_master_calls()

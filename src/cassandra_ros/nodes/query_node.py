@@ -120,19 +120,19 @@ def start_node(argv: Sequence[str]) -> dict[str, str]:
     Raises:
         InvalidName: A node of the same name is running.
     """
-    name, full, taken = own_name("cassandra_ros", argv)
-    if taken:  # two nodes of one name would replace each other's services
-        raise InvalidName(
-            f"a node {full} runs already: stop it with rosnode kill {full}, "
-            "or give this one another name with __name:=other"
-        )
-    try:
-        rospy.init_node(name, argv=list(argv))
-    except rospy.ROSInitException as exc:
-        if not rospy.is_shutdown():
-            raise
-        # rospy handled a signal while it waited for a master.
-        raise KeyboardInterrupt from exc
+    with own_name("cassandra_ros", argv) as (name, full, taken):
+        if taken:  # two nodes of one name would replace each other's services
+            raise InvalidName(
+                f"a node {full} runs already: stop it with rosnode kill {full}, "
+                "or give this one another name with __name:=other"
+            )
+        try:
+            rospy.init_node(name, argv=list(argv))
+        except rospy.ROSInitException as exc:
+            if not rospy.is_shutdown():
+                raise
+            # rospy handled a signal while it waited for a master.
+            raise KeyboardInterrupt from exc
     forward_logging()
     bound_master_calls()
     given = {name: rospy.get_param(f"~{name}", None) for name in PARAMETERS}

@@ -38,10 +38,12 @@ Show = Callable[[RecordingStatus, Rates], None]
 
 def start_node(argv: Sequence[str]) -> Mapping[str, object]:
     """Start the node /recorder, or an anonymous one if the name is taken; return its parameters."""
-    name, full_name, taken = own_name("recorder", argv)
-    # With a name on the command line rospy would not choose an anonymous one.
-    words = [word for word in argv if not (taken and word.startswith(REMAP))]
-    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
+    with own_name("recorder", argv) as (name, full_name, taken):
+        # With a name on the command line rospy would not choose an anonymous one.
+        words = [word for word in argv if not (taken and word.startswith(REMAP))]
+        rospy.init_node(
+            name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True
+        )
     forward_logging()
     bound_master_calls()
     follow_clock()

@@ -58,9 +58,11 @@ def start_node(argv: Sequence[str]) -> list[str]:
     Raises:
         InvalidOption: There is no such parameter.
     """
-    name, full_name, taken = own_name("replicator", argv)
-    words = [word for word in argv if not (taken and word.startswith(REMAP))]
-    rospy.init_node(name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True)
+    with own_name("replicator", argv) as (name, full_name, taken):
+        words = [word for word in argv if not (taken and word.startswith(REMAP))]
+        rospy.init_node(
+            name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True
+        )
     forward_logging()
     bound_master_calls()
     if taken:

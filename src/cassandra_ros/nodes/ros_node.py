@@ -6,13 +6,15 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import hashlib
 import logging
+import os
 import socket
 import struct
 import time
 import xmlrpc.client
 from http.client import HTTPException
-from typing import Mapping, Sequence
+from typing import Iterator, Mapping, Sequence
 from urllib.parse import urlparse
 from xml.parsers.expat import ExpatError
 
@@ -34,12 +36,19 @@ _TIMEOUT_SEC = 2.0
 """Maximum time to connect to another node, s."""
 MASTER_SEC = 5.0
 """Maximum time for an answer of the master, s."""
+ALONE_SEC = 10.0
+"""Maximum time to wait for another program that starts a node of the same name, s."""
+_POLL_SEC = 0.05
 MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
 """Exceptions of a request to a master that does not answer, or ends while it answers."""
 
 
-def own_name(default: str, argv: Sequence[str]) -> tuple[str, str, bool]:
-    """Return the name of a node, its full name, and whether a node of that name is running.
+@contextlib.contextmanager
+def own_name(default: str, argv: Sequence[str]) -> Iterator[tuple[str, str, bool]]:
+    """Give the name of a node, its full name, and whether a node of that name is running.
+
+    Start the node within the context: of programs on this machine that start at the same moment one
+    after the other is in it, so each knows of the ones before.
 
     Args:
         default: Name if the command line has no ``__name:=x``.
@@ -48,7 +57,25 @@ def own_name(default: str, argv: Sequence[str]) -> tuple[str, str, bool]:
     given = [word[len(REMAP) :] for word in argv if word.startswith(REMAP)]
     name = given[-1] if given else default
     full_name = str(rospy.get_namespace()) + name
-    return name, full_name, _is_taken(full_name)
+    with _alone(full_name):
+        yield name, full_name, _is_taken(full_name)
+
+
+@contextlib.contextmanager
+def _alone(full_name: str) -> Iterator[None]:
+    """Wait at most ALONE_SEC until no other program on this machine is in this context."""
+    text = f"{os.environ.get('ROS_MASTER_URI')} {full_name}".encode("utf-8", "surrogateescape")
+    address = b"\0cassandra_ros " + hashlib.sha256(text).digest()
+    ends = time.monotonic() + ALONE_SEC
+    # An address that begins with NUL is no file; it is free again when the program ends.
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
+        while time.monotonic() < ends:
+            try:
+                lock.bind(address)
+                break
+            except OSError:
+                time.sleep(_POLL_SEC)
+        yield
 
 
 def _is_taken(full_name: str) -> bool:

@@ -16,6 +16,7 @@ import time
 import weakref
 from collections import Counter
 from concurrent.futures import wait
+from contextlib import suppress
 from functools import partial
 from typing import Callable, Mapping, MutableMapping, Sequence, Tuple
 
@@ -38,6 +39,7 @@ from cassandra_ros.tables.context_blob import RunContext
 from cassandra_ros.tables.directory import Lengths
 from cassandra_ros.tables.registry import LossKind, Run
 from cassandra_ros.topics.message_writer import Handle, MessageWriter, make_writer
+from cassandra_ros.topics.run_finder import describe_runs
 
 _log = logging.getLogger(__name__)
 
@@ -226,6 +228,20 @@ class Recording:
         """Start the run in the store; raises what the store raises."""
         self._writers.append(self._make_writer(self.writer_id))
         self._store.result().keyspace.cassandra.outage.tell_waiting(self._waiting_for_long)
+        if self.name:
+            self._tell_namesakes()
+
+    def _tell_namesakes(self) -> None:
+        """Tell the user which other runs have the name of this one.
+
+        After this one was stored: of two that start at the same moment at least one knows both.
+        """
+        with suppress(StoreUnavailable):  # messages wait for the store then, and it is told
+            runs = self._store.result().keyspace.registry.runs()
+            namesakes = [run for run in runs if run.name == self.name]
+            if len(namesakes) > 1:
+                text = "%s; --run %d means this one alone"
+                _log.info(text, describe_runs(namesakes), self.writer_id)
 
     @property
     def opened(self) -> bool:
