@@ -23,6 +23,7 @@ from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
 
 from cassandra_ros.local_server import free_port
+from cassandra_ros.nodes.ros_node import own_name
 from cassandra_ros.tables.registry import LossKind
 
 LISTENER = Path(__file__).with_name("history_listener.py")
@@ -232,3 +233,21 @@ def _count(listener):
     print("count", file=listener.process.stdin, flush=True)
     await_true(lambda: any(line.isdigit() for line in listener.lines[before:]))
     return int(next(line for line in listener.lines[before:] if line.isdigit()))
+
+
+def test_programs_that_start_at_the_same_moment_choose_their_names_one_after_the_other():
+    order, begun = [], threading.Event()
+
+    def start_second():
+        begun.set()
+        with own_name("recorder", []):
+            order.append("second")
+
+    second = threading.Thread(target=start_second)
+    with own_name("recorder", []) as (_, full_name, _), own_name("player", []):
+        second.start()
+        assert begun.wait(180)
+        time.sleep(0.2)  # it would be in by now
+        order.append(full_name)
+    second.join()
+    assert order == ["/recorder", "second"]
