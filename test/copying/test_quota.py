@@ -97,7 +97,9 @@ def test_of_a_bucket_that_is_copied_in_part_only_the_rest_is_a_loss(rosCas, home
         for n in range(60, 100):
             writer.write(handle, T0 + n * SEC, n, serialize(Int64(n)))
     there = len(messages(home, "/a"))
-    keep_under(rosCas.catalog, 0, uncopied=True)
+    report = keep_under(rosCas.catalog, 10_000)
+    assert (report.bytes, report.uncopied_bytes) == (800, 8 * (100 - there))
+    assert keep_under(rosCas.catalog, 0, uncopied=True).uncopied_bytes == 0
     assert rosCas.getTopic("/a").countTopicData() == 0
     (loss,) = rosCas.losses()
     assert (loss.kind, loss.count) == (LossKind.NO_ROOM, 100 - there)

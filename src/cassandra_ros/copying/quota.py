@@ -81,6 +81,8 @@ class _Entry(NamedTuple):
     """Books that confirm all its messages."""
     others: list[tuple[UUID, CopiedBucket]]
     """Books of the other targets of the table, which have some of its messages or none."""
+    uncopied_bytes: int
+    """Approximate bytes of the messages that no other store has."""
 
 
 def keep_under(
@@ -99,7 +101,7 @@ def keep_under(
         topic = table.metadata.topic
         report.topics.setdefault(topic, Retained(topic)).messages += row.rows
     report.bytes = sum(entry.row.bytes for entry in entries)
-    report.uncopied_bytes = sum(entry.row.bytes for entry in entries if not entry.books)
+    report.uncopied_bytes = sum(entry.uncopied_bytes for entry in entries)
     entries.sort(key=lambda entry: (not entry.books, entry.row.t_max))
     for entry in entries:
         if report.bytes <= max_bytes:
@@ -110,8 +112,7 @@ def keep_under(
             continue
         report.topics[entry.table.metadata.topic].dropped += entry.row.rows
         report.bytes -= entry.row.bytes
-        if not entry.books:
-            report.uncopied_bytes -= entry.row.bytes
+        report.uncopied_bytes -= entry.uncopied_bytes
     return report
 
 
@@ -138,11 +139,13 @@ def _entries(catalog: Catalog, books: CopyBooks) -> list[_Entry]:
             place = (row.node, row.bucket, row.writer)
             mine = dict.fromkeys(targets.get(table.name, ()), CopiedBucket(*place))
             mine.update(known.get(place, []))
-            listed_row = _Entry(table, row, [], [])
+            confirming: list[tuple[UUID, CopiedBucket]] = []
+            others: list[tuple[UUID, CopiedBucket]] = []
             for target, book in mine.items():
                 confirms = book.confirms(row, [book.there])
-                (listed_row.books if confirms else listed_row.others).append((target, book))
-            found.append(listed_row)
+                (confirming if confirms else others).append((target, book))
+            left = 0 if confirming else uncopied_of(table, row, [b for _, b in others]).messages
+            found.append(_Entry(table, row, confirming, others, row.bytes * left // row.rows))
     return found
 
 
@@ -152,7 +155,7 @@ def _delete(catalog: Catalog, books: CopyBooks, entry: _Entry) -> bool:
     Returns:
         False: Messages were added since the entry was listed, and nothing was deleted.
     """
-    table, row, confirming, others = entry
+    table, row, confirming, others, _ = entry
     found = catalog.keyspace.directory.find(table.name, row.node, row.bucket)
     now = next((each for each in found if each.writer == row.writer), row)
     if not is_settled(now) or now.rows > row.rows:
