@@ -177,3 +177,29 @@ def test_columns_of_format_ros_give_what_the_messages_give(rosCas, monkeypatch):
         assert found.schema.equals(wanted.schema)
         assert repr(found.to_pydict()) == repr(wanted.to_pydict()), name
     assert sum(made) > 20 * len(names)
+
+
+@pytest.mark.parametrize("fmt", ["binary", "packed", "ros"])
+def test_fields_that_differ_by_case_stay_apart_in_all_definitions(rosCas, fmt):
+    kinds = {
+        1: ("t/A", "int32 Value\nstring value\n", struct.pack("<iI", 7, 1) + b"a"),
+        2: (
+            "t/B",
+            "string value\nfloat64 VALUE\n",
+            struct.pack("<I", 1) + b"b" + struct.pack("<d", 0.5),
+        ),
+    }
+    with rosCas.messageWriter(format=fmt) as writer:
+        for key, (name, text, data) in kinds.items():
+            definition = parse_definition(name, text, None)
+            writer.write(writer.connect(api_connection("/x", definition, "/n")), key, key, data)
+    rows = rosCas.getTopic("/x").toArrow().read_all().sort_by("KEY").to_pylist()
+    columns = {
+        value: column
+        for row in rows
+        for column, value in row.items()
+        if column not in ("KEY", "NODE", "RUN") and value is not None
+    }
+    assert set(columns) == {7, "a", "b", 0.5}
+    assert columns["a"] == columns["b"]
+    assert len(set(columns.values())) == 3

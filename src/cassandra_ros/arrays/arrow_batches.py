@@ -20,6 +20,7 @@ from cassandra_ros.arrays.arrow_columns import make_columns
 from cassandra_ros.arrays.arrow_types import (
     OWN_COLUMNS,
     ArrowField,
+    ColumnNames,
     Wanted,
     adapt,
     check_columns,
@@ -78,8 +79,9 @@ class ArrowSchema:
     ) -> None:
         self.arrow = load_arrow("toArrow")
         self._wanted = wanted
+        self._names = ColumnNames()
         self.named = any(table.named for table in tables)
-        self.fields = {table.name: fields_of(table.definition, wanted) for table in tables}
+        self.fields = {table.name: self._fields(table, wanted) for table in tables}
         key = self.arrow.string() if self.named else self.arrow.timestamp("ns")
         kinds = (key, self.arrow.string(), self.arrow.string())
         own = [
@@ -97,6 +99,9 @@ class ArrowSchema:
         if names is not None:
             check_columns(self.schema, names)
 
+    def _fields(self, table: Table, wanted: Wanted | None) -> tuple[ArrowField, ...]:
+        return fields_of(table.definition, wanted, self._names)
+
     def _of(self, fields: Sequence[ArrowField]) -> pyarrow.Schema:
         return self.arrow.schema([(field.name, field.type(self.arrow)) for field in fields])
 
@@ -111,14 +116,14 @@ class ArrowSchema:
         """Return whether few of the fields of a table's messages are read."""
         if table.name not in self._reads_few:
             count = count_leaves(self.of_table(table))
-            every = count_leaves(fields_of(table.definition, None))
+            every = count_leaves(self._fields(table, None))
             self._reads_few[table.name] = count <= FEW_FIELDS and 2 * count <= every
         return self._reads_few[table.name]
 
     def of_table(self, table: Table) -> tuple[ArrowField, ...]:
         """Return the fields of a table, also of one that was made after the schema."""
         if table.name not in self.fields:
-            self.fields[table.name] = fields_of(table.definition, self._wanted)
+            self.fields[table.name] = self._fields(table, self._wanted)
         return self.fields[table.name]
 
 

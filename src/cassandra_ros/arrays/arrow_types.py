@@ -8,8 +8,9 @@
   INTERVAL holds only microseconds.
 * Messages without any field, such as std_msgs/Empty, have no column.
 
-Names of columns are unique without regard to case, because SQL does not distinguish it: a second
-name gets ``_1``.
+Names of columns are unique without regard to case, because SQL does not distinguish it: of fields
+``Data`` and ``data`` the second has column ``data_1``. A field has the same column in all
+definitions of a topic.
 """
 
 from __future__ import annotations
@@ -112,33 +113,47 @@ class ArrowField:
         return getattr(arrow, _PRIMITIVES.get(base, "int64" if base == "duration" else base))()
 
 
-def fields_of(definition: Definition | None, wanted: Wanted | None) -> tuple[ArrowField, ...]:
+class ColumnNames:
+    """Names of the columns of a topic, given in the order in which its fields are asked for."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, dict[str, str]] = {}
+        """Path of a message with a dot behind it, '' = the whole message → field → column."""
+
+    def of(self, prefix: str, field: str) -> str:
+        """Return the name in Arrow of a field of the message at a path."""
+        names = self._names.setdefault(prefix, {})
+        if field not in names:
+            own = () if prefix else OWN_COLUMNS
+            names[field] = _free_name(field, {each.lower() for each in (*own, *names.values())})
+        return names[field]
+
+
+def fields_of(
+    definition: Definition | None, wanted: Wanted | None, names: ColumnNames | None = None
+) -> tuple[ArrowField, ...]:
     """Return the fields of a message type that have columns.
 
     Args:
         definition: None = the definition is not usable; there are no columns.
         wanted: The columns to make; None = all.
+        names: Names of the columns in all definitions of the topic; None = this is its only one.
     """
     if definition is None:
         return ()
-    every = _fields(definition.type, definition.specs, "", OWN_COLUMNS)
+    every = _fields(definition.type, definition.specs, "", names or ColumnNames())
     return tuple(every if wanted is None else _pruned(every, wanted))
 
 
-def _fields(
-    msg_type: str, specs: Specs, prefix: str, taken: Iterable[str] = ()
-) -> list[ArrowField]:
+def _fields(msg_type: str, specs: Specs, prefix: str, names: ColumnNames) -> list[ArrowField]:
     found: list[ArrowField] = []
-    names = {name.lower() for name in taken}
     for field in specs[msg_type].fields:
         path, children = prefix + field.name, []
         if not field.is_primitive:
-            children = _fields(field.type, specs, path + ".")
+            children = _fields(field.type, specs, path + ".", names)
             if not children:
                 continue
-        name = _free_name(field.name, names)
-        names.add(name.lower())
-        found.append(ArrowField(name, path, field, tuple(children)))
+        found.append(ArrowField(names.of(prefix, field.name), path, field, tuple(children)))
     return found
 
 
