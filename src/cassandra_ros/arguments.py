@@ -9,7 +9,9 @@ value, and what to give instead. The methods check all arguments before they use
 from __future__ import annotations
 
 import json
+import math
 import re
+from decimal import Decimal, InvalidOperation
 from numbers import Integral
 from typing import Any, Container, Iterable, Mapping, TypeVar
 
@@ -296,6 +298,29 @@ def check_event_name(name: Any) -> str:
     if not text:
         raise InvalidName(f"name='' cannot be used: give {wanted}")
     return text
+
+
+def exact_json(text: str) -> object:
+    """Return the value of a JSON text whose numbers keep all their digits.
+
+    Raises:
+        InvalidOption: A number has more digits than a float has, as seconds since 1970 with ns.
+        ValueError, RecursionError: The text is no JSON.
+    """
+    return json.loads(text, parse_float=_exact_float)
+
+
+def _exact_float(text: str) -> float:
+    value = float(text)
+    try:
+        if math.isfinite(value) and Decimal(repr(value)) == Decimal(text):
+            return value
+    except InvalidOperation:  # an exponent without end
+        pass
+    raise InvalidOption(
+        f"the number {text:.80} would become {value!r}, the nearest that a float of 64 bits holds: "
+        f'give it as a text, "{text:.80}", or times as whole ns'
+    )
 
 
 def check_event_values(values: Any) -> dict[str, Any]:

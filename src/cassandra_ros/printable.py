@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Safe text for terminals, and tables and names for interactive Python.
+"""Safe text for terminals, durations, and tables and names for interactive Python.
 
 Names of runs, topics, robots and labels come from bags, publishers and other clients. All text that
 is printed passes one of these functions, so that no escape sequence reaches the terminal.
@@ -16,6 +16,11 @@ MOST_ROWS = 60
 
 MOST_CHARACTERS = 256
 """Maximum number of characters of a name that are shown, which is the maximum of a new name."""
+
+_SECOND_NS = 10**9
+_YEAR_SEC = 365.25 * 86_400
+_LONG = ((_YEAR_SEC, _YEAR_SEC, "years"), (360_000, 86_400, "days"))
+"""From how many seconds on a duration is given in a unit, the unit's length, and its name."""
 
 _Item = TypeVar("_Item")
 
@@ -41,6 +46,22 @@ def shown_lines(text: str) -> str:
     if text.replace("\n", "").replace("\t", "").isprintable():
         return text
     return "".join(c if c in "\n\t" else _printable(c) for c in text)
+
+
+def format_duration(ns: int) -> str:
+    """Return a duration as rosbag info prints it: 37.9s, 1:38s (98s), 2hr 1:38s (7298s).
+
+    From 100 hours on they are given in days or years: 4.2 days (360000s), 2.0 years (63115200s).
+    """
+    total = ns // _SECOND_NS
+    for least, length, unit in _LONG:
+        if total >= least:
+            return f"{total / length:.1f} {unit} ({total}s)"
+    minutes, seconds = divmod(total, 60)
+    if not minutes:
+        return f"{ns / _SECOND_NS:.1f}s"
+    hours, minutes = divmod(minutes, 60)
+    return f"{f'{hours}hr ' if hours else ''}{minutes}:{seconds:02d}s ({total}s)"
 
 
 def _printable(c: str) -> str:

@@ -103,3 +103,14 @@ def test_a_robot_or_run_deletes_its_own_events_only(rosCas, call):
     key = next(rosCas.events("bump")).key
     assert call("event", "delete", key, "--node-id", "husky", "-y")[0] == 1
     assert starts() == [0, 3]
+
+
+def test_a_value_keeps_all_its_digits_or_is_refused(rosCas, call):
+    add = ("event", "add", "bump", "--start", str(T0), "--value")
+    status, _, err = call(*add, "at=1368021980.238582676")
+    assert status == 2 and "would become 1368021980.2385826" in err and "as a text" in err
+    assert list(rosCas.events()) == []
+    for value in ("at=1368021980238582676", 'at="1368021980.238582676"', "at=0.10", "at=1e3"):
+        assert call(*add, value)[0] == 0
+    values = [event.values["at"] for event in rosCas.events()]
+    assert set(values) == {1368021980238582676, "1368021980.238582676", 0.1, 1000.0}

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import dataclasses
+from decimal import Decimal
 
 import pytest
 
@@ -15,6 +16,10 @@ from cassandra_ros.playing.play_selection import PlaySelection
 
 HIT = "/cmd_vel: linear.x > 0.5"
 PAIR = ("/cmd_vel", "linear.x > 0.5")
+
+
+EXACT = Decimal("10000000.123456789")
+"""Seconds that a float does not hold to the ns."""
 
 
 def changed(line):
@@ -52,6 +57,8 @@ def changed(line):
         (["--where", HIT], {"where": dict([PAIR])}),
         (["--around", HIT], {"around": PAIR}),
         (["--before", "2", "--after", "0.5"], {"before": 2.0, "after": 0.5}),
+        (["--before", "10000000.123456789"], {"before": EXACT}),
+        (["-u", "10000000.123456789"], {"duration": EXACT}),
         (["--align-start"], {"align_start": True}),
         (["--align-nodes"], {"align_start": "node"}),
         (["--node-prefix"], {"node_prefix": True}),

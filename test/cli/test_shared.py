@@ -19,7 +19,6 @@ from cassandra_ros.cli.options import add_store_options, store_place, strip_rema
 from cassandra_ros.cli.terminal_text import (
     MessageBar,
     format_bytes,
-    format_duration,
     format_length,
     format_table,
     format_time,
@@ -28,6 +27,7 @@ from cassandra_ros.cli.terminal_text import (
 from cassandra_ros.cli.verbs.import_ import SafeInterrupt
 from cassandra_ros.connection.outage import HURRY_SEC, Outage
 from cassandra_ros.errors import ConnectionFailed, StoreUnavailable
+from cassandra_ros.printable import format_duration
 
 
 @pytest.fixture

@@ -15,12 +15,23 @@ from viewers import running_viewer
 
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
+from cassandra_ros.errors import InvalidOption
+from cassandra_ros.nodes.mark_answer import read_values
 
 SEC = 10**9
 SETTINGS = """
 events:
 - {name: high, topic: /n, where: data > 5, labels: {kind: level}}
 """
+
+
+def test_values_keep_all_their_digits_or_are_refused():
+    assert read_values('{"at": 1368021980238582676, "x": 0.5}') == {
+        "at": 1368021980238582676,
+        "x": 0.5,
+    }
+    with pytest.raises(InvalidOption, match="would become 1368021980.2385826"):
+        read_values('{"at": [1368021980.238582676]}')
 
 
 @pytest.fixture

@@ -100,6 +100,14 @@ def test_what_is_chosen(filled, selection, expected):
 
 
 @pytest.mark.parametrize(
+    ("end", "told"), [("4000000000", True), ("2018-07-13", False), (10**8, False)]
+)
+def test_an_end_far_behind_the_messages_is_told(filled, caplog, end, told):
+    Stream(PlayedKeyspace(filled.catalog), PlaySelection(["/tick"], end=end))
+    assert ("after the last selected message" in caplog.text) == told
+
+
+@pytest.mark.parametrize(
     ("selection", "error", "text"),
     [
         (PlaySelection(["/tic"]), TopicNotFound, "did you mean /tick"),

@@ -51,6 +51,12 @@ def test_events_are_found_by_time_name_and_robot(rosCas, viewer):
     assert viewer.fail("/api/events", runs="nowhere")[1]["error"] == "RunNotFound"
 
 
+def test_values_come_with_all_their_digits(rosCas, viewer):
+    rosCas.addEvent("bump", T0, values={"at": [T0 + 1], "n": 7, "in": {"ns": 2**63 - 1}})
+    (event,) = viewer.get("/api/events")["events"]
+    assert event["values"] == {"at": [str(T0 + 1)], "n": 7, "in": {"ns": str(2**63 - 1)}}
+
+
 def test_an_event_is_added(rosCas, viewer):
     assert viewer.get("/api/keyspace")["allow_writes"]
     reply = viewer.ask(ADD, ONE, "POST")

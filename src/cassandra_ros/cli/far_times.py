@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Check of the times of options against those of what is stored: a wrong unit, a wrong year."""
+"""Times of options, and the check whether they lie far outside of what is stored."""
 
 from __future__ import annotations
 
@@ -9,17 +9,11 @@ import sys
 from typing import TYPE_CHECKING, Iterable
 
 from cassandra_ros.cli.parsers import error_line
-from cassandra_ros.cli.terminal_text import format_duration
 from cassandra_ros.errors import InvalidKey, InvalidOption
 
 if TYPE_CHECKING:
     from cassandra_ros.messages.stamps import Stamp
     from cassandra_ros.topics.catalog import Catalog
-
-_DAY_NS = 86_400 * 10**9
-_FAR_NS = 365 * _DAY_NS
-"""Distance from what is stored above which a limit that limits nothing is told, ns. One that leaves
-out everything is told from a day on."""
 
 
 def read_time(option: str, text: str | None) -> Stamp | None:
@@ -46,52 +40,20 @@ def check_times(options: argparse.Namespace, catalogs: Iterable[Catalog]) -> Non
         InvalidOption: A number was meant as ms or us, as the times that are stored show, or a text
             is no time.
     """
+    from cassandra_ros.overview.stored_ends import far_outside, stored_ends, widest, wrong_unit
+
     texts = {name: getattr(options, name) for name in getattr(options, "time_options", ())}
     times = {name: read_time(name, text) for name, text in texts.items()}
-    ends = _ends(catalogs) if any(time is not None for time in times.values()) else None
-    if ends is None:
-        return
+    ends = (
+        widest(map(stored_ends, catalogs)) if any(t is not None for t in times.values()) else None
+    )
     for name, time in times.items():
-        if time is None:
+        if time is None or ends is None:
             continue
         typed = f"--{name} {texts[name]}"
-        _refuse_unit(typed, texts[name], time.ns, ends[0])
-        distance = _distance(name, time.ns, ends)
-        if distance and not getattr(options, "quiet", False):
-            print(error_line("cassandra_bag", f"{typed} lies {distance}"), file=sys.stderr)
-
-
-def _ends(catalogs: Iterable[Catalog]) -> tuple[int, int] | None:
-    """Return the times of the first and the last message, ns; None = no message."""
-    from cassandra_ros.overview.timeline.directory_reader import DirectoryReader
-    from cassandra_ros.read import EVERYBODY
-
-    extents = [
-        DirectoryReader(catalog.keyspace.directory).extent(catalog.tables(None), EVERYBODY)
-        for catalog in catalogs
-    ]
-    times = [time for extent in extents if extent is not None for time in extent]
-    return (min(times), max(times)) if times else None
-
-
-def _refuse_unit(typed: str, text: str, ns: int, first_ns: int) -> None:
-    from cassandra_ros.messages.stamps import iso_time, other_unit
-
-    meant = other_unit(text, first_ns) if text.strip() == str(ns) else ""
-    if meant:
-        raise InvalidOption(
-            f"{typed} means nanoseconds since 1970, {iso_time(ns)}, long before the first stored "
-            f"message, {iso_time(first_ns)}; {meant}"
-        )
-
-
-def _distance(name: str, ns: int, ends: tuple[int, int]) -> str:
-    """Return how far outside of what is stored a time lies; '' = not far."""
-    from cassandra_ros.messages.stamps import iso_time
-
-    first, last = ends
-    if ns < first - (_DAY_NS if name == "end" else _FAR_NS):
-        return f"{format_duration(first - ns)} before the first stored message, {iso_time(first)}"
-    if ns > last + (_DAY_NS if name == "start" else _FAR_NS):
-        return f"{format_duration(ns - last)} after the last stored message, {iso_time(last)}"
-    return ""
+        reason = wrong_unit(texts[name], time.ns, ends)
+        if reason:
+            raise InvalidOption(f"{typed} {reason}")
+        reason = far_outside(name, time.ns, ends)
+        if reason and not getattr(options, "quiet", False):
+            print(error_line("cassandra_bag", f"{typed} {reason}"), file=sys.stderr)

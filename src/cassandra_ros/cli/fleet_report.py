@@ -7,8 +7,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Mapping, Sequence
 
-from cassandra_ros.cli.terminal_text import counted, format_bytes, format_duration, format_table
-from cassandra_ros.printable import shown
+from cassandra_ros.cli.terminal_text import counted, format_bytes, format_table
+from cassandra_ros.printable import format_duration, shown
 
 if TYPE_CHECKING:
     from cassandra_ros.fleet.fleet_info import FleetTopicInfo

@@ -31,7 +31,7 @@ from typing import (
 
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.cli.far_times import check_times, read_time
-from cassandra_ros.cli.readers import seconds
+from cassandra_ros.cli.readers import exact_seconds
 from cassandra_ros.connection.address import (
     DEFAULT_HOST,
     DEFAULT_KEYSPACE,
@@ -398,9 +398,9 @@ def add_event_options(parser: argparse._ActionsContainer, what: str = "") -> Non
     text = f"{what}only messages of a robot during its events of this name (default: of all time)"
     add("--event", metavar="NAME", help=text)
     text = f"{what}with --event: time before each event, as 5s or 2m (default: 0)"
-    add("--before", metavar="SEC", type=seconds, default=0.0, help=text)
+    add("--before", metavar="SEC", type=exact_seconds, default=0.0, help=text)
     text = f"{what}with --event: time after each event (default: 0)"
-    add("--after", metavar="SEC", type=seconds, default=0.0, help=text)
+    add("--after", metavar="SEC", type=exact_seconds, default=0.0, help=text)
 
 
 def read_event(options: argparse.Namespace) -> EventRule:

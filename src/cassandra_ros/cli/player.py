@@ -41,7 +41,8 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.parsers import program_parser
 from cassandra_ros.cli.readers import (
-    duration,
+    exact_duration,
+    exact_seconds,
     factor,
     megabytes,
     seconds,
@@ -100,7 +101,7 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
         "-u",
         "--duration",
         metavar="SEC",
-        type=duration,
+        type=exact_duration,
         help="play only SEC seconds (default: play to the end)",
     )
     add("--end", metavar="T", help="last time, included (default: the last message)")
@@ -118,9 +119,9 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     text = "play only messages of a robot during its events of this name (default: of all time)"
     add("--event", metavar="NAME", help=text)
     text = "time to play before each of these messages (default: 5), or of the events (default: 0)"
-    add("--before", metavar="SEC", type=seconds, help=text)
+    add("--before", metavar="SEC", type=exact_seconds, help=text)
     text = "time to play after each of these messages (default: 10), or of the events (default: 0)"
-    add("--after", metavar="SEC", type=seconds, help=text)
+    add("--after", metavar="SEC", type=exact_seconds, help=text)
     align = group.add_mutually_exclusive_group()
     text = "play all runs at once, as if their first messages had the same time"
     align.add_argument("--align-start", action="store_true", help=text)

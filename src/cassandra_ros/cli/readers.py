@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import re
+from decimal import Decimal
 from typing import Callable, TypeVar
 
 from cassandra_ros.errors import CassandraRosError
@@ -29,12 +30,17 @@ def checked(reader: Callable[[str], _Read]) -> Callable[[str], _Read]:
     return read
 
 
-def duration(text: str) -> float:
-    """Parse a duration as rosbag writes it (30, 90s, 1.5m, 2h). Return seconds."""
+def exact_duration(text: str) -> Decimal:
+    """Parse a duration as rosbag writes it (30, 90s, 1.5m, 2h). Return seconds, exactly."""
     match = re.fullmatch(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)([smh]?)", text)
     if match is None or not float(match[1]):
         raise argparse.ArgumentTypeError(f"{text!r} is not a duration, like 30, 5m or 2h")
-    return float(match[1]) * _UNITS[match[2]]
+    return Decimal(match[1]) * _UNITS[match[2]]
+
+
+def duration(text: str) -> float:
+    """Parse a duration like exact_duration. Return seconds."""
+    return float(exact_duration(text))
 
 
 def age(text: str) -> float:
@@ -69,13 +75,19 @@ def byte_size(text: str) -> int:
     return int(digits) * _SIZES[unit]
 
 
-def seconds(text: str) -> float:
-    """Parse a duration as rosbag writes it, at least 0. Return seconds."""
+def exact_seconds(text: str) -> Decimal:
+    """Parse a duration as rosbag writes it, at least 0. Return seconds, exactly."""
     try:
-        return 0.0 if text.strip("0") in ("", ".") and text != "." else duration(text)
+        is_zero = text.strip("0") in ("", ".") and text != "."
+        return Decimal(0) if is_zero else exact_duration(text)
     except argparse.ArgumentTypeError:
         reason = f"{text!r} is not a number of seconds: give 0 or more, like 0.2 or 5m"
         raise argparse.ArgumentTypeError(reason) from None
+
+
+def seconds(text: str) -> float:
+    """Parse a duration like exact_seconds. Return seconds."""
+    return float(exact_seconds(text))
 
 
 def factor(text: str) -> float:

@@ -13,9 +13,6 @@ from cassandra_ros.printable import shown
 _UNITS = ("B", "KB", "MB", "GB", "TB")
 _BARS = "▁▂▃▄▅▆▇█"
 _WEIGHTS = ".:-=+*#@"
-_YEAR_SEC = 365.25 * 86_400
-_LONG = ((_YEAR_SEC, _YEAR_SEC, "years"), (360_000, 86_400, "days"))
-"""From how many seconds on a duration is given in a unit, the unit's length, and its name."""
 _LENGTHS = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 
 
@@ -64,22 +61,6 @@ def format_length(ns: int) -> str:
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun: 1 message, 2 messages."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
-def format_duration(ns: int) -> str:
-    """Return a duration as rosbag info prints it: 37.9s, 1:38s (98s), 2hr 1:38s (7298s).
-
-    From 100 hours on they are given in days or years: 4.2 days (360000s), 2.0 years (63115200s).
-    """
-    total = ns // SECOND_NS
-    for least, length, unit in _LONG:
-        if total >= least:
-            return f"{total / length:.1f} {unit} ({total}s)"
-    minutes, seconds = divmod(total, 60)
-    if not minutes:
-        return f"{ns / SECOND_NS:.1f}s"
-    hours, minutes = divmod(minutes, 60)
-    return f"{f'{hours}hr ' if hours else ''}{minutes}:{seconds:02d}s ({total}s)"
 
 
 def sparkline(values: Sequence[float], encoding: str | None) -> str:

@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-import json
 from typing import Mapping
 
 import rospy
 
+from cassandra_ros.arguments import exact_json
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.srv import MarkResponse
@@ -18,7 +18,9 @@ from cassandra_ros.tables.event_table import Event
 def read_values(text: str) -> Mapping[str, object]:
     """Read the values of an event, a JSON object; '' = none; raises InvalidOption."""
     try:
-        values = json.loads(text) if text.strip() else {}
+        values = exact_json(text) if text.strip() else {}
+    except InvalidOption:
+        raise
     except (ValueError, RecursionError):
         values = None
     if not isinstance(values, dict):

@@ -10,6 +10,7 @@ from typing import Mapping, Sequence, Union
 
 from cassandra_ros.arguments import check_list, check_ros_name, check_topics
 from cassandra_ros.errors import DefinitionError, TopicNotFound
+from cassandra_ros.messages.stamps import Length
 from cassandra_ros.playing.play_times import PlayTime
 from cassandra_ros.playing.played_store import PlayedStore
 from cassandra_ros.topics.catalog import Conditions
@@ -62,15 +63,15 @@ class PlaySelection:
     exclude: str | Sequence[str] = ()
     start: PlayTime = None
     end: PlayTime = None
-    duration: float | None = None
+    duration: Length | None = None
     nodeID: str | None = None
     run: None | str | int = None
     where: Conditions = None
     prefix: str = ""
     remap: Mapping[str, str] = field(default_factory=dict)
     around: None | str | tuple[str, Where] = None
-    before: float = 5.0
-    after: float = 10.0
+    before: Length = 5.0
+    after: Length = 10.0
     align_start: AlignStart = False
     node_prefix: bool = False
     event: EventRule = None

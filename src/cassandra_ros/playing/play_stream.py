@@ -9,6 +9,7 @@ those of events.
 from __future__ import annotations
 
 import heapq
+import logging
 from bisect import bisect_left
 from collections import Counter
 from dataclasses import replace
@@ -21,6 +22,7 @@ from cassandra_ros.keys import MAX_NS, split_seq
 from cassandra_ros.messages.stamps import When, iso_time
 from cassandra_ros.metadata import Kind
 from cassandra_ros.overview.latched_messages import LatchedRecord, Source, is_latched
+from cassandra_ros.overview.stored_ends import far_outside
 from cassandra_ros.places.paths import merge_ranges
 from cassandra_ros.playing.play_selection import PlaySelection, PublishedNames, chosen_topics
 from cassandra_ros.playing.play_source import PlaySource, with_first_times
@@ -39,6 +41,8 @@ from cassandra_ros.tables.registry import Loss
 from cassandra_ros.topics.event_finder import EventChoice
 from cassandra_ros.topics.hit_windows import merge_windows
 from cassandra_ros.topics.row_finder import Where
+
+_log = logging.getLogger(__name__)
 
 _MOST_WINDOWS = 100
 """Maximum number of windows that are searched for a message of a topic. If the first ones have
@@ -153,7 +157,12 @@ class Stream:
         if self._align:
             # Dates have selected the messages already; they have no place on a common time line.
             start, end = (when if when and when.relative else None for when in (start, end))
-        bounds = resolve_times(_known(self._play_sources), start, end, length)
+        known = _known(self._play_sources)
+        bounds = resolve_times(known, start, end, length)
+        if end is not None and not end.relative:
+            reason = far_outside("end", end.ns, known, "selected")
+            if reason:
+                _log.warning("the end, %s, %s", iso_time(end.ns), reason)
         self.windows = self._find_windows(bounds)
         self._before = list(accumulate((high - low for low, high in self.windows), initial=0))
         self.start_ns, self.end_ns = self.windows[0].low, self.windows[-1].high

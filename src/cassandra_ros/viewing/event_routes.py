@@ -13,6 +13,7 @@ from cassandra_ros.tables.event_table import Event
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.catalog_routes import MAX_LISTED, listed_at_most, shown_ns
+from cassandra_ros.viewing.lossless_json import Cells
 from cassandra_ros.viewing.route import Parameter, Route
 from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, whose_of
 
@@ -35,12 +36,12 @@ def within(call: ApiCall) -> TimeRange:
 def listed_events(call: ApiCall, found: Iterator[Event]) -> dict[str, Json]:
     """Return as JSON the events with the text of a call in their name."""
     text, limit = call.text("text"), listed_at_most(call)
-    if text:
-        part = text.casefold()
-        searched = islice(found, _MAX_SEARCHED)
-        found = (event for event in searched if part in event.name.casefold())
-    listed: list[Json] = [_answer(event) for event in islice(found, limit)]
-    return {"events": listed, "more": next(found, None) is not None}
+    part = (text or "").casefold()
+    searched = islice(found, _MAX_SEARCHED if part else None)
+    fitting = (event for event in searched if part in event.name.casefold())
+    listed: list[Json] = [_answer(event) for event in islice(fitting, limit)]
+    more = next(fitting, None) is not None or next(found, None) is not None
+    return {"events": listed, "more": more}
 
 
 def _add(call: ApiCall) -> Json:
@@ -64,8 +65,17 @@ def _answer(event: Event) -> dict[str, Json]:
         "end": shown_ns(event.end_ns),
         "node": event.node,
         "labels": dict(event.labels),
-        "values": dict(event.values),
+        "values": {name: _exact(value) for name, value in event.values.items()},
     }
+
+
+def _exact(value: object) -> Json:
+    """Return a value of an event; JavaScript rounds integers above 2^53, which become texts."""
+    if isinstance(value, dict):
+        return {name: _exact(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_exact(each) for each in value]
+    return Cells(None).shown(value)
 
 
 ROUTES: tuple[Route, ...] = (

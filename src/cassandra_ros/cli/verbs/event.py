@@ -20,10 +20,10 @@ name: --event bump. Messages stay when an event is deleted, and events when mess
 from __future__ import annotations
 
 import argparse
-import json
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Iterator, Mapping
 
+from cassandra_ros.arguments import exact_json
 from cassandra_ros.cli.confirmation import add_dry_run_option, add_yes_option, confirm
 from cassandra_ros.cli.json_answer import add_json_option, print_json
 from cassandra_ros.cli.options import (
@@ -112,7 +112,9 @@ def _add(ros_cas: RosCassandra, options: argparse.Namespace) -> int:
 
 def _value(text: str) -> object:
     try:
-        return json.loads(text)
+        return exact_json(text)
+    except InvalidOption:
+        raise
     except (ValueError, RecursionError):
         return text
 

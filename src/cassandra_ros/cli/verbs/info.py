@@ -41,7 +41,6 @@ from cassandra_ros.cli.options import add_origin_options, add_store_options, ope
 from cassandra_ros.cli.terminal_text import (
     counted,
     format_bytes,
-    format_duration,
     format_length,
     format_table,
     format_time,
@@ -51,7 +50,7 @@ from cassandra_ros.cli.topic_options import add_topics, stored_topics, topics_am
 from cassandra_ros.cli.verbs.runs import time_of
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.keys import NAMED_FORMATS, SECOND_NS
-from cassandra_ros.printable import shown, shown_lines
+from cassandra_ros.printable import format_duration, shown, shown_lines
 
 if TYPE_CHECKING:
     from cassandra_ros.bag.message_sample import MessageSample

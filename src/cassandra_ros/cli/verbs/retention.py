@@ -35,7 +35,7 @@ from cassandra_ros.cli.options import (
     read_conditions,
     read_pair,
 )
-from cassandra_ros.cli.readers import age, byte_size, factor, seconds
+from cassandra_ros.cli.readers import age, byte_size, exact_seconds, factor
 from cassandra_ros.cli.terminal_text import MessageBar, counted, format_table
 from cassandra_ros.cli.topic_options import add_topics, stored_topics
 from cassandra_ros.printable import shown
@@ -93,9 +93,9 @@ def _add_rules(group: argparse._ArgumentGroup) -> None:
         help=text,
     )
     text = "with --keep: time before each message or event, seconds or 5m, 1h (default: 30)"
-    add("--before", metavar="SEC", type=seconds, default=30.0, help=text)
+    add("--before", metavar="SEC", type=exact_seconds, default=30.0, help=text)
     text = "with --keep: time after each message or event (default: 30)"
-    add("--after", metavar="SEC", type=seconds, default=30.0, help=text)
+    add("--after", metavar="SEC", type=exact_seconds, default=30.0, help=text)
     text = "time from which ages are counted, as --start of other verbs (default: server's time)"
     add("--now", metavar="T", help=text)
     group.set_defaults(time_options=("now",))
