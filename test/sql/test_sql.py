@@ -629,3 +629,29 @@ def test_times_are_exact_to_the_nanosecond_or_refused(rosCas):
     second = f"KEY - ? = TIMESTAMP_NS '{utc.replace('20.', '19.')}'"
     for length in (genpy.Duration(1), np.timedelta64(1, "s"), timedelta(seconds=1)):
         assert rows(second, length) == [(1,)]
+
+
+@pytest.mark.parametrize(
+    ("statement", "params", "hint"),
+    [
+        ("SELECT * FROM battery WHERE NODE = 'r11'", (), "of robot 'r11'; did you mean r1?"),
+        ("SELECT count(*) FROM battery WHERE NODE IN ('q', ?)", ("r11",), "did you mean r1?"),
+        ("SELECT * FROM battery WHERE RUN = 'nope'", (), "there is no run 'nope'"),
+        ("SELECT * FROM battery WHERE list_contains(EVENT, 'bum')", (), "event 'bum'"),
+        ("SELECT * FROM tf('map', 'base_lnk')", (), "'base_lnk' is in no transform (did you mean"),
+        ("SELECT * FROM tf('mpa', 'base_link')", (), "did you mean map?"),
+    ],
+)
+def test_names_that_are_not_stored_are_told_with_similar_ones(
+    robot, caplog, statement, params, hint
+):
+    result = robot.sql(statement, params)
+    assert result.fetchall() in ([], [(0,)])
+    assert any(hint in each for each in result.hints), result.hints
+    assert all(each in caplog.text for each in result.hints)
+
+
+def test_names_that_are_stored_are_not_told(robot):
+    result = robot.sql("SELECT * FROM battery WHERE NODE = 'r1' AND voltage > 99")
+    assert (result.fetchall(), result.hints) == ([], [])
+    assert robot.sql("SELECT * FROM tf('map', 'base_link')").fetchall()

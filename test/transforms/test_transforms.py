@@ -749,3 +749,10 @@ def test_stamps_over_2_to_the_31(store, cassandra):
     lines = [line.split() for line in done.stdout.splitlines()]
     assert [int(stamp) for stamp, _ in lines] == times
     assert [float(x) for _, x in lines] == pytest.approx([1.0, 7.500000001, 19.5])
+
+
+def test_an_unknown_robot_is_told_with_similar_ones(store):
+    store.track("map", "base_link", nodeID="husky")
+    with pytest.raises(LookupException) as error:
+        store.look("map", "base_link", 0, nodeID="huskey")
+    assert "is of robot 'huskey'; did you mean husky?" in str(error.value)

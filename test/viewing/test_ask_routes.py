@@ -208,3 +208,12 @@ def test_several_runs_are_chosen_by_name_or_id(viewer):
         assert sum(viewer.get("/api/plot", **asked)["rows"]) == count
     status, problem = viewer.fail("/api/query", q="select data from /runs", runs="one,nobody")
     assert status == 404 and "there is no run 'nobody'" in str(problem)
+
+
+def test_names_that_are_not_stored_are_told_with_similar_ones(viewer):
+    asked = {"q": "select linear.x from cmd where NODE = 'huskey'"}
+    (hint,) = viewer.get("/api/query", **asked)["hints"]
+    assert "of robot 'huskey'; did you mean husky?" in hint
+    found = viewer.get("/api/query", q="select count(*) from cmd where RUN = 'nope'")
+    assert found["rows"] == [[0]] and "there is no run 'nope'" in found["hints"][0]
+    assert viewer.get("/api/query", q="select linear.x from cmd")["hints"] == []

@@ -34,6 +34,8 @@ def test_where_robots_were(viewer):
     runs = [run["id"] for run in viewer.get("/api/runs")["runs"]]
     assert viewer.get("/api/places", runs=runs)["tracks"][0]["x"] == track["x"]
     assert viewer.fail("/api/places", runs="none")[1]["error"] == "RunNotFound"
+    text = viewer.fail("/api/places", nodes="robt")[1]["text"]
+    assert "no pose of robot 'robt' is stored (did you mean robot?)" in text
     part = viewer.get("/api/places", start=str(T0), end=str(T0 + SEC))["tracks"][0]
     assert int(part["times"][-1]) <= T0 + SEC
     assert viewer.get("/api/places", start=str(T0 - 9 * SEC), end=str(T0 - SEC))["tracks"] == []

@@ -54,6 +54,8 @@ def test_a_join_gives_rows_with_their_times(viewer):
     assert (page["more"], page["after"]) == (False, "")
     first = ask(viewer, "/api/query", f"{JOIN} ORDER BY c.KEY", limit=3)
     assert len(first["rows"]) == 3 and first["more"]
+    none = ask(viewer, "/api/query", f"{JOIN} WHERE c.NODE = 'oen'")
+    assert none["rows"] == [] and "did you mean one" in none["hints"][0]
 
 
 def test_robots_and_a_time_range_choose_rows(viewer):

@@ -116,7 +116,8 @@ export class Rows {
     const count = this._body.childElementCount;
     const rows = count === 1 ? "1 row" : `${count} rows`;
     const first = page.after ? "" : "; WHERE, GROUP BY or LIMIT select others";
-    this._told.textContent = page.more ? `the first ${rows}${first}` : count ? rows : "no row matches";
+    const text = page.more ? `the first ${rows}${first}` : count ? rows : "no row matches";
+    this._told.textContent = [text, ...page.hints].join("; ");
     this._place.dataset.rows = String(count);
   }
 

@@ -28,6 +28,7 @@ from cassandra_ros.places.array_source import (
 )
 from cassandra_ros.places.pose_samples import NO_FRAME, Codes, Flags, KnownPoses, Samples, Times
 from cassandra_ros.places.rigid import Rigid
+from cassandra_ros.query.tree.field_names import nearest
 from cassandra_ros.read import Writers
 from cassandra_ros.transforms.lookup import lookup_transform
 from cassandra_ros.transforms.transform_samples import FixedTransforms, TransformTopic
@@ -80,6 +81,8 @@ class TfRecording:
         self._codes: dict[str, int] = {}
         self.names: list[str] = []
         """Names of the frames, by frame number."""
+        self.recorded: set[str] = set()
+        """Names of the frames of the transforms that were read."""
         self.moving = find_stored(find, tf)
         fixed = find_stored(find, tf_static)
         if self.moving is None and fixed is None:
@@ -94,12 +97,14 @@ class TfRecording:
             return {}
         fixed = FixedTransforms()
         TransformTopic(topic, self._node, self._writers).read(fixed, 0, MAX_NS, reverse=True)
+        samples = list(fixed.all())
+        self.recorded.update(n.lstrip("/") for each in samples for n in (each.child, each.parent))
         return {
             self.code(sample.child): (
                 self.code(sample.parent),
                 Rigid.of_numbers(np.array([sample.numbers], np.float64)),
             )
-            for sample in fixed.all()
+            for sample in samples
         }
 
     def code(self, name: str | None) -> int:
@@ -128,6 +133,7 @@ class TfRecording:
         for name in names:
             if name not in numbers:
                 numbers[name] = self.code(name)
+                self.recorded.update(filter(None, [(name or "").lstrip("/")]))
             codes.append(numbers[name])
         return np.array(codes, np.int64)
 
@@ -188,6 +194,14 @@ class FrameChain:
     def explain(self, time: int) -> str:
         """Return why there is no pose at a time, as a text; '' if tf2 would return a pose."""
         return self._frames.explain(self.frame, self.of, time)
+
+    def unknown_frame(self) -> str:
+        """Say which frame is in no transform that was read, with similar ones; '' = both are."""
+        recorded = sorted(self._frames.recorded)
+        for name in (self.of, self.frame):
+            if name not in self._frames.recorded:
+                return f"frame {name!r:.80} is in no transform{nearest(name, recorded)}"
+        return ""
 
     def next_key(self, time: int) -> int | None:
         """Return the first row key after a time, ns; None if there are no later rows."""

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any, Iterator, Sequence
 from cassandra_ros.arrays.arrow_types import load_arrow
 from cassandra_ros.errors import TopicNotFound
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.places.frame_poses import TF, TF_STATIC
-from cassandra_ros.places.poses import poses_in_frame
+from cassandra_ros.places.frame_poses import TF, TF_STATIC, FrameChain, TfRecording
+from cassandra_ros.places.poses import Poses
 from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.read import Whose
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.unknown_names import warn_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -32,6 +33,7 @@ class FrameSource:
     Attributes:
         columns: KEY (receive time), NODE, translation (m) and rotation (a unit quaternion).
         error: Error that ended a read.
+        hints: Why there is no pose: a frame that is in no transform.
     """
 
     def __init__(
@@ -50,6 +52,7 @@ class FrameSource:
             + list(zip(("translation", "rotation"), kinds))
         )
         self.error: BaseException | None = None
+        self.hints: list[str] = []
 
     def __arrow_c_schema__(self) -> Any:
         return self.columns.__arrow_c_schema__()
@@ -70,11 +73,12 @@ class FrameSource:
 
     def _batches(self) -> Iterator[pyarrow.RecordBatch]:
         arrow, (target, frame) = self._arrow, self._frames
+        reasons: list[str] = []
         try:
             for node in self._robots():
                 writers = self._whose.writers
-                poses = poses_in_frame(self._catalog.get, frame, target, node=node, writers=writers)
-                for track in poses.tracks(0, MAX_NS):
+                chain = FrameChain(TfRecording(self._catalog.get, node, writers), frame, target)
+                for track in Poses(chain).tracks(0, MAX_NS):
                     self._watch()
                     keys = arrow.array(track.times, arrow.timestamp("ns"))
                     parts = (track.poses.moved, track.poses.turned)
@@ -89,6 +93,9 @@ class FrameSource:
                     yield arrow.RecordBatch.from_arrays(
                         [keys, nodes, *structs], schema=self.columns
                     )
+                reasons.append(chain.unknown_frame())
+            if all(reasons) and not self.hints:
+                self.hints += warn_of(reasons[:1])
         except Exception as exc:
             self.error = exc
             raise

@@ -7,9 +7,9 @@ from __future__ import annotations
 import re
 from typing import Callable, Iterator, Sequence
 
-from cassandra_ros.arrays.arrow_types import OWN_COLUMNS, ArrowField, fields_of
+from cassandra_ros.arrays.arrow_types import OWN_COLUMNS, ArrowField, ColumnNames, fields_of
 from cassandra_ros.messages.definition import Definition
-from cassandra_ros.query.tree.statement_completion import MAX_OFFERS, Offer, Offers
+from cassandra_ros.query.tree.statement_completion import Offer, Offers
 from cassandra_ros.sql.event_names import EVENT, has_event_field
 from cassandra_ros.sql.listed_tables import LISTED
 from cassandra_ros.sql.sql_statement import MAX_TEXT
@@ -68,7 +68,7 @@ def complete_sql(
     fitting = [offer for offer in offers if _fits(offer, typed)]
     fitting.sort(key=lambda offer: not offer.text.lower().strip('"/').startswith(typed.strip("/")))
     alone = len(fitting) == 1 and fitting[0].text == before[start:]
-    return Offers(start, () if alone else tuple(fitting[:MAX_OFFERS]))
+    return Offers.first(start, () if alone else fitting)
 
 
 def table_text(topic: str) -> str:
@@ -116,8 +116,9 @@ def _columns_of(table: str, definitions: DefinitionsOf) -> Iterator[tuple[str, s
         yield from zip(OWN_COLUMNS, ("time", "string", "string"))
         if not has_event_field(types):
             yield EVENT, "string[]"
+    names = ColumnNames()
     for definition in types:
-        yield from _leaves(fields_of(definition, None), "")
+        yield from _leaves(fields_of(definition, None, names), "")
 
 
 def _leaves(fields: Sequence[ArrowField], prefix: str) -> Iterator[tuple[str, str]]:

@@ -91,6 +91,8 @@ class SqlResult:
         """The run that checked the statement, for the first method that is called."""
         weakref.finalize(self, run.close)
         self.columns: tuple[str, ...] = tuple(run.relation.columns)
+        self.hints: list[str] = []
+        """Why no message was found by what ran last: names and frames that are not stored."""
 
     def batches(self) -> Iterator[pyarrow.RecordBatch]:
         """Yield the rows as record batches of pyarrow, while they are computed; at least one."""
@@ -172,6 +174,8 @@ class SqlResult:
         try:
             yield run
         finally:
+            sources = (s for s in run.sources.values() if not isinstance(s, ListSource))
+            self.hints = [hint for source in sources for hint in source.hints]
             run.close()
 
     def _bound(self) -> _Run:

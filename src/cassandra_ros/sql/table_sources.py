@@ -21,6 +21,7 @@ from cassandra_ros.sql.pushed_conditions import EVERYTHING, PushedRead
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.keyspace import Keyspace
+from cassandra_ros.topics.unknown_names import warn_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -46,6 +47,7 @@ class TopicSource:
         messages: Number of messages read so far.
         choosers: What the server checked, one for each scan.
         error: Error that ended a read; DuckDB only knows its text.
+        hints: Why no message is found: names that are not stored.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class TopicSource:
         self.messages = 0
         self.choosers: list[Pushdown] = []
         self.error: BaseException | None = None
+        self.hints: list[str] = []
 
     def __arrow_c_schema__(self) -> Any:
         return self.columns.__arrow_c_schema__()
@@ -102,8 +105,19 @@ class TopicSource:
     def batches(self) -> Iterator[pyarrow.RecordBatch]:
         """Yield what is read, as record batches."""
         read = self.read()
-        if read is None:
-            return
+        if read is not None:
+            yield from self._batches(read)
+        if not self.messages and not self.hints:
+            self.hints += warn_of(self._unknown_names())
+
+    def _unknown_names(self) -> Iterator[str]:
+        """Yield for each name that bounds what is read whether it is unknown; '' = it is not."""
+        pushed, runs, events = self.pushed, self._keyspace.runs, self._keyspace.events
+        yield from map(runs.unknown_robot, sorted(pushed.nodes or ()))
+        yield from map(runs.unknown, sorted(pushed.runs or ()))
+        yield from (events.unknown(name, like=False) for name in sorted(pushed.events or ()))
+
+    def _batches(self, read: Read) -> Iterator[pyarrow.RecordBatch]:
         chooser = None
         if self.pushed.condition is not None:
             chooser = ConditionChooser(self.pushed.condition, self.pushed.floats, self._watch)

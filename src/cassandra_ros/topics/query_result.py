@@ -191,6 +191,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         read: Number of rows received from the server.
         time_ranges: Number of time ranges that NEAR and EVENT have selected so far.
         counted: Whether the directory had the answer.
+        hints: Why no message is found, as far as that is known when all rows were taken.
 
     Raises:
         InvalidQuery: The statement names a field that the topic lacks.
@@ -228,6 +229,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
         unnested = any(projection.unnested for projection in self._projections)
         self.direct = select.gathers or (bounds.whole and not unnested)
         self.read = 0
+        self.hints: list[str] = []
         self._matched = False
         """Whether a message satisfied the condition so far."""
         self.counted = bool(select.counts and bounds.whole and bounds.read.only is None)
@@ -292,7 +294,7 @@ class QueryResult(Iterator[tuple]):  # type: ignore[type-arg]  # rows are tuples
             yield row
         if not self._matched:
             condition, tables = self.select.condition, self._source.tables
-            warn_of_unknown_names(condition, tables, self._bounds.read)
+            self.hints += warn_of_unknown_names(condition, tables, self._bounds.read)
 
     def _selected(self, place: ResultPlace) -> _Rows:
         given = place.given

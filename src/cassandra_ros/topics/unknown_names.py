@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Iterator, Sequence, TypeVar
+from typing import Iterable, Iterator, Sequence, TypeVar
 from weakref import WeakSet
 
 from cassandra_ros.keys import MAX_NS
@@ -40,16 +40,26 @@ def names_anything(condition: Expression | None) -> bool:
 
 def warn_of_unknown_names(
     condition: Expression | None, tables: Sequence[Table], read: Read
-) -> None:
+) -> list[str]:
     """Log a warning for each name in a condition that is not stored, with similar names.
 
     Args:
         condition: The condition, after with_stays. It has found no message.
         tables: Tables of the topic, which may be in several keyspaces.
         read: Time range of the messages that were asked for.
+
+    Returns:
+        The texts.
     """
-    for reason in _unknown_names(condition, tables, read):
+    return warn_of(_unknown_names(condition, tables, read))
+
+
+def warn_of(reasons: Iterable[str]) -> list[str]:
+    """Log reasons for which no message is found, but '' for none; return them."""
+    told = list(dict.fromkeys(filter(None, reasons)))
+    for reason in told:
         _log.warning("no message is found: %s", reason)
+    return told
 
 
 def _unknown_names(

@@ -12,7 +12,7 @@ from cassandra_ros.arguments import check_nodes
 from cassandra_ros.errors import InvalidName, LookupException, TopicNotFound, TransformException
 from cassandra_ros.keys import MAX_NS, SECOND_NS
 from cassandra_ros.messages.stamps import SECONDS_BELOW, Stamp, iso_time, to_ns
-from cassandra_ros.query.protocols import Row
+from cassandra_ros.query.protocols import Row, Table
 from cassandra_ros.query.source import Source
 from cassandra_ros.read import Writers
 from cassandra_ros.transforms.transform_samples import (
@@ -48,11 +48,15 @@ def lookup_transform(
     check_nodes(node)
     asked = to_ns(time)
     stored: list[TransformTopic | None] = []
+    tables: list[Table] = []
     for name in (tf, tf_static):
         try:
-            stored.append(TransformTopic(find(name), node, run))
+            found = find(name)
         except TopicNotFound:
             stored.append(None)
+            continue
+        stored.append(TransformTopic(found, node, run))
+        tables += found.tables
     if stored == [None, None]:
         find(tf)  # raises TopicNotFound with similar names
     topics = [
@@ -65,7 +69,7 @@ def lookup_transform(
         # Newest first, so that older transforms of the same frames are skipped without reading
         # them.
         recorded.read(fixed, 0, MAX_NS, reverse=True)
-    lookup = _Lookup(moving, fixed, LookupErrors(frames, topics, node, time))
+    lookup = _Lookup(moving, fixed, LookupErrors(frames, topics, node, time, tables))
     return lookup.at(asked) if asked else lookup.newest()
 
 
@@ -147,6 +151,8 @@ class LookupErrors:
     node: str | None
     asked: object
     """Time as the user gave it."""
+    tables: Sequence[Table]
+    """Tables of the topics."""
 
     def text(self, kind: type[TransformException], tree: FrameTree) -> str:
         """Return the text of an error, from tf2's exception type and the transforms found."""
@@ -173,7 +179,8 @@ class LookupErrors:
             more = ", …" if len(frames) > _SHOWN_FRAMES else ""
             hint = f"the frames are {', '.join(frames[:_SHOWN_FRAMES])}{more}"
         else:
-            hint = "there is no transform at all"
+            unknown = self.node and next(iter(self.tables)).runs.unknown_robot(self.node)
+            hint = unknown or "there is no transform at all"
         return f"frame {frame!r} is not in {self._where()}{_ignored(frame, tree)}; {hint}"
 
     def _gap(self, tree: FrameTree) -> str:

@@ -156,6 +156,7 @@ def page_of(
         "after": cursor,
         "more": bool(cursor),
         "read": result.read,
+        "hints": list(result.hints),
     }
 
 
@@ -209,7 +210,7 @@ def _complete(call: ApiCall) -> Json:
     names = NameSource(
         topics,
         definitions,
-        lambda: sorted({info.node for info in store.info() if info.node}),
+        lambda: sorted({info.node for info in store.info() if info.node and info.count}),
         lambda: list(dict.fromkeys(run.name for run in store.runs() if run.name)),
     )
     return completed(call, names)
@@ -226,7 +227,7 @@ def completed(call: ApiCall, names: NameSource) -> dict[str, Json]:
     offers: Json = [
         {"text": offer.text, "kind": offer.kind, "note": offer.note} for offer in completion.offers
     ]
-    return {"start": completion.start, "offers": offers}
+    return {"start": completion.start, "offers": offers, "more": completion.more}
 
 
 def _cache(catalog: Catalog, settings: ViewerSettings) -> EnvelopeCache:
@@ -351,7 +352,8 @@ ROUTES: tuple[Route, ...] = (
         _query,
         "A page of the rows of a statement: columns, kinds (types of ROS), rows, times (of the "
         "message of each row), and after, the cursor of the next page ('' = the last page). Of SQL "
-        "there is one page; more says whether it has further rows. "
+        "there is one page; more says whether it has further rows. hints say why nothing is found: "
+        "names of robots, runs, events and frames that are not stored, with similar ones. "
         "Times and durations are texts of ns, and integers above 2^53 are texts, too; bytes are "
         "base64; NaN and the infinities are the texts 'nan', 'inf', '-inf'.",
         (
@@ -388,7 +390,7 @@ ROUTES: tuple[Route, ...] = (
         "/api/complete",
         _complete,
         "Completions at a position of a statement: offers (text, kind, note), each of which "
-        "replaces the text from start to the position.",
+        "replaces the text from start to the position; more is the number of further ones.",
         (
             Parameter("q", "text", "The statement, as far as it is typed.", default=""),
             Parameter("at", "count", "Position in characters; missing: the end."),

@@ -75,7 +75,7 @@ def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Callable[[], Non
                 break
         columns: list[Json] = list(result.columns)
     page: dict[str, Json] = {"topic": "", "columns": columns, "kinds": kinds, "rows": rows}
-    return {**page, "times": times, "after": "", "more": more}
+    return {**page, "times": times, "after": "", "more": more, "hints": list(result.hints)}
 
 
 def _add_rows(

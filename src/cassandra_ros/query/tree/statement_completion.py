@@ -78,6 +78,13 @@ class Offers(NamedTuple):
     start: int
     """Start of the word that is replaced; it ends at the cursor."""
     offers: Sequence[Offer]
+    more: int = 0
+    """Number of further ones, above MAX_OFFERS."""
+
+    @classmethod
+    def first(cls, start: int, fitting: Sequence[Offer]) -> Offers:
+        """Return the first MAX_OFFERS of the fitting ones."""
+        return cls(start, tuple(fitting[:MAX_OFFERS]), max(0, len(fitting) - MAX_OFFERS))
 
 
 class NameSource(NamedTuple):
@@ -111,7 +118,7 @@ def complete(text: str, cursor: int, known: NameSource) -> Offers:
     # Names that begin with the word come first; the sort is stable, to keep fields in wire order.
     fitting.sort(key=lambda offer: not offer.text.lower().lstrip("/").startswith(word.lstrip("/")))
     alone = len(fitting) == 1 and fitting[0].text == before[start:]
-    return Offers(start, () if alone else tuple(fitting[:MAX_OFFERS]))
+    return Offers.first(start, () if alone else fitting)
 
 
 def _begin(before: str) -> int:
