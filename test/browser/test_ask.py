@@ -7,6 +7,7 @@ from __future__ import annotations
 import pytest
 from browser.looking import near, pixels
 from browser.studio import Studio
+from viewers import running_viewer
 
 BOX = "#ask-q"
 CONTROL_ENTER = "\ue009\ue007"
@@ -200,3 +201,20 @@ def test_more_rows_of_sql_are_shown(page):
     window.wait_for(f"{counted} === 10000")
     assert not window.run(offered)
     assert "LIMIT" in text_of(window, "#rows-told")
+
+
+def test_every_topic_is_offered_or_it_is_said_how_many_more_there_are(window, fresh):
+    with fresh() as store:
+        for n in range(262):
+            store.addTopic(f"/t{n}")  # made by the first message
+        with running_viewer(store) as viewer:
+            window.errors()
+            window.driver.get(f"{viewer.url}/ask.html")
+            buttons = "document.querySelectorAll('#ask-examples button').length"
+            assert window.wait_for(f"return {buttons}") == 200
+            assert "62 more" in text_of(window, "#ask-examples .more")
+            write(window, "select * from /t")
+            offered = "return document.querySelector('#ask-offers .more')?.textContent"
+            assert "62 more" in window.wait_for(offered)
+            window.driver.get("about:blank")
+    assert not window.errors()

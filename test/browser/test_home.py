@@ -190,3 +190,20 @@ def test_decades_in_which_nothing_lies_are_folded(page, unset_clock):
     assert parse_qs(urlparse(address).query)["start"] == ["5.000000000"]
     home.window.driver.back()
     home.window.wait_for(f"return {buttons}[1]?.ariaPressed === 'true'")
+
+
+def test_a_robot_whose_messages_were_deleted_is_gone(page, keyspaces, connect):
+    with keyspaces.lend() as name:
+        with connect(keyspace=name) as rosCas:
+            for node in ("stays", "leaves"):
+                topic = rosCas.addTopic("/x", msg_type="std_msgs/Float64", nodeID=node)
+                for n in range(20):
+                    topic.addData(Float64(n), (LATER + n) * 10**9)
+            rosCas.upkeep.delete(nodeID="leaves")
+        home = Home(page("/", keyspace=name))
+        home.window.wait_for("return document.querySelectorAll('#tables tbody tr').length")
+        # A part of the time is asked for, too.
+        home.wheel((LATER + 10) * 10**9, -400)
+        robots = "[...new Set(timeline.picture.lanes.map((lane) => lane.node))]"
+        assert home.say(robots) == ["stays"]
+        assert not home.window.run("return document.querySelector('#menu-nodes')")

@@ -8,6 +8,7 @@ import pytest
 from browser import film, patrol
 from browser.looking import near
 from browser.studio import Studio, await_true, packed
+from std_msgs.msg import String
 from suites import SUITE
 
 from cassandra_ros.bag.importer import import_bag
@@ -17,6 +18,9 @@ pytestmark = pytest.mark.usefixtures("studio")
 EARLY, LATE = patrol.START + 5 * patrol.SECOND, patrol.START + 15 * patrol.SECOND
 X_AXIS, Y_AXIS = (0x78, 0x28, 0x38), (0x68, 0xA8, 0x08)
 """How the Studio draws the axes of a frame."""
+
+
+NOTES = "return [...document.querySelectorAll('p.told span')].map((each) => each.textContent)"
 
 
 def is_colour(colour):
@@ -61,6 +65,19 @@ def test_play_goes_on_and_pause_ends_it(page):
     studio.press("Seek backward")
     studio.await_time(lambda now: EARLY - patrol.SECOND <= now < EARLY)
     assert studio.data("playing") == "false"
+
+
+def test_what_is_not_in_the_window_is_a_note_at_most(page, keyspaces, connect):
+    with keyspaces.lend() as name:
+        with connect(keyspace=name) as rosCas:
+            rosCas.addTopic("/x", msg_type="std_msgs/String").addData(String("x"), patrol.START)
+            rosCas.addTopic("/once", key_format="hash").addData(String("without a time"))
+        window = page("/look.html", keyspace=name, time=patrol.START)
+        assert Studio(window).time_ns == patrol.START
+        assert window.run(NOTES) == []
+        window = page("/look.html", keyspace=name, start=patrol.START + 1, end=patrol.END)
+        (note,) = window.wait_for(NOTES.replace("return", "const n =") + "; return n.length && n")
+        assert "no message" in note
 
 
 FILM_SEC = {"test": 30, "all": 100, "campaign": 3600}[SUITE]

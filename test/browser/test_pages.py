@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import os
 import urllib.error
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -68,7 +70,8 @@ PLAYED = """
 return (async () => {
   const [{ StoreSource }, state] = await Promise.all([
     import("/modules/studio_source.js"), import("/modules/state.js")]);
-  const source = new StoreSource(state.read("?topics=/elsewhere"), (error) => { throw error; });
+  const fail = (told) => { throw new Error(told); };
+  const source = new StoreSource(state.read("?topics=/elsewhere"), fail, fail);
   await source.open();
   history.replaceState(null, "", "?layoutId=x&ds=y");
   const found = [];
@@ -146,3 +149,50 @@ def test_the_readmes_pictures_show_their_pages(page, viewer, name):
     # Something is drawn in each part of it.
     for part in np.array_split(picture, 3):
         assert len(np.unique(part.reshape(-1, 3), axis=0)) > 20
+
+
+READY = {
+    "home": "document.querySelector('#timeline')?.dataset.state === 'ready'",
+    "ask": "document.body.dataset.state === 'done'",
+    "look": "document.querySelector('#studio[data-ready], #no-studio')",
+    "map": "document.querySelector('#map')?.dataset.state === 'drawn'",
+}
+CUT = """
+const reach = document.documentElement.scrollHeight, bar = document.getElementById("head");
+const kinds = "button a select input label textarea canvas iframe p h2".split(" ");
+const main = kinds.map((kind) => `main ${kind}`).join();
+const parts = [...document.querySelectorAll(`#head *, ${main}`)];
+return parts.filter((each) => {
+  const { left, right, top, bottom, width } = each.getBoundingClientRect();
+  if (!width || each.closest(".scroll, .sheet")) return false;
+  const low = bar.contains(each) ? bar.getBoundingClientRect().bottom : reach - scrollY;
+  return left < 0 || right > innerWidth + 1 || bottom > low + 1;
+}).map((each) => each.outerHTML.slice(0, 100));
+"""
+"""Parts of a page that cannot be seen, also by scrolling down, or leave the bar."""
+LEAST = {"home": "#timeline", "ask": "#plot-panels canvas", "look": "#studio", "map": "#map"}
+"""What each page is for, which must be 120 pixels high at least, on Look and Map 300."""
+
+
+@pytest.fixture
+def widened(window):
+    """Gives the page another width."""
+    yield lambda width: window.resize((width, 800))
+    window.resize((1280, 800))
+
+
+@pytest.mark.usefixtures("studio", "other")
+@pytest.mark.parametrize("name", READY)
+def test_pages_are_whole_at_every_width(page, widened, name):
+    window = page(PAGES[name.title()], **STATES[name])
+    for width in (1280, 800, 520, 400):
+        widened(width)
+        window.wait_for(f"return innerWidth === {width} && {READY[name]}")
+        window.wait_for("return document.querySelector('#keyspace select')")
+        if "CASSANDRA_ROS_PICTURES" in os.environ:
+            path = Path(os.environ["CASSANDRA_ROS_PICTURES"]) / f"{name}_{width}.png"
+            path.write_bytes(window.picture())
+        assert window.run(CUT) == [], width
+        assert window.run("return document.documentElement.scrollWidth") <= width
+        least = f"return document.querySelector('{LEAST[name]}').getBoundingClientRect().height"
+        assert window.run(least) >= (300 if name in ("look", "map") else 120), width

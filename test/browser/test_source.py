@@ -26,7 +26,8 @@ SOURCE = """
 const told = [];
 const [{ StoreSource }, state] = await Promise.all([
   import("/modules/studio_source.js"), import("/modules/state.js")]);
-const source = new StoreSource(state.read("?topics=/chatter"), (error) => told.push(error.message));
+const source = new StoreSource(
+  state.read("?topics=/chatter"), (error) => told.push(error.message), (note) => told.push(note));
 await source.open();
 const topics = ["/chatter"];
 """

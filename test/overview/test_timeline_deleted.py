@@ -12,6 +12,7 @@ from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.overview.timeline.lanes import Timeline, View
+from cassandra_ros.read import LAST_NS, Whose
 
 T0 = 1_500_000_000 * SECOND_NS
 COUNT = 60
@@ -19,11 +20,11 @@ STEP = SECOND_NS // 2
 BUCKET = SECOND_NS
 
 
-def fill(store, topic, fmt, writer_id):
+def fill(store, topic, fmt, writer_id, node="r"):
     """Store two messages a second, in buckets of a second."""
     header = {"type": Int64._type, "md5sum": Int64._md5sum}
     header["message_definition"] = Int64._full_text
-    with store.messageWriter(writer_id=writer_id, nodeID="r", format=fmt) as writer:
+    with store.messageWriter(writer_id=writer_id, nodeID=node, format=fmt) as writer:
         handle = writer.connect(live_connection(topic, header), bucket_ns=BUCKET)
         for n in range(COUNT):
             writer.write(handle, T0 + n * STEP, n, serialize(Int64(n)))
@@ -102,3 +103,17 @@ def test_what_a_sample_stands_for_was_deleted(store, monkeypatch):
     assert in_picture(Timeline(store.catalog).picture(View(T0, T0 + 30 * SECOND_NS))) == in_table(
         store
     )
+
+
+def test_a_robot_whose_messages_were_deleted_has_no_lane(store):
+    fill(store, "/rows", "binary", 9, node="s")
+    store.upkeep.delete(None, nodeID="s")
+    whole = Timeline(store.catalog).picture(View(cells=30))
+    assert {lane.key for lane in whole.lanes} == {("r", "/blocks"), ("r", "/rows")}
+    assert not Timeline(store.catalog).picture(View(whose=Whose.of("s"))).lanes
+    store.upkeep.delete(["/rows"], nodeID="r")
+    whole = Timeline(store.catalog).picture(View(start=0, end=LAST_NS, cells=1))
+    assert {lane.key for lane in whole.lanes} == {("r", "/blocks"), ("", "/rows")}
+    store.upkeep.delete(None, nodeID="r")
+    empty = Timeline(store.catalog).picture(View(cells=30))
+    assert {lane.key for lane in empty.lanes} == {("", "/blocks"), ("", "/rows")}

@@ -65,6 +65,31 @@ def test_the_keyspace_says_which_there_are(viewer, stored):
     assert mine["copies"]
 
 
+def test_what_of_an_address_is_not_stored_is_noted(viewer):
+    def notes(**address):
+        return viewer.get("/api/keyspace", **address)["notes"]
+
+    day = 86_400 * SECOND
+    assert notes() == notes(nodes="red,blue", start=NS - day, end=NS + day, time=NS) == []
+    (note,) = notes(nodes="red,bleu")
+    assert "'bleu'" in note and "did you mean blue" in note
+    (note,) = notes(start=NS + 400 * day)
+    assert note.startswith(f"start={NS + 400 * day} lies 1.1 years")
+    assert "before the first stored message" in notes(end=NS - 2 * day)[0]
+    (note,) = notes(end=NS // 10**6)  # milliseconds
+    assert "milliseconds are written in seconds" in note
+
+
+def test_offers_that_are_left_out_are_counted(fresh):
+    with fresh() as store:
+        for n in range(262):
+            store.addTopic(f"/t{n}")  # made by the first message
+        with running_viewer(store) as viewer:
+            offered = viewer.get("/api/complete", q="SELECT * FROM ")
+            assert (len(offered["offers"]), offered["more"]) == (200, 62)
+            assert viewer.get("/api/complete", q="SELECT * FROM /t26")["more"] == 0
+
+
 def test_another_keyspace_is_read_by_its_name(viewer, stored, fresh):
     with fresh() as other:
         other.addTopic("/there", msg_type="std_msgs/String").addData(String("x"), NS)

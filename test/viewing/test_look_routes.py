@@ -216,7 +216,9 @@ def test_connections_tell_the_window_and_how_much_lies_in_it(viewer):
     assert int(by_name["/tf"]["first"]) == at(0.5)
     assert by_name["/image"]["bytes"] == len(serialize(IMAGE))
     assert by_name["/map"]["messages"] == 0  # it has no place in time, and is shown at every one
-    assert [problem["topic"] for problem in found["problems"]] == ["/seen"]
+    assert found["problems"] == []  # the topic that cannot be shown has nothing in the window
+    (problem,) = viewer.get("/api/connections", topics="/seen,/tf", time=at(5))["problems"]
+    assert problem["topic"] == "/seen" and "no time" in problem["text"]
     given = viewer.get("/api/connections", start=at(1), end=at(2))
     assert (given["start"], given["end"]) == (str(at(1)), str(at(2)))
     # Without a time range it is the last day.
@@ -228,6 +230,12 @@ def test_connections_tell_the_window_and_how_much_lies_in_it(viewer):
     assert viewer.fail("/api/messages", after="nonsense")[0] == 400
     assert viewer.fail("/api/messages", bytes=10**12)[0] == 400
     assert viewer.fail("/api/messages", runs="none")[0] == 404
+
+
+def test_a_window_without_messages_is_told(viewer):
+    (problem,) = viewer.get("/api/connections", topics="/tf", start=1.5, end=2.5)["problems"]
+    assert "no message" in problem["text"] and "1970-01-01T00:00:01.5" in problem["text"]
+    assert viewer.get("/api/connections", start=1.5, end=2.5)["problems"] == []  # /map is shown
 
 
 def test_the_latest_has_all_that_a_panel_needs_at_once(viewer):

@@ -141,9 +141,11 @@ async function showNothing() {
   const topics = answer.offers.filter((/** @type {any} */ offer) => offer.kind === "topic");
   examples.hidden = topics.length === 0;
   examples.querySelector(".content")?.replaceChildren(
-    ...topics.slice(0, 60).map((/** @type {any} */ offer) =>
+    ...topics.map((/** @type {any} */ offer) =>
       page.make("button", { type: "button", onclick: () => choose(begin + offer.text) }, offer.text)),
   );
+  const hint = `… and ${answer.more.toLocaleString("en")} more: write a part of a name behind FROM, which completes it`;
+  if (answer.more) examples.querySelector(".content")?.append(page.make("span", { class: "muted more" }, hint));
   if (!topics.length) told.textContent = "There is no topic in this keyspace yet.";
 }
 

@@ -77,14 +77,17 @@ export class Box {
       const parameters = { q: this._area.value, at, language: this._language() };
       const found = await get("/api/complete", parameters, { signal: this._asking.signal });
       this._start = [...this._area.value].slice(0, found.start).join("").length;
-      this._show(found.offers);
+      this._show(found.offers, found.more);
     } catch (error) {
       showError(error);
     }
   }
 
-  /** @param {Offer[]} offers */
-  _show(offers) {
+  /**
+   * @param {Offer[]} offers
+   * @param {number} [more] Number of further ones.
+   */
+  _show(offers, more = 0) {
     this._offers = offers;
     this._list.replaceChildren(...offers.map((offer, n) => make(
       "li",
@@ -92,6 +95,8 @@ export class Box {
       offer.text,
       make("span", { class: "note" }, offer.note || offer.kind),
     )));
+    const hint = `… and ${more.toLocaleString("en")} more: write more letters`;
+    if (more) this._list.append(make("li", { class: "more", role: "presentation" }, hint));
     this._list.hidden = offers.length === 0;
     this._choose(-1);
   }

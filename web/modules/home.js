@@ -8,6 +8,7 @@ import { quoted, showEvents, showRuns, showTopics } from "./home_tables.js";
 import * as page from "./page.js";
 import * as state from "./state.js";
 import { Timeline } from "./timeline.js";
+import { keyOf } from "./timeline_data.js";
 import { LAST, iso, length, shown } from "./times.js";
 
 const SETTLED_MS = 120;
@@ -56,6 +57,8 @@ let following = true;
 let manyEvents = false;
 /** Whether there are more marks of runs and losses than are shown at once. */
 let manyMarks = false;
+/** Which of them the visible time range still has too many of to be drawn. */
+let undrawn = { events: false, marks: false };
 let updateEvents = () => {};
 /** Whether the viewer shows several stores, of which it sends no files. */
 let severalStores = false;
@@ -91,6 +94,7 @@ async function load({ again: known = false } = {}) {
   timeline.picture.takeEvents(events.events);
   manyEvents = events.more;
   manyMarks = marks.left_off > 0;
+  undrawn = { events: manyEvents, marks: manyMarks };
   timeline.update();
   box.style.height = `${timeline.wanted}px`;
   const nothing = !timeline.picture.lanes.length;
@@ -121,7 +125,10 @@ async function ofEra(answer, choice, known, signal) {
   showEras(era);
   if (eras.length < 2 || !era) return answer;
   const found = await api.get("/api/timeline", { ...choice, ...era, pixels: cellsOf(1) }, { signal });
-  return { ...found, first: String(era.start), last: String(era.end) };
+  // A part of the time also has lanes of robots whose messages were deleted.
+  const there = new Set(answer.lanes.map((/** @type {any} */ lane) => keyOf(lane.topic, lane.node)));
+  const lanes = found.lanes.filter((/** @type {any} */ lane) => there.has(keyOf(lane.topic, lane.node)));
+  return { ...found, lanes, first: String(era.start), last: String(era.end) };
 }
 
 /**
@@ -184,6 +191,8 @@ async function askWindow(detail) {
   ]);
   if (marks) timeline.picture.takeMarks(marks.marks);
   if (events) timeline.picture.takeEvents(events.events);
+  undrawn = { events: events?.more ?? false, marks: marks?.left_off > 0 };
+  tell();
   const { runs: known } = timeline.picture;
   timeline.picture.take(answer, { topics, nodes });
   timeline.picture.runs = known;
@@ -357,7 +366,8 @@ function tell() {
   const messages = sum("messages");
   const topics = new Set(picture.lanes.map((lane) => lane.topic)).size;
   summary.textContent = `${plural(topics, "topic")} · ${messages.toLocaleString("en")} messages` +
-    (picture.writing ? " · recording" : "");
+    (picture.writing ? " · recording" : "") +
+    Object.entries(undrawn).map(([what, is]) => (is ? ` · only the first ${what} are drawn: zoom in` : "")).join("");
   chosen.textContent = `${shown(start, (end - start) / 1000n)} · ${length(end - start + 1n)}`;
   chosen.title = span ? "Selected time range" : "Visible time range";
   const window_ = { start, end };
@@ -428,6 +438,7 @@ async function loadTables() {
   const distinct = (/** @type {string} */ name) => [...new Set(all.lanes.map((/** @type {any} */ lane) => lane[name]))].filter(Boolean);
   page.addSelection(selection, {
     runs: listed.runs.map((/** @type {any} */ run) => ({ value: String(run.id), text: run.run })),
+    moreRuns: listed.left_off,
     nodes: distinct("node").map((value) => ({ value })),
     topics: distinct("topic").map((value) => ({ value })),
   });
@@ -439,9 +450,9 @@ async function loadTables() {
   const topics = make("div", { class: "scroll" });
   const runTable = make("div", { class: "scroll", hidden: true });
   updateTopics = showTopics(topics, all.lanes);
-  showRuns(runTable, listed.runs, show);
+  showRuns(runTable, listed.runs, show, listed.left_off);
   const eventSheet = eventList();
-  const counts = new Map([["Topics", distinct("topic").length], ["Runs", listed.runs.length]]);
+  const counts = new Map([["Topics", distinct("topic").length], ["Runs", listed.runs.length + listed.left_off]]);
   const tabs = [["Topics", topics], ["Runs", runTable], ["Events", eventSheet]].map(([name, sheet]) => {
     const tab = make("button", { role: "tab", class: "tab" }, [name, counts.get(String(name)) ?? ""].join(" ").trim());
     tab.addEventListener("click", () => choose(sheet));

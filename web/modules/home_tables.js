@@ -47,8 +47,9 @@ export function showTopics(place, lanes) {
  * @param {HTMLElement} place
  * @param {any[]} runs Runs of /api/runs.
  * @param {(run: any) => void} show Shows a run in the timeline.
+ * @param {number} more Number of older runs that are not among them.
  */
-export function showRuns(place, runs, show) {
+export function showRuns(place, runs, show, more) {
   if (!runs.length) {
     place.replaceChildren(make("p", { class: "note" }, "No recording or import is stored."));
     return;
@@ -68,6 +69,8 @@ export function showRuns(place, runs, show) {
   ];
   const robots = runs.some((run) => run.node);
   showTable(place, columns.filter((column) => column.name !== "robot" || robots), runs);
+  const hint = `These are the newest ${runs.length.toLocaleString("en")} runs; cassandra_bag runs lists ${more.toLocaleString("en")} older ones, too.`;
+  if (more) place.append(make("p", { class: "note" }, hint));
 }
 
 /**

@@ -37,8 +37,9 @@ function open() {
 /** @param {MessageEvent} event */
 function told(event) {
   if (!frame || event.source !== frame.contentWindow || event.origin !== location.origin) return;
-  const { time, layout, error, ready } = event.data;
+  const { time, layout, error, note, ready } = event.data;
   if (error !== undefined) page.showError(new Error(error));
+  if (note !== undefined) page.showNote(note);
   if (time !== undefined) later({ time });
   if (layout !== undefined) later({ layout: layout || null });
   if (ready) {
@@ -98,7 +99,7 @@ function openLater() {
 async function addMenus() {
   const place = page.make("div", { class: "row" });
   document.querySelector("#head nav")?.after(place);
-  const [{ topics }, { runs }] = await Promise.all([
+  const [{ topics }, { runs, left_off: moreRuns }] = await Promise.all([
     get("/api/topics", { counts: "0" }),
     get("/api/runs", { counts: "0" }),
   ]);
@@ -106,6 +107,7 @@ async function addMenus() {
   page.addSelection(place, {
     topics: topics.map((/** @type {any} */ each) => ({ value: each.topic, text: `${each.topic} (${each.types.join(", ")})` })),
     runs: runs.map((/** @type {any} */ each) => ({ value: String(each.id), text: each.run })),
+    moreRuns,
     nodes: nodes.map((value) => ({ value })),
   });
 }

@@ -70,7 +70,7 @@ function fill(select, choices, name) {
 }
 
 async function begin() {
-  const [{ topics }, { runs }] = await Promise.all([
+  const [{ topics }, { runs, left_off: moreRuns }] = await Promise.all([
     get("/api/topics", { counts: "0" }),
     get("/api/runs", { counts: "0" }),
   ]);
@@ -88,6 +88,7 @@ async function begin() {
   page.addSelection(element("map-selection"), {
     nodes: nodes.map((node) => ({ value: node, text: node || "(no name)" })).filter((node) => node.value),
     runs: runs.map((/** @type {any} */ run) => ({ value: String(run.id), text: run.run })),
+    moreRuns,
   });
   if (!mapped.length) {
     tell("No topic of LaserScan, PointCloud2 or OccupancyGrid is stored: only the robots' tracks are drawn.");

@@ -20,9 +20,13 @@ export const ONE_STORE = "One store answers this, and this viewer shows several 
 /** @type {Promise<any> | null} */
 let told = null;
 
-/** Return the answer of /api/keyspace, requested once; `stores` has several stores that are shown as one. */
+/**
+ * Return the answer of /api/keyspace, requested once: `stores` has several stores that are shown as one, `notes`
+ * says what of the robots and times in the address is not stored.
+ */
 export function keyspaceAnswer() {
-  told ??= get("/api/keyspace");
+  const { nodes, start: first, end, time } = state.read();
+  told ??= get("/api/keyspace", { nodes, start: first, end, time });
   return told;
 }
 
@@ -81,7 +85,10 @@ export function start(name) {
     if (event.reason instanceof Error && "status" in event.reason) event.preventDefault();
   });
   for (const problem of state.read().problems) showError(new Error(problem));
-  keyspaceAnswer().then((answer) => keyspace.replaceChildren(...shownPlace(answer)), showError);
+  keyspaceAnswer().then((answer) => {
+    keyspace.replaceChildren(...shownPlace(answer));
+    answer.notes.forEach(showNote);
+  }, showError);
   ifSeveralStores(() => {
     for (const [index, page] of PAGES.entries()) if (page.ofOneStore) disable(links[index]);
     if (PAGES.some((page) => page.ofOneStore && page.name === name)) {
@@ -118,6 +125,17 @@ function showMissing({ store, reason }) {
   if (document.getElementById(id)) return;
   const text = `Store ${store} did not answer; what only it has is left out here. Load the page again to ask it again. (${reason})`;
   document.getElementById("head")?.after(make("p", { class: "missing", id, role: "alert" }, text));
+}
+
+/**
+ * Show a note below the bar until it is closed; equal notes only once.
+ * @param {string} text
+ */
+export function showNote(text) {
+  if ([...document.querySelectorAll("p.told")].some((each) => each.firstChild?.textContent === text)) return;
+  const note = make("p", { class: "told", role: "status" }, make("span", {}, text));
+  note.append(make("button", { "aria-label": "Close", onclick: () => note.remove() }, "×"));
+  document.getElementById("head")?.after(note);
 }
 
 /**
@@ -169,13 +187,14 @@ export function clearErrors() {
 /**
  * Add menus to select topics, robots and runs; the state has the selected ones.
  * @param {HTMLElement} place
- * @param {{topics?: Choice[], nodes?: Choice[], runs?: Choice[]}} choices Entries. A menu
+ * @param {{topics?: Choice[], nodes?: Choice[], runs?: Choice[], moreRuns?: number}} choices Entries, and the number of
+ *   older runs that are not among them. A menu
  *   that is left out, or has fewer than two robots, is not shown.
  */
 export function addSelection(place, choices) {
   const { nodes } = choices;
   const menus = [
-    choices.runs && menu("runs", "Runs", choices.runs),
+    choices.runs && menu("runs", "Runs", choices.runs, choices.moreRuns),
     nodes && nodes.length > 1 && menu("nodes", "Robots", nodes),
     choices.topics && menu("topics", "Topics", choices.topics),
   ];
@@ -197,8 +216,9 @@ export function takeKeys(element) {
  * @param {"topics" | "nodes" | "runs"} name
  * @param {string} title
  * @param {Choice[]} choices
+ * @param {number} [more] Number of entries that are left out.
  */
-function menu(name, title, choices) {
+function menu(name, title, choices, more = 0) {
   const summary = make("summary");
   const list = make("ul");
   const boxes = choices.map((choice) => {
@@ -219,7 +239,7 @@ function menu(name, title, choices) {
   const all = make("button", { onclick: () => state.write({ [name]: null }) }, "All");
   const tools = make("div", { class: "tools" }, filterOf(list, `Filter ${title.toLowerCase()}`), all);
   return make("details", { class: "menu", id: `menu-${name}`, onkeydown: closeOnEscape }, summary,
-    make("div", { class: "sheet" }, tools, list));
+    make("div", { class: "sheet" }, tools, list, ...(more ? [make("p", { class: "muted more" }, `… and ${more.toLocaleString("en")} older`)] : [])));
 }
 
 /**

@@ -4,7 +4,7 @@
 /**
  * The Studio in its own page, which Look shows in a frame: so its styles, and the parameters that it
  * adds to the address, do not affect Look. Its address has the state of Look, to which it sends
- * changes: `{time}`, `{layout}`, `{error}`, `{ready}`.
+ * changes: `{time}`, `{layout}`, `{error}`, `{note}`, `{ready}`.
  */
 
 import * as state from "./state.js";
@@ -167,9 +167,9 @@ async function keepLayout(layout) {
 async function start() {
   prepare();
   const asked = state.read();
-  const source = new StoreSource(asked, showError);
+  const source = new StoreSource(asked, showError, (note) => tell({ note }));
   const [found] = await Promise.all([source.open(), loadStudio()]);
-  if (!found.topics.length) throw new Error("This time range has no message that can be shown.");
+  if (!found.topics.length) return; // a note says why
   const time = asked.time ?? source.start;
   const layouts = new Layouts(await chooseLayout(asked.layout, source), keepLayout);
   const factory = {

@@ -34,10 +34,12 @@ export class StoreSource {
   /**
    * @param {State} state Selection: start, end, time, topics, nodes, runs.
    * @param {(error: unknown) => void} showError Called with each error before another attempt.
+   * @param {(text: string) => void} showNote Called with what is left out, and why.
    */
-  constructor(state, showError) {
+  constructor(state, showError, showNote) {
     this.state = state;
     this.showError = showError;
+    this.showNote = showNote;
     this.chosen = { nodes: state.nodes, runs: state.runs };
     /** @type {any} What /api/connections answered. */
     this.found = null;
@@ -175,7 +177,7 @@ export class StoreSource {
   tell(problem) {
     if (this.told.has(problem.topic)) return;
     this.told.add(problem.topic);
-    this.showError(new Error(problem.text));
+    this.showNote(problem.text);
   }
 }
 

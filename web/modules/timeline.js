@@ -21,6 +21,8 @@ const NAMES_PART = 0.3;
 const SHORTEST = 1000n;
 const WHEEL_ZOOM = 1.0016;
 const CLICK_PX = 4;
+/** Maximum number of events, marks or losses that are described at a place. */
+const MOST_TOLD = 4;
 const MOST_TEXTS = 5000;
 
 /**
@@ -656,12 +658,11 @@ export class Timeline extends EventTarget {
       return line?.kind === "lane" ? [line.lane.types.join(", "), line.lane.topic] : ["robot", line?.node || "unnamed"];
     }
     const found = [shown(ns, (this.view.end - this.view.start) / BigInt(Math.max(1, this.size.width)))];
-    found.push(...this.eventsAt(ns).map((event) => `event ${event.name}${event.node ? ` of ${event.node}` : ""}`));
+    found.push(...firstOf(this.eventsAt(ns).map((event) => `event ${event.name}${event.node ? ` of ${event.node}` : ""}`)));
     if (line?.kind === "robot") {
       const run = this.runAt(line.node, ns);
-      for (const mark of this.marksAt(line.node, ns)) {
-        found.push(`${mark.run} ${mark.kind === "end" ? "ended" : "began"}${mark.text ? `: ${mark.text}` : ""}`);
-      }
+      found.push(...firstOf(this.marksAt(line.node, ns).map((mark) => (
+        `${mark.run} ${mark.kind === "end" ? "ended" : "began"}${mark.text ? `: ${mark.text}` : ""}`))));
       if (run) found.push(run.run, `${run.messages.toLocaleString("en")} messages, ${length(run.last - run.first)}`);
     } else if (line) {
       found.push(line.lane.topic, ...this.tellOfLane(line.lane, ns));
@@ -680,9 +681,8 @@ export class Timeline extends EventTarget {
     const gap = count ? undefined : lane.gaps.find(([low, high]) => low <= ns && ns <= high);
     if (gap) found.push(`no message for ${length(gap[1] - gap[0])}`);
     const reach = scaled(this.view.end - this.view.start, CLICK_PX / this.size.width);
-    for (const loss of lane.losses.filter((each) => each.start - reach <= ns && ns <= each.end + reach).slice(0, 4)) {
-      found.push(`lost ${loss.count ?? "some"}: ${loss.text}`);
-    }
+    const losses = lane.losses.filter((each) => each.start - reach <= ns && ns <= each.end + reach);
+    found.push(...firstOf(losses.map((loss) => `lost ${loss.count ?? "some"}: ${loss.text}`)));
     return found;
   }
 
@@ -690,16 +690,14 @@ export class Timeline extends EventTarget {
   eventsAt(ns) {
     const reach = scaled(this.view.end - this.view.start, CLICK_PX / this.size.width);
     return this.picture.events
-      .filter((event) => event.start - reach <= ns && (event.end === null || ns <= event.end + reach))
-      .slice(0, 4);
+      .filter((event) => event.start - reach <= ns && (event.end === null || ns <= event.end + reach));
   }
 
   /** @param {string} node @param {bigint} ns @returns {any[]} Starts and ends of recordings near a time. */
   marksAt(node, ns) {
     const reach = scaled(this.view.end - this.view.start, CLICK_PX / this.size.width);
     return this.picture.marks
-      .filter((mark) => mark.kind !== "loss" && mark.node === node && mark.start - reach <= ns && ns <= mark.start + reach)
-      .slice(0, 4);
+      .filter((mark) => mark.kind !== "loss" && mark.node === node && mark.start - reach <= ns && ns <= mark.start + reach);
   }
 
   /** @param {string} node @param {bigint} ns @returns {import("./timeline_data.js").Run | undefined} */
@@ -768,4 +766,10 @@ function coloursOf(element) {
     text: of("text"), muted: of("muted"), accent: of("accent"), data: of("data"),
     soft: of("data-soft"), run: of("run"), runSoft: of("run-soft"), loss: of("loss"), mark: of("mark"),
   };
+}
+
+/** @param {string[]} texts @returns {string[]} The first ones, and how many more there are. */
+function firstOf(texts) {
+  if (texts.length <= MOST_TOLD) return texts;
+  return [...texts.slice(0, MOST_TOLD), `… and ${texts.length - MOST_TOLD} more`];
 }

@@ -166,6 +166,8 @@ export class Picture {
     }
     for (const said of answer.lanes) {
       const key = keyOf(said.topic, said.node);
+      // A part of the time also has lanes of robots whose messages were deleted.
+      if (!all && !before.has(key) && said.first === null) continue;
       const lane = before.get(key) ?? new Lane(said.topic, said.node);
       lane.take(said, scale, all);
       this.byKey.set(key, lane);

@@ -146,6 +146,7 @@ def _keyspace(call: ApiCall, stores: FleetAnswer) -> _Told:
         "keyspaces": [],
         "stores": [*call.fleet.names],
         "allow_writes": False,
+        "notes": catalog_routes.notes_of(call, stores.catalogs.values()),
     }
 
 
@@ -165,7 +166,7 @@ def _counts(infos: Sequence[FleetTopicInfo]) -> dict[str, Json]:
     ends = (info.last_ns for info in infos if info.last_ns is not None)
     names = dict.fromkeys(name for info in infos for name in info.stores)
     return {
-        "nodes": list(dict.fromkeys(info.node for info in infos)),
+        "nodes": list(dict.fromkeys(info.node for info in infos if info.count)),
         "messages": sum(info.count for info in infos),
         "bytes": sum(info.bytes for info in infos),
         "start": catalog_routes.shown_ns(min(starts, default=None)),
@@ -261,7 +262,7 @@ def _complete(call: ApiCall, stores: FleetAnswer) -> _Told:
         return [table.definition for table in tables if table.definition is not None]
 
     def nodes() -> Sequence[str]:
-        found = stores.each(stores.catalogs, lambda c: {info.node for info in c.infos(None)})
+        found = stores.each(stores.catalogs, lambda c: {i.node for i in c.infos(None) if i.count})
         return sorted(set().union(*found.values()) - {""})
 
     def runs() -> Sequence[str]:

@@ -12,11 +12,12 @@ import time
 from collections import OrderedDict
 from dataclasses import replace
 from functools import partial
-from typing import Callable, Iterable, Iterator, NamedTuple, Sequence, TypeVar
+from typing import Callable, Iterable, Iterator, Mapping, NamedTuple, Sequence, TypeVar
 
 from cassandra_ros.errors import InvalidOption, StoreUnavailable
 from cassandra_ros.fleet.fleet_row import FleetRow
 from cassandra_ros.keys import SECOND_NS, decode_cursor
+from cassandra_ros.messages.stamps import iso_time
 from cassandra_ros.overview.latest_messages import Latest
 from cassandra_ros.overview.timeline.lanes import Lane, Picture, View
 from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
@@ -33,6 +34,7 @@ from cassandra_ros.viewing.selection_parameters import (
     NODES,
     RUNS,
     START,
+    TIME,
     TOPICS,
     tables_of,
     whose_of,
@@ -75,12 +77,12 @@ def connections_of(
         draw: Draws a timeline of them.
         problems: Topics that are left out, with the reasons.
     """
-    problems = list(problems)
     shown: dict[str, list[TopicTable]] = {}
+    unshown: dict[str, str] = {}
     for table in tables:
         reason = reason_not_shown(table)
         if reason:
-            problems.append({"topic": table.metadata.topic, "text": reason})
+            unshown[table.metadata.topic] = reason
         else:
             shown.setdefault(table.metadata.topic, []).append(table)
     view = View(cells=1, topics=sorted(shown), whose=whose)
@@ -88,6 +90,11 @@ def connections_of(
     view = replace(view, start=window.low, end=window.high)
     lanes = draw(view).lanes
     whole = WindowContent.of_lanes(lane for lane in lanes if not _is_named(shown[lane.topic]))
+    problems = [*problems, *_left_out(call, unshown, view, draw)]
+    if whole.first is None and not any(map(_is_named, shown.values())):
+        ends = f"from {iso_time(window.low)} to {iso_time(window.high)}"
+        text = f"there is no message of this selection {ends}; Home shows the times of messages"
+        problems.append({"topic": "", "text": text})
     window = _cut(call, window, whole)
     return {
         "start": str(window.low),
@@ -97,6 +104,16 @@ def connections_of(
         "topics": [_topic(topic, shown[topic], lanes) for topic in sorted(shown)],
         "problems": problems,
     }
+
+
+def _left_out(
+    call: ApiCall, unshown: Mapping[str, str], view: View, draw: Callable[[View], Picture]
+) -> Iterator[Json]:
+    """Yield topics that cannot be shown and were asked for, or have messages in the view."""
+    asked = bool(call.texts("topics"))
+    lanes = () if asked or not unshown else draw(replace(view, topics=sorted(unshown))).lanes
+    there = unshown if asked else {lane.topic for lane in lanes if lane.times[0] is not None}
+    yield from ({"topic": topic, "text": unshown[topic]} for topic in sorted(there))
 
 
 def _window(call: ApiCall, view: View, draw: Callable[[View], Picture]) -> TimeRange:
@@ -231,7 +248,6 @@ class _Finders:
 
 
 _WINDOW = (TOPICS, START, END, NODES, RUNS)
-_TIME = Parameter("time", "time", "Time that is shown first.")
 
 ROUTES: tuple[Route, ...] = (
     Route(
@@ -243,7 +259,7 @@ ROUTES: tuple[Route, ...] = (
         "/api/connections",
         _connections,
         "The topics of a time range, their number of messages in it, and their schemas.",
-        (*_WINDOW, _TIME),
+        (*_WINDOW, TIME),
     ),
     Route(
         "/api/messages",

@@ -15,6 +15,7 @@ NODES = Parameter("nodes", "texts", "nodeIDs of robots; missing: all robots.")
 RUNS = Parameter("runs", "texts", "Names or writer ids of runs; missing: all runs.")
 START = Parameter("start", "time", "First time, included.")
 END = Parameter("end", "time", "Last time, included.")
+TIME = Parameter("time", "time", "Time that is shown first.")
 WHOLE_RANGE = (
     Parameter("start", "time", "First time, included; missing: that of the first message."),
     Parameter("end", "time", "Last time, included; missing: that of the last message."),

@@ -82,6 +82,11 @@ class Lane:
         self._ends = ends
 
     @property
+    def key(self) -> tuple[str, str]:
+        """Robot and topic."""
+        return self.node, self.topic
+
+    @property
     def times(self) -> tuple[int | None, int | None]:
         """Times of the first and the last message, ns; None if there is no message."""
         firsts = [
@@ -163,7 +168,8 @@ class Picture(NamedTuple):
     scale: Scale | None
     """Cells of the time range; None = there is no time range."""
     lanes: list[Lane]
-    """Lanes by robot and topic, including those without messages in the range."""
+    """Lanes by robot and topic, also without messages in the range. If all messages lie in it,
+    robots whose messages were all deleted have none."""
     named: bool = False
     """Whether the extent is that of messages with names."""
 
@@ -256,23 +262,35 @@ class Timeline:
         extent = timed or _extent(named)
         ends = window_of(view, extent)
         if ends is None:
-            return Picture(None, None, self._lanes(tables, [], view.whose, (0, 0)))
+            return Picture(None, None, self._lanes(tables, [], view.whose, (0, 0), whole=True))
         scale = Scale.over(*ends, view.cells)
         pieces = self._reader.pieces(tables, ends, view.whose)
         if view.detail:
             pieces = refined(pieces, scale, view.whose, gone)
-        lanes = self._lanes(tables, [*pieces, *named], view.whose, ends)
+        whole = extent is None or (ends[0] <= extent[0] and extent[1] <= ends[1])
+        lanes = self._lanes(tables, [*pieces, *named], view.whose, ends, whole)
         return Picture(extent, scale, lanes, timed is None)
 
     def _lanes(
-        self, tables: Sequence[TopicTable], pieces: Sequence[RangeCounts], whose: Whose, ends: Ends
+        self,
+        tables: Sequence[TopicTable],
+        pieces: Sequence[RangeCounts],
+        whose: Whose,
+        ends: Ends,
+        whole: bool,
     ) -> list[Lane]:
-        """Return the lanes of tables, one for each robot that has messages in them, now or ever."""
+        """Return the lanes of tables, one for each robot that has messages in them.
+
+        Args:
+            whole: Whether all messages lie in the range. Otherwise there are also lanes of robots
+                that had messages, which may have been deleted.
+        """
         slots = self._reader.slots(tables)
         of_table: dict[str, list[RangeCounts]] = {}
         for piece in pieces:
             of_table.setdefault(piece.table.name, []).append(piece)
         lanes: dict[tuple[str, str], tuple[list[TopicTable], list[RangeCounts]]] = {}
+        had: set[tuple[str, str]] = set()
         for table in tables:
             listed = {node for _, node in slots.get(table.name, [])}
             own = of_table.get(table.name, [])
@@ -283,10 +301,18 @@ class Timeline:
                 of_lane = lanes.setdefault((node, table.metadata.topic), ([], []))
                 of_lane[0].append(table)
                 of_lane[1].extend(piece for piece in own if piece.node == node)
+            had.update((node, table.metadata.topic) for node in listed)
         drawn = [Lane(topic, node, *lanes[node, topic], ends) for node, topic in sorted(lanes)]
-        if whose.writers is None:
+        if whose.writers is not None:
+            return [lane for lane in drawn if lane.times[0] is not None]
+        if not whole:
             return drawn
-        return [lane for lane in drawn if lane.times[0] is not None]
+        kept = [lane for lane in drawn if lane.times[0] is not None or lane.key not in had]
+        shown = {lane.topic for lane in kept}
+        if whose.nodes is None:  # a topic stays without its robots
+            emptied = {lane.topic: lane.tables for lane in drawn if lane.topic not in shown}
+            kept += [Lane(topic, "", stay, [], ends) for topic, stay in emptied.items()]
+        return sorted(kept, key=lambda lane: lane.key)
 
 
 def _extent(named: Sequence[RangeCounts]) -> Ends | None:

@@ -40,7 +40,17 @@ def merged_picture(pictures: Sequence[Picture], extent: Ends | None) -> Picture:
             lanes.setdefault((lane.node, lane.topic), []).append(lane)
     scale = next((picture.scale for picture in pictures), None)
     ends = (0, 0) if scale is None else (scale.start, scale.end)
-    return Picture(extent, scale, [_merged(lanes[key], ends) for key in sorted(lanes)])
+    merged = [_merged(lanes[key], ends) for key in sorted(lanes)]
+    # A store whose messages of a topic were deleted still has the topic, of no robot.
+    others = {lane.topic for lane in merged if lane.node}
+    return Picture(
+        extent, scale, [each for each in merged if each.topic not in others or not _is_bare(each)]
+    )
+
+
+def _is_bare(lane: Lane) -> bool:
+    """Return whether a lane is of no robot and has no message."""
+    return not lane.node and lane.times[0] is None
 
 
 def _merged(lanes: Sequence[Lane], ends: Ends) -> Lane:
