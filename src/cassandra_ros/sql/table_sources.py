@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Callable, Iterator, Sequence
 
 from cassandra_ros.arrays.arrow_batches import ArrowSchema, read_batches
 from cassandra_ros.arrays.arrow_types import Wanted
+from cassandra_ros.errors import InvalidName
 from cassandra_ros.query.plan.pushdown import Pushdown, Watch
 from cassandra_ros.read import Read, TimeRange, Whose
 from cassandra_ros.sql.condition_chooser import ConditionChooser
@@ -112,10 +113,16 @@ class TopicSource:
 
     def _unknown_names(self) -> Iterator[str]:
         """Yield for each name that bounds what is read whether it is unknown; '' = it is not."""
-        pushed, runs, events = self.pushed, self._keyspace.runs, self._keyspace.events
+        pushed, runs = self.pushed, self._keyspace.runs
         yield from map(runs.unknown_robot, sorted(pushed.nodes or ()))
         yield from map(runs.unknown, sorted(pushed.runs or ()))
-        yield from (events.unknown(name, like=False) for name in sorted(pushed.events or ()))
+        yield from map(self._unknown_event, sorted(pushed.events or ()))
+
+    def _unknown_event(self, name: str) -> str:
+        try:
+            return self._keyspace.events.unknown(name, like=False)
+        except InvalidName as exc:  # no event can have this name
+            return str(exc)
 
     def _batches(self, read: Read) -> Iterator[pyarrow.RecordBatch]:
         chooser = None
