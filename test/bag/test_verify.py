@@ -21,7 +21,7 @@ from cassandra_ros.bag.message_file import read_in_order
 from cassandra_ros.errors import BagError
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of
-from cassandra_ros.messages.stamps import iso_time
+from cassandra_ros.messages.stamps import Stamp, iso_time
 
 START = 1_700_000_000 * 10**9
 MESSAGES = [("/a", START + i * 1000, f"text {i}") for i in range(50)]
@@ -275,21 +275,24 @@ def test_what_an_import_leaves_out_is_missing(rosCas, tmp_path):
     assert verify_bag(rosCas, path, topics=["/a"]).equal
 
 
-SUFFIXES = (".bag", ".mcap")
+def test_only_a_time_range_is_compared(rosCas, original, tmp_path):
+    """In the file and in the store: of an import, and of an export."""
+    bounds = {"start": Stamp.from_ns(MESSAGES[10][1]), "end": Stamp.from_ns(MESSAGES[19][1])}
+    topic, exported = rosCas.getTopic("/a"), tmp_path / "window.bag"
+    topic.removeData(MESSAGES[7][1])
+    report = verify_bag(rosCas, original, **bounds)
+    assert (report.differences, report.equal_messages) == (0, 10)
+    topic.removeData(MESSAGES[12][1])
+    assert verify_bag(rosCas, original, **bounds).differences == 1
+    export_bag(rosCas, exported, **bounds)
+    assert verify_bag(rosCas, exported).differences == 39
+    report = verify_bag(rosCas, exported, **bounds)
+    assert (report.differences, report.equal_messages) == (0, 9)
+    topic.removeData(MESSAGES[19][1])
+    assert verify_bag(rosCas, exported, **bounds).differences == 1
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
-def test_an_export_after_a_rename_is_equal(rosCas, original, tmp_path, suffix):
-    rosCas.renameTopic("/a", "/renamed")
-    exported = tmp_path / f"out{suffix}"
-    export_bag(rosCas, exported)
-    report = verify_bag(rosCas, exported)
-    assert (report.differences, report.equal_messages) == (0, 50), report.first
-    rosCas.getTopic("/renamed").removeData(MESSAGES[7][1])
-    assert verify_bag(rosCas, exported).differences == 1
-
-
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".bag", ".mcap"])
 def test_an_export_of_several_robots_is_equal_and_tells_them_apart(rosCas, tmp_path, suffix):
     path = write(tmp_path / "a.bag", MESSAGES)
     for node in ("husky", "", "anymal"):

@@ -95,6 +95,8 @@ def verify_bag(
     run: RunName = None,
     salvage: bool = False,
     large_chunks: bool = False,
+    start: Time | None = None,
+    end: Time | None = None,
 ) -> VerifyReport:
     """Compare a bag with the store, message by message, in the order in which rosbag reads.
 
@@ -118,6 +120,9 @@ def verify_bag(
         run: Name or writer id of the recording or import to compare with; None = all.
         salvage: Compare what can be read of a damaged bag, as import_bag stores it.
         large_chunks: As in import_bag.
+        start: First receive time, included (genpy.Time, int ns, float s, text): earlier messages of
+            the bag and of the store are not compared; None = open.
+        end: Last receive time, included; None = open.
 
     Raises:
         BagError: The bag cannot be read to its end.
@@ -155,11 +160,16 @@ def verify_bag(
             report.missing += count
             numbers -= gone
         ranks = _Ranks(reader.connections.values(), positions=own_import is not None)
-        rows = _rows_to_compare(catalog, reader, stored, own_import, nodeID, writers)
+        times = catalog.time_range(stored, start, end)
+        origin = Whose.of(nodeID, writers)
+        if own_import is not None:
+            origin = Whose.of(own_import.node, frozenset([own_import.writer]))
+            times = TimeRange(max(times.low, reader.start_ns), min(times.high, reader.end_ns))
+        rows = catalog.read(stored, Read(times, origin), received=True)
         # The rows of an import hold their positions in the bag, so a missing row shifts no other.
         order = _BY_CONNECTION if own_import is None else _BY_POSITION
         comparison = Comparison(_in_order(rows, ranks), report, order)
-        _compare(reader, numbers, dict.fromkeys(stored, comparison), progress, ranks)
+        _compare(reader, numbers, dict.fromkeys(stored, comparison), progress, ranks, times)
         report.mixed_robots = ranks.mixed_robots
         late = 0
         if own_import is not None:
@@ -188,7 +198,8 @@ def verify_content(
     Times and connections are not compared: they differ when the bag was played and recorded again.
     If ``start`` is not after the first message of the bag, or there is an ``event``, messages that
     an export added as latched before its time ranges are left out. Otherwise they are compared,
-    because a player publishes them, so a recording of it has them.
+    because a player publishes them, so a recording of it has them. Messages of one topic and time
+    by several publishers differ if they are stored in another order than rosbag reads them.
 
     Memory: two pages of rows for each topic and the memory of read_in_order. For a topic whose key
     is a time in the message, also the keys of all its messages.
@@ -277,22 +288,6 @@ def _find_import(
             f"{reader.path} was imported for the nodes {names}; choose one with --node-id"
         )
     return next(iter(imports_of_bag.values()), None)
-
-
-def _rows_to_compare(
-    catalog: Catalog,
-    reader: MessageFile,
-    topics: AbstractSet[str],
-    own_import: Run | None,
-    node: str | None,
-    writers: Writers,
-) -> Iterator[StoredRow]:
-    """Return the rows of an import, or all rows of the topics, in the order of their reception."""
-    if own_import is None:
-        return catalog.read(topics, Read(whose=Whose.of(node, writers)), received=True)
-    whose = Whose.of(own_import.node, frozenset([own_import.writer]))
-    read = Read(TimeRange(reader.start_ns, reader.end_ns), whose)
-    return catalog.read(topics, read, received=True)
 
 
 class Entry(NamedTuple):
@@ -401,13 +396,17 @@ def _compare(
     comparisons: Mapping[str, Comparison],
     progress: MessageProgress | None,
     ranks: _Ranks | None = None,
+    times: TimeRange | None = None,
 ) -> None:
     """Read a bag in the order of rosbag and compare each topic with its stored messages.
 
     Args:
         ranks: Ranks of the connections; None = each has its own.
+        times: Receive times of the messages that are compared; None = all.
     """
     for entry in _entries_of_bag(reader, numbers, ranks):
+        if times is not None and not times.low <= entry.t_ns <= times.high:
+            continue
         comparisons[entry.topic].add(entry)
         if progress is not None:
             progress(1, int.from_bytes(entry.value[:_SIZE_BYTES], "little"))

@@ -9,9 +9,14 @@ are compared, under the names that the topics have now. A file that was exported
 names the robot of each message, so they are told apart; of other files the messages of all robots
 are compared together, and a line says so.
 
+With --start and --end only messages of that time range are compared: so a time range that was
+exported is equal to its file. Times are seconds (1368021980.25), ISO 8601 or nanoseconds (13 digits
+or more).
+
 With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
 a recording of a bag that was played: its times and connections differ from the bag. --start and
---end are times in the store: seconds (1368021980.25), ISO 8601 or nanoseconds (13 digits or more).
+--end are times in the store then, and all messages of the bag are compared. Messages of one topic
+and time by several publishers have no order of their own: stored in another one, they differ.
 
 With --with HOST[:PORT][/KEYSPACE] in place of a file, all messages of the store are compared with
 those that another store has of the same robots and runs, bucket by bucket, and the buckets that
@@ -74,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="with --content: topic FROM of the bag was recorded as TO; may be repeated",
     )
-    add_time_options(parser, "with --content: ")
+    add_time_options(parser)
     add_event_options(parser, "with --content: ")
     add("--repair", action="store_true", help="with --with: copy what differs again")
     add("-q", "--quiet", action="store_true", help="print differences only")
@@ -91,8 +96,8 @@ def run(options: argparse.Namespace) -> int:
         return _compare_stores(options)
     if options.repair:
         options.parser.error("--repair goes with --with")
-    if not options.content and (options.map or options.start or options.end or options.event):
-        options.parser.error("--map, --start, --end and --event go with --content")
+    if not options.content and (options.map or options.event):
+        options.parser.error("--map and --event go with --content")
     report = _compare(options)
     if options.json:
         print_json({"keyspace": options.keyspace, "equal": report.equal, **vars(report)})
@@ -137,6 +142,8 @@ def _compare(options: argparse.Namespace) -> VerifyReport:
                 options.run,
                 options.salvage,
                 options.allow_large_chunks,
+                start,
+                end,
             )
         return verify_content(
             ros_cas,
@@ -209,5 +216,5 @@ def _print_differences(report: VerifyReport) -> None:
     if not report.missing:
         print(
             "the file has nothing that is not stored; of an exported time range compare that: "
-            "--content --start T --end T"
+            "--start T --end T"
         )
