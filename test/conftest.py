@@ -381,6 +381,23 @@ def rosCas(keyspace, connect):
         yield store
 
 
+@pytest.fixture
+def call(cassandra, keyspace, capsys):
+    """Run cassandra_bag in this process; return its exit status, output and errors."""
+    from cassandra_ros.cli import cassandra_bag
+
+    def run(*arguments, keyspace=keyspace):
+        store = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
+        try:
+            status = cassandra_bag.main([*map(str, arguments), *store])
+        except SystemExit as exc:
+            status = exc.code
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
 @pytest.fixture(scope="session")
 def roscore(ros_env):
     """The master of this run: .uri, and .env for child processes."""

@@ -134,17 +134,6 @@ def test_a_message_that_is_too_late_does_not_hide_the_others(tmp_path, layout, s
         assert count == 3 and "2106" in why
 
 
-def test_all_but_the_messages_that_are_too_late_are_imported(rosCas, tmp_path):
-    path = mcap_of(tmp_path / "a.mcap", times=TIMES)
-    report = import_bag(rosCas, path)
-    assert (report.messages, report.lost) == (COUNT + 2, {"/late": 3})
-    (warning,) = report.warnings
-    assert "3 messages of topic /late are not stored" in warning and "2106" in warning
-    assert import_bag(rosCas, path, topics=["/late"]).lost == {"/late": 3}
-    compared = verify_bag(rosCas, path)
-    assert (compared.differences, compared.equal_messages) == (3, COUNT + 2)
-
-
 @pytest.mark.parametrize("sent", [0, 2**63 - 1, 2**63, 2**64 - 1])
 def test_any_publish_time_comes_back(rosCas, tmp_path, sent):
     path = mcap_of(tmp_path / "a.mcap", times=[T0, T0 + 5], sent=sent)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Fixtures that run cassandra_bag, in a process of its own or in this one."""
+"""What runs cassandra_bag in a process of its own; the fixture call does so in this one."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import sys
 from pathlib import Path
 
 import pytest
-
-from cassandra_ros.cli import cassandra_bag
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -41,21 +39,5 @@ def type_in(env):
             timeout=300,
         )
         return done.returncode, done.stdout, done.stderr
-
-    return run
-
-
-@pytest.fixture
-def call(cassandra, keyspace, capsys):
-    """Run cassandra_bag in this process; return its exit status, output and errors."""
-
-    def run(*arguments, keyspace=keyspace):
-        store = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)
-        try:
-            status = cassandra_bag.main([*map(str, arguments), *store])
-        except SystemExit as exc:
-            status = exc.code
-        out, err = capsys.readouterr()
-        return status, out, err
 
     return run

@@ -172,22 +172,6 @@ def test_a_cut_anywhere_gives_what_stands_before_it(tmp_path, compression):
     assert 0 < len(found) < 60
 
 
-def test_a_bad_connection_is_named_and_all_others_are_imported(call, tmp_path):
-    path = tmp_path / "a.bag"
-    with BagWriter(path) as writer:
-        each = [string_connection("/good"), string_connection("/bad", md5sum="")]
-        for n, connection in enumerate(each):
-            writer.write(writer.connection(connection), 10**18 + n, string_wire("x"))
-    for options in ([], ["--salvage"]):
-        status, out, err = call("import", path, *options)
-        assert (status, err.count("\n")) == (1, 1)
-        assert "1 messages of topic /bad are not stored: " in err and "states no md5sum" in err
-        assert "1 message of 1 topic is in keyspace" in out
-    assert call("import", path, "--topics", "/good", "-q") == (0, "", "")
-    assert call("verify", path, "--topics", "/good")[0] == 0
-    assert call("verify", path)[0] == 1
-
-
 def test_chosen_topics_in_and_out(call, tmp_path):
     path = make_bag(tmp_path / "a.bag", ("/cam/left", "/cam/right", "/tf"), 30)
     assert call("import", path, "-e", "/cam/.*", "-q") == (0, "", "")
@@ -337,59 +321,3 @@ def test_a_keyspace_is_made_when_all_nodes_of_a_local_cluster_answer(
     assert status == 1
     assert f"of the 3 nodes of the local Cassandra 1 can be seen, so keyspace {name}, whi" in err
     assert call("import", tmp_path / "a.bag")[0] == 0  # in a keyspace that exists
-
-
-def names_of(rosCas):
-    return sorted((run.name, run.node, sum(run.stored.values())) for run in rosCas.runs())
-
-
-def test_a_copy_under_another_name_is_the_same_run_and_keeps_its_name(call, rosCas, tmp_path):
-    path = make_bag(tmp_path / "first.bag")
-    _, out, _ = call("import", path)
-    assert "content" not in out
-    (run,) = rosCas.runs()
-    copy = tmp_path / "copy.bag"
-    shutil.copy(path, copy)
-    for again, text in ((copy, ", which keeps its name: each"), (path, f"({run.writer}): each")):
-        status, out, _ = call("import", again)
-        assert status == 0
-        assert f"{again} has the content of run first.bag ({run.writer})" in out
-        assert f"{text} message is stored once" in out
-        assert names_of(rosCas) == [("first.bag", "", 10)]
-    assert call("export", tmp_path / "out.bag", "--run", "copy.bag")[0] == 1
-    call("import", copy)
-    _, _, err = call("export", tmp_path / "out.bag", "--run", "copy.bag")
-    assert "did you mean first.bag" in err
-
-
-def test_the_same_bag_of_another_robot_is_a_second_run_and_says_so(call, rosCas, tmp_path):
-    path = make_bag(tmp_path / "run.bag")
-    call("import", path, "--node-id", "husky")
-    (first,) = rosCas.runs()
-    status, out, _ = call("import", path, "--node-id", "jackal", "--json")
-    (answer,) = json.loads(out)["files"]
-    assert status == 0
-    same, names = answer["notes"]
-    assert f"also stored as run {first.writer} of robot husky, so each is there once" in same
-    assert f"'cassandra_bag delete --run {first.writer}' deletes those" in same
-    assert names.startswith("2 runs are called run.bag: ")
-    assert names_of(rosCas) == [("run.bag", "husky", 10), ("run.bag", "jackal", 10)]
-    assert call("delete", "--run", first.writer, "-y")[0] == 0
-    assert names_of(rosCas) == [("run.bag", "jackal", 10)]
-
-
-def test_two_files_of_one_name_are_two_runs_that_can_be_told_apart(call, rosCas, tmp_path):
-    for node, count in (("husky", 10), ("jackal", 20)):
-        (tmp_path / node).mkdir()
-        path = make_bag(tmp_path / node / "run.bag", count=count)
-        status, out, _ = call("import", path, "--node-id", node)
-        assert status == 0
-    runs = {run.node: run.writer for run in rosCas.runs()}
-    assert f"2 runs are called run.bag: {runs['jackal']} of robot jackal (from {path})" in out
-    assert f"--run {runs['jackal']} means this one alone" in out
-    count = ("query", "SELECT count(*) FROM a", "--output", "csv", "--run")
-    _, out, err = call(*count, "run.bag")
-    assert out.split() == ["count(*)", "15"]
-    assert "2 runs are called run.bag: " in err and f"{runs['husky']} of robot husky" in err
-    for name in (runs["jackal"], path):
-        assert call(*count, name) == (0, "count(*)\r\n10\r\n", "")

@@ -227,17 +227,3 @@ def test_what_is_not_understood_names_the_remedy(line, text, capsys):
     err = refused(cassandra_bag.make_parser(), line.split(), capsys)
     assert text in err
     assert not err or err.endswith(f" (see cassandra_bag {verb} --help)")
-
-
-@pytest.mark.parametrize(
-    ("verb", "text"),
-    [
-        ("exprot", "there is no verb 'exprot': did you mean export?"),
-        ("improt", "there is no verb 'improt': did you mean import?"),
-        ("play", "there is no verb 'play'"),
-    ],
-)
-def test_a_misspelt_verb_names_the_nearest(verb, text, capsys):
-    err = refused(cassandra_bag.make_parser(), [verb, "x"], capsys)
-    assert err.startswith(f"cassandra_bag: {text}")
-    assert len(err) < 100 and err.endswith("(see cassandra_bag --help)")

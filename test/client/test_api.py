@@ -5,11 +5,10 @@
 from __future__ import annotations
 
 import genpy
-import numpy as np
 import pytest
 from geometry_msgs.msg import TransformStamped, Twist
 from sensor_msgs.msg import CompressedImage, LaserScan
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import String
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra, Stamp
@@ -417,33 +416,3 @@ class TestAnotherClient:
         assert [m.data for _, m in topic.items()] == ["new", "mine"]
         assert [m.data for _, m in other.getTopic("/a").items()] == ["new", "mine"]
         assert rosCas.info()[0].count == 2
-
-
-def test_scalars_of_numpy_are_values(rosCas):
-    pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
-    switch, number = rosCas.addTopic("/b", msg_type="std_msgs/Bool"), rosCas.addTopic("/f")
-    by_field = rosCas.addTopic("/k", key_format="msg_part", key_part="data")
-    for n in range(4):
-        switch.addData(Bool(n % 2 == 1), key=n)
-        number.addData(Float64(n / 2), key=n)
-        by_field.addData(Bool(n % 2 == 1))
-    for value in (np.bool_(True), np.array(True), True):
-        rows = rosCas.executeCQL("SELECT data FROM /b WHERE data = ?", [value])
-        assert list(rows) == [(True,), (True,)]
-        assert len(list(rosCas.sql("SELECT data FROM b WHERE data = ?", [value]))) == 2
-        assert len(switch.getData(0, 9, where=("data = ?", [value]))) == 2
-        assert by_field.getData(value).data is True
-        event = rosCas.addEvent("bump", T0, values={"on": value}, labels={})
-        assert event.values == {"on": True}
-    for half in (np.float32(0.5), np.float64(0.5), np.float16(0.5)):
-        for condition in ("data = ?", "data IN (?)"):
-            rows = rosCas.executeCQL(f"SELECT data FROM /f WHERE {condition}", [half])
-            assert list(rows) == [(0.5,)]
-        assert list(rosCas.sql("SELECT data FROM f WHERE data = ?", [half])) == [(0.5,)]
-        assert rosCas.addEvent("x", T0, values={"v": half}).values == {"v": 0.5}
-    for one in (np.int8(1), np.uint64(1), np.int64(1)):
-        assert list(rosCas.executeCQL("SELECT data FROM /f WHERE data = ?", [one])) == [(1.0,)]
-        assert list(rosCas.sql("SELECT data FROM f WHERE data = ?", [one])) == [(1.0,)]
-        assert rosCas.addEvent("x", T0, values={"v": [one]}).values == {"v": [1]}
-        number.setMeta(seats=one)
-        assert number.getMeta["seats"] == 1

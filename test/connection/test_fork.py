@@ -12,7 +12,7 @@ import pytest
 from std_msgs.msg import String
 
 import cassandra_ros
-from cassandra_ros import RosCassandra, errors
+from cassandra_ros import errors
 from cassandra_ros.errors import (
     CassandraRosError,
     ConnectionFailed,
@@ -80,15 +80,6 @@ def test_a_fork_of_a_client_says_at_once_what_to_do(stored, use):
     assert "is a fork of" in str(answer) and "worker_init_fn" in str(answer)
     in_child(stored.close)
     assert stored.getTopic("/a").getData(1).data == "x"  # the parent goes on
-
-
-def test_a_fork_connects_by_itself(stored, cassandra):
-    def work():
-        with RosCassandra(cassandra.host, cassandra.port, keyspace=stored.keyspace) as own:
-            return [row.message().data for row in own.getTopic("/a").rows()]
-
-    assert in_child(work) == ["x"]
-    assert stored.getTopic("/a").getData(1).data == "x"
 
 
 def kinds_of(base):

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from nodes.children import start_node
 from nodes.raw_subscriber import RawSubscriber
-from playing.robots import SEC, T0, Robot
+from playing.robots import Robot
 
 
 @pytest.fixture
@@ -77,16 +77,3 @@ def test_robots_of_different_days_play_at_once(rosCas, play):
         topics[0]: [f"robot-1:{n}" for n in range(5)],
         topics[1]: [f"robot-2:{n}" for n in range(5)],
     }
-
-
-def test_what_is_announced_of_an_event_is_what_is_played(rosCas, play):
-    with Robot(rosCas, 1, "r1") as robot:
-        for t in (0, 5, 6, 86_400):
-            robot.send("/tick", t, str(t))
-        for t in (0, 86_400):
-            robot.send("/rare", t, str(t))
-    rosCas.addEvent("brake", T0 + 5 * SEC, T0 + 7 * SEC, nodeID="r1")
-    found, said = play(("/tick",), "--event", "brake", "-i")
-    assert found == {"/tick": ["5", "6"]}
-    assert "playing 1 topic, 2.0 s\n" in said
-    assert said.endswith("played 2 messages of 1 topic")

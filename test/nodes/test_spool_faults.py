@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import os
 import random
-import shutil
 import struct
-import subprocess
 import tempfile
 import threading
 import time
@@ -16,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from conftest import MEMORY
-from nodes.children import await_true, start_client, start_node, start_recorder
+from nodes.children import await_true, start_client, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of
 from proxy import Proxy
 from std_msgs.msg import UInt64
@@ -171,47 +169,6 @@ def test_a_robot_whose_store_never_came(roscore, cassandra, keyspace, rosCas, on
     (run,) = [each for each in rosCas.runs() if each.name == "alone"]
     assert (run.state, run.stored, run.lost) == ("ended", {"/n": 3000}, {})
     assert rosCas.losses() == []
-
-
-@pytest.mark.parametrize(
-    ("host", "reason"),
-    [("127.0.0.1", "no Cassandra answers at"), ("robot-store.invalid", "no host of this name")],
-)
-def test_without_a_store_a_recorder_records_and_says_so(
-    roscore, cassandra, keyspace, rosCas, one, tmp_path, host, reason
-):
-    """Also with a mistyped host, and without an option; what waits can be stored elsewhere."""
-    spool, words = tmp_path / "spool", ("--keyspace", keyspace, "--spool-dir", tmp_path / "spool")
-    with Proxy(cassandra.host, cassandra.port) as proxy:
-        proxy.cut()
-        address = ("--host", host, "--port", proxy.port)
-        with start_node(roscore, "recorder", "/n", *address, *words) as child:
-            warning = child.await_line(
-                f"no store yet, messages wait in the spool {spool}: {reason}"
-            )
-            assert host in warning and "local_cassandra start" in warning
-            child.await_line("recording 1 topic")
-            one.await_subscribers()
-            one.publish(*(struct.pack("<Q", n) for n in range(300)))
-            with start_client(roscore) as client:
-                await_true(lambda: client.call("/recorder/status")["spooled_messages"] == 300)
-            assert child.end() == 0, child.output
-    assert f"300 messages in the spool {spool}: the next recorder for this store" in child.output
-    (writer,) = os.listdir(spool)
-    copied = tmp_path / "copied"
-    shutil.copytree(spool, copied)
-    words = ("drain", writer, "--host", cassandra.host, "--port", str(cassandra.port))
-    done = subprocess.run(
-        ["rosrun", "cassandra_ros", "cassandra_bag", "spool", *words, "--keyspace", keyspace]
-        + ["--spool-dir", str(copied)],
-        env=roscore.env,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    ((_, numbers),) = by_run(rosCas).items()
-    assert numbers == list(range(300))
 
 
 def test_what_belongs_to_another_keyspace_is_told(

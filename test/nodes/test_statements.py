@@ -14,7 +14,6 @@ import pytest
 import yaml
 from geometry_msgs.msg import TransformStamped
 from nodes.children import start_client, start_node
-from nodes.raw_publisher import RawPublisher, header_of
 from std_msgs.msg import Int64, String
 from suites import sparing
 from tf2_msgs.msg import TFMessage
@@ -264,31 +263,9 @@ def test_messages_are_added_as_bytes_or_yaml(write, client, store):
     rows_ = client.call("/writing/executeCQL", statement="select a, b from pairs")["rows"]
     assert [row["values"] for row in rows_] == [["1", "2"], ["3", "4"]]
     store.addTopic("/places", key_format="manual", msg_type="std_msgs/String")
-    exact = {"topic": "/goals", "type": "geometry_msgs/PoseStamped"}
-    assert add(yaml="header: {stamp: 1368021980238582676}", **exact)["success"]
-    ((_, goal),) = store.getTopic("/goals").items()
-    assert goal.header.stamp.to_nsec() == 1368021980238582676
     named = add(topic="/places", yaml="data: x", key_text="kitchen")
     assert (named["success"], named["key_text"]) == (True, "kitchen")
     assert store.getTopic("/places").getData("kitchen").data == "x"
-
-
-def test_a_new_topic_has_the_type_of_its_message_whatever_the_master_remembers(
-    write, client, store, roscore
-):
-    with RawPublisher(roscore.uri, "/known", header_of(Int64)):
-        answer = client.call(
-            "/writing/addData", topic="/known", type="std_msgs/String", yaml="data: x"
-        )
-        assert answer["success"], answer["message"]
-        wrong = {"topic": "/known2", "type": "std_msgs/String", "yaml": "data: x"}
-        refused = client.call("/writing/addData", key_text="noon", **wrong)
-        assert not refused["success"]
-    assert [table.metadata.msg_type for table in store.getTopic("/known").tables] == [
-        "std_msgs/String"
-    ]
-    assert next(iter(store.getTopic("/known").items()))[1].data == "x"
-    assert not store.existTopic("/known2")
 
 
 @pytest.mark.parametrize(
