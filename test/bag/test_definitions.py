@@ -23,7 +23,7 @@ from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages import definition as definitions
 from cassandra_ros.messages.classes import message_class, serialize, to_yaml
 from cassandra_ros.messages.connection_header import live_connection
-from cassandra_ros.messages.definition import parse_definition
+from cassandra_ros.messages.definition import attribute_name, parse_definition
 from cassandra_ros.metadata import Kind
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import Stream
@@ -327,6 +327,21 @@ def test_a_definition_is_read_where_the_md5sum_is_of_another(
     assert import_bag(rosCas, path).messages == 6
     assert topic.countTopicData() == 6
     topic.addData(String("by hand"))
+
+
+@two_formats
+def test_keywords_number_signs_and_line_ends_of_windows_do_not_matter(rosCas, tmp_path, form):
+    text = "# of a driver\r\nstring SIGN=# is no comment\r\nint32 class # its class\r\n"
+    text += 'float64 from\r\nstring[] lambda  # "#"\r\n'
+    wire = struct.pack("<idI", 7, 1.5, 1) + string_wire("#")
+    path = write_bag(tmp_path / "a.bag", [(header("odd_msgs/Odd", text), wire)])
+    assert import_bag(rosCas, path, format=form).topics["/t"].format == form
+    message = rosCas.getTopic("/t").getData(T0)
+    assert message.SIGN == "# is no comment"
+    names = map(attribute_name, ("class", "from", "lambda"))
+    assert [getattr(message, name) for name in names] == [7, 1.5, ["#"]]
+    assert rosCas.executeCQL('select class, "from", lambda from /t') == [(7, 1.5, ["#"])]
+    check_read(rosCas, path)
 
 
 def test_two_definitions_under_one_md5sum_are_two_tables(rosCas, tmp_path):

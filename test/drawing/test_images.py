@@ -221,3 +221,23 @@ def test_a_damaged_jpeg_and_another_type():
     other = SimpleNamespace(type="std_msgs/String", topic="/chatter", t=5)
     with pytest.raises(TypeMismatch, match="/chatter holds std_msgs/String: pictures are made of"):
         jpeg_of(other)
+
+
+DRAWN = [f"{order}{bits}" for order in ("rgb", "rgba", "bgr", "bgra", "mono") for bits in (8, 16)]
+DRAWN += [f"bayer_{cell}{bits}" for cell in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)]
+DRAWN += ["yuv422", "yuv422_yuy2"]
+DRAWN += [f"{sample}C1" for sample in ("8U", "8S", "16U", "16S", "32S", "32F", "64F")]
+DRAWN += ["8UC3", "8UC4", "16UC3", "16UC4"]
+REFUSED = [f"{sample}C{n}" for sample in ("8S", "16S", "32S", "32F", "64F") for n in (2, 3, 4)]
+REFUSED += ["8UC2", "16UC2", ""]
+
+
+@pytest.mark.parametrize("encoding", DRAWN + REFUSED)
+def test_each_encoding_of_ros_is_drawn_or_named(encoding):
+    """All names of sensor_msgs/image_encodings.h; enough bytes for any of them."""
+    msg = Image(height=4, width=6, encoding=encoding, data=bytes(range(200)) * 4)
+    if encoding in DRAWN:
+        assert drawn(msg).shape[:2] == (4, 6)
+    else:
+        with pytest.raises(UnknownEncoding, match=f"is encoded as '{encoding}', which cannot be"):
+            drawn(msg)

@@ -14,12 +14,12 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
-from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from sensor_msgs.msg import LaserEcho, LaserScan, MultiEchoLaserScan, PointCloud2, PointField
 from suites import search
 
 from cassandra_ros.drawing.map_picture import map_png
 from cassandra_ros.errors import CorruptMessage, InvalidName, InvalidOption
-from cassandra_ros.mapping.beams import beams_of_cloud, beams_of_scan
+from cassandra_ros.mapping.beams import beams_of_cloud, beams_of_echoes, beams_of_scan
 from cassandra_ros.mapping.grid import LogOddsGrid
 from cassandra_ros.mapping.map_files import save_map
 from cassandra_ros.mapping.occupancy import OccupancyMap
@@ -73,6 +73,18 @@ def test_beams_go_round_and_end_at_the_range_that_is_asked_for():
     assert beams_of_scan(scan([1.0, INF], range_max=INF), 4.0).hit.tolist() == [True, False]
 
 
+def test_scans_of_any_layout_are_read():
+    """Turned the other way, with intensities, without ranges, and with several echoes a beam."""
+    turned = scan([1.0, 2.0], angle_increment=-math.pi / 2, intensities=[5.0, 6.0])
+    assert np.allclose(beams_of_scan(turned, None).ends[:, :2], [(1, 0), (0, -2)])
+    assert not len(beams_of_scan(scan([]), None).ends)
+    several = MultiEchoLaserScan(angle_increment=math.pi / 2, range_min=0.5, range_max=8.0)
+    several.ranges = [LaserEcho([1.0, 3.0]), LaserEcho([]), LaserEcho([INF]), LaserEcho([2.0])]
+    ends, hit = beams_of_echoes(several, None)
+    assert np.allclose(ends[:, :2], [(1, 0), (-8, 0), (0, -2)])
+    assert hit.tolist() == [True, False, True]
+
+
 def cloud(points, height=1, dtype="<f4", padding=0, names="xyz"):
     """A cloud in which each point has a float in front, and each row some padding at its end."""
     points = np.asarray(points, np.float64).reshape(height, -1, len(names))
@@ -105,6 +117,32 @@ def test_a_cloud_is_read_whatever_its_form():
             assert hit.tolist() == [True, True, False]
     assert np.allclose(beams_of_cloud(cloud([(1, 2)], names="xy"), None).ends, [(1, 2, 0)])
     assert not len(beams_of_cloud(PointCloud2(), None).ends)
+
+
+KINDS = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+
+
+@pytest.mark.parametrize("sample", KINDS)
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_coordinates_of_any_type_in_any_order_are_read(sample, order):
+    """As z, colour, y, x, with bytes between them, as drivers lay them out."""
+    places = {"z": (order + sample, 1), "rgb": (order + "f4", 9), "y": (order + sample, 13)}
+    places["x"] = (order + sample, 21)
+    names, formats = list(places), [kind for kind, _ in places.values()]
+    offsets = [offset for _, offset in places.values()]
+    layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": 32}
+    points = np.zeros(2, np.dtype(layout))
+    points["x"], points["y"], points["z"], points["rgb"] = (1, 4), (2, 5), (3, 6), NAN
+    fields = [
+        PointField(name, offset, PointField.FLOAT32 if name == "rgb" else KINDS[sample], 1)
+        for name, (_, offset) in places.items()
+    ]
+    made = PointCloud2(height=1, width=2, fields=fields, is_bigendian=order == ">")
+    made.point_step, made.row_step, made.data = 32, 64, points.tobytes()
+    assert beams_of_cloud(made, None).ends.tolist() == [[1, 2, 3], [4, 5, 6]]
+    made.fields[0].datatype = 9
+    with pytest.raises(CorruptMessage, match="do not fit"):
+        beams_of_cloud(made, None)
 
 
 def test_a_cloud_that_is_none_is_refused():
