@@ -137,6 +137,9 @@ def test_a_copy_under_another_name_is_the_same_run_and_keeps_its_name(call, rosC
         assert f"{again} has the content of run first.bag ({run.writer})" in out
         assert f"{text} message is stored once" in out
         assert names_of(rosCas) == [("first.bag", "", 10)]
+    for name in (path, copy):
+        with Bag(str(name), rosCas=rosCas) as bag:
+            assert bag.get_message_count() == 10
     assert call("export", tmp_path / "out.bag", "--run", "copy.bag")[0] == 1
     call("import", copy)
     _, _, err = call("export", tmp_path / "out.bag", "--run", "copy.bag")
@@ -562,6 +565,7 @@ def test_without_a_store_a_recorder_records_and_says_so(
     [
         ("query", "SELECT KEY FROM n WHERE NODE = 'huskey'"),
         ("query", "SELECT KEY FROM n", "--node-id", "huskey"),
+        ("sql", "SELECT data FROM n WHERE NODE = 'huskey'"),
         ("cat", "/n", "--node-id", "huskey"),
         ("info", "--node-id", "huskey"),
         ("delete", "/n", "--node-id", "huskey", "-y"),
@@ -573,10 +577,25 @@ def test_an_unknown_robot_is_told_with_the_nearest(store, call, line):
     assert "is of robot 'huskey'; did you mean husky?" in err
 
 
-def test_an_unknown_run_is_told_with_the_nearest(store, call):
+@pytest.mark.parametrize("verb", ["query", "sql"])
+def test_an_unknown_run_is_told_with_the_nearest(store, call, verb):
     """He mistypes the name of a run."""
-    err = call("query", "SELECT KEY FROM n WHERE RUN = 'drive.bag'")[2]
+    err = call(verb, "SELECT data FROM n WHERE RUN = 'drive.bag'")[2]
     assert "there is no run 'drive.bag' in keyspace" in err and "did you mean drive 1.bag?" in err
+
+
+def test_an_unknown_event_is_told_with_the_nearest(store, call):
+    """He mistypes the name of an event."""
+    store.addEvent("brake", T0)
+    for words in (
+        ("query", "SELECT data FROM n WHERE EVENT 'brkae'"),
+        ("sql", "SELECT data FROM n WHERE 'brkae' IN EVENT"),
+        ("cat", "/n", "--event", "brkae"),
+        ("event", "end", "brkae"),
+        ("event", "delete", "-y", "brkae"),
+    ):
+        assert "there is no event 'brkae' in keyspace" in (err := call(*words)[2]), words
+        assert "did you mean brake?" in err, words
 
 
 def test_a_place_where_no_robot_was_says_so(call, rosCas):
@@ -656,7 +675,7 @@ def test_verify_of_an_exported_window_names_start_and_end(store, call, tmp_path)
     window = ("--start", "1500000001", "--end", "1500000003")
     assert call("export", tmp_path / "w.bag", *window, "-q") == (0, "", "")
     status, out, _ = call("verify", tmp_path / "w.bag")
-    assert (status, "compare that: --start T --end T" in out) == (1, True)
+    assert (status, "compare that part: --start T --end T" in out) == (1, True)
     for options in ([], ["--content"]):
         assert call("verify", tmp_path / "w.bag", *window, *options, "-q") == (0, "", "")
 

@@ -357,9 +357,10 @@ def test_a_path_whose_file_was_moved_or_removed(fresh, tmp_path):
         target = tmp_path / "after.d" / "drive.bag"
         target.parent.mkdir()
         moved.rename(target)
-        for name in (moved, "drive.bag"):
+        for name in (moved, "drive.bag", target):
             with cassandra_ros.Bag(name, rosCas=store) as bag:
                 assert bag.get_message_count() == 1
+        target.write_bytes(target.read_bytes()[:-1])
         with pytest.raises(BagNotFound, match=rf"is not stored .* is of {moved} .open it as Bag"):
             cassandra_ros.Bag(target, rosCas=store)
         target.unlink()

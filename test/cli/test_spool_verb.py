@@ -140,7 +140,7 @@ def test_a_run_that_is_recorded_is_left_alone(leave, spool, tmp_path):
     assert "run 7 is being recorded" in err
     leave(8)
     assert spool("drop", "--yes")[:2] == (0, "run run8 is deleted from the spool\n")
-    assert spool("drop", "--yes")[:2] == (0, "")
+    assert spool("drop", "--yes")[:2] == (0, "nothing of the spool is deleted\n")
     held.release()
     assert [each["id"] for each in json.loads(spool("list", "--json")[1])] == ["7"]
 

@@ -356,7 +356,7 @@ def test_runs_of_one_name_are_told_apart(rosCas):
     assert topic.countTopicData(run="run.bag") == 2
     for run in (8, "8", "/jackal/run.bag", "/jackal/../jackal/run.bag"):
         assert [row.node for row in topic.rows(run=run)] == ["jackal"]
-    with pytest.raises(RunNotFound, match="did you mean run.bag, run "):
+    with pytest.raises(RunNotFound, match="one of these: 7 of robot husky .*, 8 of robot"):
         topic.countTopicData(run="/other/run.bag")
     text = runs.describe_several("run.bag")
     assert text.startswith("2 runs are called run.bag: ")

@@ -6,17 +6,19 @@ from __future__ import annotations
 
 import itertools
 import os
-from typing import Callable
+from typing import Callable, Sequence
 
 from cassandra_ros.bag import mcap_format
 from cassandra_ros.bag.bag_reader import BagReader
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.file_writer import FileWriter
+from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.mcap_reader import McapReader
 from cassandra_ros.bag.mcap_writer import McapWriter
 from cassandra_ros.bag.message_file import MessageFile
 from cassandra_ros.bag.rosbag2 import METADATA, SQLITE_MAGIC, refusal
 from cassandra_ros.errors import BagError
+from cassandra_ros.tables.registry import Run
 
 MCAP_ENDING = ".mcap"
 _ENDINGS = (".bag", MCAP_ENDING)
@@ -105,3 +107,18 @@ def make_file(path: str | os.PathLike[str], compression: str | None = None) -> F
     if os.fspath(path).lower().endswith(MCAP_ENDING):
         return McapWriter(path, compression or "zstd")
     return BagWriter(path, compression or "none")
+
+
+def runs_of_content(runs: Sequence[Run], path: str) -> list[Run]:
+    """Return the imports of a file with this content, under whatever name; [] = it was not imported.
+
+    The file is read to its end. One that is no bag, or damaged, is the content of no run.
+    """
+    if not any(run.kind == "import" for run in runs) or not os.path.isfile(path):
+        return []
+    try:
+        with open_file(path) as reader:
+            content = read_content(reader)
+    except BagError:
+        return []
+    return [run for run in runs if content.is_of(run)]

@@ -30,6 +30,7 @@ from typing import (
 import numpy as np
 
 from cassandra_ros.arguments import check_list, check_new_topic, check_topic
+from cassandra_ros.bag.file_formats import runs_of_content
 from cassandra_ros.bag.format import COMPRESSIONS
 from cassandra_ros.bag.identity import describe_same_name, runs_meant, runs_of_file, source_of
 from cassandra_ros.bag.message_sample import MessageSample, join_samples, read_samples
@@ -273,7 +274,8 @@ class Bag:
     def _open(self, format: str | None) -> frozenset[int]:
         """Return the writer ids of the bag's runs. If the mode is 'w' or 'a', begin a new run."""
         name, runs = self.filename, self._store.catalog.keyspace.registry.runs()
-        writers = frozenset(run.writer for run in runs_meant(runs, name))
+        meant = runs_meant(runs, name) or runs_of_content(runs, name)
+        writers = frozenset(run.writer for run in meant)
         if self.mode == "r":
             return writers or self._absent(name, runs)
         if self.mode == "w":

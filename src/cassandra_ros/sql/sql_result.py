@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import weakref
 from concurrent import futures
@@ -24,7 +25,7 @@ from cassandra_ros.sql.event_names import EVENT
 from cassandra_ros.sql.frame_source import FrameSource
 from cassandra_ros.sql.listed_tables import LISTED, listed_source
 from cassandra_ros.sql.needed_columns import names_column, needed_columns
-from cassandra_ros.sql.pushed_conditions import EVERYTHING, pushed_reads
+from cassandra_ros.sql.pushed_conditions import EVERYTHING, PushedRead, pushed_reads
 from cassandra_ros.sql.python_values import python_rows
 from cassandra_ros.sql.sql_explanation import SqlExplanation, explain_source
 from cassandra_ros.sql.sql_statement import Params, SqlStatement, TableName
@@ -35,6 +36,8 @@ from cassandra_ros.topics.catalog import Catalog
 
 if TYPE_CHECKING:
     import pyarrow
+
+_log = logging.getLogger(__name__)
 
 Source = Union[TopicSource, ListSource, FrameSource]
 BATCH_ROWS = 4096
@@ -217,6 +220,8 @@ class _Run:
         self._stopped = self._closed = False
         self.sources: dict[str, Source] = {}
         self.relation: Any = None
+        self._told: set[str] = set()
+        """Reasons for which conditions find nothing, which were logged."""
 
     def bind(self, pushdown: bool) -> None:
         """Give DuckDB the tables that the statement names, and have it check the statement."""
@@ -294,6 +299,18 @@ class _Run:
         reads = pushed_reads(self._statement.tree, columns, value)
         for name, source in topics.items():
             source.pushed = reads.get(name, EVERYTHING)
+            self._tell_unknown(source.pushed)
+
+    def _tell_unknown(self, read: PushedRead) -> None:
+        """Warn of robots, runs and events in a condition that are not stored."""
+        runs, events = self._catalog.keyspace.runs, self._catalog.keyspace.events
+        reasons = [runs.unknown_robot(node) for node in read.nodes or ()]
+        reasons += [runs.unknown(run) for run in read.runs or ()]
+        reasons += [events.unknown(event, like=False) for event in read.events or ()]
+        for reason in filter(None, reasons):
+            if reason not in self._told:
+                self._told.add(reason)
+                _log.warning("%s", reason)
 
     def _look(self) -> None:
         if self._stopped:

@@ -122,8 +122,7 @@ class Events:
         found = self._table.with_key(check_text("event", key, wanted="an event, or its key"))
         if found is None:
             raise EventNotFound(
-                f"there is no event {key!r:.80} in keyspace {self._keyspace}; cassandra_bag event "
-                "list prints the names and keys"
+                f"{self._not_stored(key)} ('cassandra_bag event list' prints names and keys)"
             )
         return found
 
@@ -161,7 +160,10 @@ class Events:
 
     def unknown(self, name: str, like: bool) -> str:
         """Say that no event has a name, or one like it, with similar names; '' = one has."""
-        events = self.find(like=name) if like else self.find(name)
+        try:
+            events = self.find(like=name) if like else self.find(name)
+        except InvalidName:  # no event can be called so
+            return self._not_stored(name)
         return "" if next(events, None) is not None else self._absent(name)
 
     def times(
@@ -203,9 +205,12 @@ class Events:
                 f"no event {name!r:.80} is of this time, robot and run; 'cassandra_bag event list' "
                 "prints those that there are"
             )
-        known = sorted({event.name for event in islice(self.find(), _MOST_LOOKED_AT)})
-        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
-        hint = f"did you mean {', '.join(near)}?" if near else f"it holds {len(known)} names"
+        return self._not_stored(name)
+
+    def _not_stored(self, name: str) -> str:
+        names = sorted({event.name for event in islice(self.find(), _MOST_LOOKED_AT)} - {name})
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else "it holds none of a similar name"
         return f"there is no event {name!r:.80} in keyspace {self._keyspace}; {hint}"
 
 

@@ -156,10 +156,16 @@ class Runs:
     def _absent(self, run: RunName) -> str:
         text, runs = str(run), self._registry.runs()
         where = f"there is no run {run!r:.80} in keyspace {self._name}"
-        for other in runs:
-            names = (other.name, str(other.writer), os.path.basename(other.source))
-            if os.path.basename(text) in names and text:
-                return f"{where}; did you mean {other.name or other.writer}, run {other.writer}?"
+        base = os.path.basename(text)
+        alike = [
+            other
+            for other in runs
+            if base and base in (other.name, str(other.writer), os.path.basename(other.source))
+        ]
+        if len(alike) > 1:
+            return f"{where}; did you mean one of these: {_described(alike)}?"
+        for other in alike:
+            return f"{where}; did you mean {other.name or other.writer}, run {other.writer}?"
         known = {other.name or str(other.writer) for other in runs}
         return f"{where}; {_similar(text, known, 'runs')}"
 
@@ -195,6 +201,10 @@ class Runs:
 
 def describe_runs(runs: Sequence[Run]) -> str:
     """Tell apart, in words, runs that have the name of the first."""
+    return f"{len(runs)} runs are called {runs[0].name}: {_described(runs)}"
+
+
+def _described(runs: Sequence[Run]) -> str:
     descriptions = [
         f"{run.writer}{f' of robot {run.node}' if run.node else ''}"
         + (f" (from {run.source})" if run.source else "")
@@ -202,7 +212,7 @@ def describe_runs(runs: Sequence[Run]) -> str:
     ]
     if len(runs) > _MOST_NAMED:
         descriptions.append(f"{len(runs) - _MOST_NAMED} more, see 'cassandra_bag runs'")
-    return f"{len(runs)} runs are called {runs[0].name}: {', '.join(descriptions)}"
+    return ", ".join(descriptions)
 
 
 def _similar(name: str, known: Collection[str], what: str) -> str:

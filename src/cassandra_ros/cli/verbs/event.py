@@ -142,8 +142,10 @@ def _lasting(ros_cas: RosCassandra, options: argparse.Namespace) -> Event:
     reason = f"{len(lasting)} events {name!r:.80} last"
     if not lasting:
         reason = f"event {name!r:.80} has ended already, at {_time(found[-1].end_ns or 0)}"
-    keys = ", ".join(event.key for event in (lasting or found)[-_MOST_SHOWN:])
-    raise InvalidOption(f"{reason}; to set the end of one of them, give its key: {keys}")
+    named = (lasting or found)[-_MOST_SHOWN:]
+    which = "of one of them" if len(named) > 1 else "again"
+    keys = ", ".join(event.key for event in named)
+    raise InvalidOption(f"{reason}; to set the end {which}, give its key: {keys}")
 
 
 def _tell(event: Event, options: argparse.Namespace, done: str) -> None:

@@ -50,5 +50,6 @@ def run(options: argparse.Namespace) -> int:
     elif rows:
         print(format_table(_HEADER, [tuple(map(shown, row)) for row in rows]))
     else:
-        print(f"keyspace {options.keyspace} holds no such topic{told}")
+        whole = "; a pattern matches whole names, as /camera/.*" if patterns != [None] else ""
+        print(f"keyspace {options.keyspace} holds no such topic{whole}{told}")
     return 0

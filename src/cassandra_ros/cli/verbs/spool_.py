@@ -187,6 +187,8 @@ def _drain(options: argparse.Namespace, folder: SpoolFolder) -> int:
                 print("\n".join(map(shown, lines_of(done))))
     if options.json:
         print_json(answer)
+    elif not (answer or failed or options.quiet):
+        print("the spool has nothing for this keyspace and address")
     return int(failed)
 
 
@@ -204,6 +206,8 @@ def _drop(options: argparse.Namespace, folder: SpoolFolder) -> int:
             print(f"run {shown(left.name)} is deleted from the spool")
     if options.json:
         print_json(dropped)
+    elif not (dropped or options.quiet):
+        print("nothing of the spool is deleted")
     return 0
 
 

@@ -215,6 +215,6 @@ def _print_differences(report: VerifyReport) -> None:
         print("  …")
     if not report.missing:
         print(
-            "the file has nothing that is not stored; of an exported time range compare that: "
-            "--start T --end T"
+            "the file has nothing that is not stored; of an exported part compare that part: "
+            "--start T --end T, --run NAME, --node-id N"
         )
