@@ -10,7 +10,7 @@ import time
 import pytest
 from geometry_msgs.msg import TransformStamped
 from sensor_msgs.msg import LaserScan
-from std_msgs.msg import String, UInt8MultiArray
+from std_msgs.msg import Int64, String, UInt8MultiArray
 from suites import FEW_FORMATS, sparing
 from tf2_msgs.msg import TFMessage
 
@@ -96,3 +96,20 @@ def test_a_null_is_seen_by_the_same_check(rosCas, cql):
         ("", table.bucket_of(T0), T0, 1, None),
     )
     assert whole_buckets(cql, rosCas, "/a") == (2, 2, 1)
+
+
+@pytest.mark.suite("all", "150,000 messages")
+@pytest.mark.parametrize("format_name", FEW_FORMATS)
+def test_a_bucket_is_read_after_150_000_deletions(rosCas, format_name):
+    """Cassandra refuses a read that meets 100,000 tombstones."""
+    with rosCas.messageWriter(format=format_name) as writer:
+        connection = api_connection("/n", definition_of(Int64), "/x")
+        handle = writer.connect(connection, bucket_ns=10**12)
+        for n in range(150_010):
+            writer.write(handle, T0 + n, n, n.to_bytes(8, "little"))
+    topic = rosCas.getTopic("/n")
+    assert topic.removeData(where="data < 75000") == 75_000
+    assert topic.removeData(T0 + 75_000, T0 + 149_999) == 75_000
+    assert topic.countTopicData() == 10
+    assert [message.data for _, message in topic.items()] == list(range(150_000, 150_010))
+    assert list(rosCas.executeCQL("SELECT count(*) FROM /n WHERE data >= 0")) == [(10,)]
