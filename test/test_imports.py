@@ -158,6 +158,7 @@ def test_foreign_modules_come_in_by_their_door():
                     assert places & doors, f"{name_of(path)} imports {imported}: only in {doors}"
 
 
+@pytest.mark.suite("all", "it parses all sources")
 def test_only_command_lines_print():
     for path in modules():
         if layer_of(path) == "cli":

@@ -163,6 +163,11 @@ def test_two_definitions_with_one_md5_get_two_tables(rosCas, tmp_path, caplog, f
         assert verify_bag(rosCas, path).equal
         export_bag(rosCas, tmp_path / "out.bag")
         assert read_with_rosbag(tmp_path / "out.bag") == read_with_rosbag(path)
+
+
+@pytest.mark.suite("all", "a conversion waits until nobody writes")
+def test_two_definitions_with_one_md5_keep_two_tables_in_another_format(rosCas, tmp_path):
+    by_import(rosCas, tmp_path, [way(n) for n in range(6)], "packed")
     rosCas.convertTopic("/t", "yaml")
     check_ways(rosCas)
 

@@ -207,6 +207,7 @@ def settle_counts(model):
 
 
 # An example takes a tenth of a second: to make a failing one smaller would take minutes.
+@pytest.mark.suite("all", "a search over random reads")
 @settings(max_examples=examples(40), phases=[Phase.explicit, Phase.generate])
 @given(feeds(), st.randoms(use_true_random=False))
 def test_blocks_read_as_a_sorted_list(stored, found, rand):

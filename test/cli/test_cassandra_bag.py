@@ -384,6 +384,7 @@ def test_wrong_usage_is_status_2(type_in, tmp_path):
     assert type_in("export", tmp_path / "a.bag", "-j", "--lz4")[0] == 2
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_reader_that_leaves_is_no_error(env, call, bags):
     call("import", bags / "primitive_arrays.bag")
     done = subprocess.run(

@@ -477,6 +477,7 @@ def test_a_reader_that_leaves_is_no_error(env, rosCas, output):
     assert done.stderr == ""
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_ctrl_c_ends_quietly(env, rosCas, tmp_path):
     topic = rosCas.addTopic("/many")
     for n in range(300):

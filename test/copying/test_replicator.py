@@ -158,6 +158,7 @@ def test_the_copy_of_a_copy_is_the_original(rosCas, home, fresh, cql):
     assert facts(home) == facts(rosCas)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_large_messages_come_with_their_chunks(rosCas, home, cql):
     image = Image(
         height=1,
@@ -328,6 +329,7 @@ def test_a_topic_converted_on_either_side_stays_one(rosCas, home, monkeypatch):
     assert {each.format for each in home.info()} == {"packed"}
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_topic_removed_there_is_copied_again(rosCas, home):
     fill(rosCas, "ros", 30)
     Replicator(rosCas, home).copy()
@@ -548,6 +550,7 @@ def test_a_store_is_not_copied_into_itself(rosCas, connect):
             Replicator(rosCas, same)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_target_of_another_schema_is_refused(rosCas, connect, new_keyspace, cql):
     fill(rosCas, "ros", 5)
     with connect(keyspace=new_keyspace) as home:

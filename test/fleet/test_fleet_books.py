@@ -314,6 +314,7 @@ def test_a_deletion_at_home_during_a_copy_is_not_forgotten(stores, monkeypatch):
     assert home.getTopic("/s").countTopicData() == 3
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_home_that_was_made_again_has_nothing(stores, cql):
     home, husky, _ = stores.values()
     write(husky, "/s", "ros", numbered("husky", range(40)))

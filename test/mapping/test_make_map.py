@@ -211,6 +211,7 @@ def test_odometry_beside_tf_knows_where_the_sensor_is(store):
     assert_room(made.map)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_no_map_can_be_made_of_says_why(store, fresh):
     compiled("tf2_py")
     with pytest.raises(TypeMismatch, match="/odom holds nav_msgs/Odometry: a map is made of"):

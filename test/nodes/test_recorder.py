@@ -543,6 +543,7 @@ def test_a_connection_that_breaks_is_made_again(recorder, roscore, rosCas):
     assert (loss.topic, loss.kind, loss.count) == ("/a", LossKind.UNHEARD, 0)
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_who_unsubscribes_hears_no_more_though_another_listens(roscore):
     """A process has two subscribers, and the first one leaves."""
     script = Path(__file__).with_name("two_subscribers.py")

@@ -230,6 +230,7 @@ def test_dry_run(roscore, recorder, rosCas, tmp_path):
     assert rosCas.runs() == []
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_dry_run_names_a_field_that_a_type_lacks(roscore, recorder, rosCas):
     with publisher(roscore, "/text"):
         child = recorder("/text", "--dry-run", "--where", "/text: date = 'x'", ready="")
@@ -295,6 +296,7 @@ def test_diagnostics(roscore, recorder):
         ear.await_line("recorder: /a recording 1")
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_status_line_only_on_a_terminal(roscore, cassandra, keyspace, rosCas):
     ours, theirs = pty.openpty()
     where = ("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", keyspace)

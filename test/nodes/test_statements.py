@@ -127,6 +127,7 @@ def test_writes(write, store):
     assert store.getTopic("numbers").countTopicData() == 40
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_an_option_allows_writes_too(roscore, cassandra, store, client):
     name = "optional"
     # What stands on the command line counts.
@@ -135,6 +136,7 @@ def test_an_option_allows_writes_too(roscore, cassandra, store, client):
         assert not answer["success"] and "nanoseconds" in answer["message"]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_parameter_that_is_neither_true_nor_false(roscore):
     child = start_node(roscore, "query_server", "_allow_writes:=perhaps", "__name:=doubtful")
     assert child.wait() == 2

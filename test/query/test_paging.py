@@ -128,6 +128,7 @@ def test_pages_of_the_store_change_nothing(store, statement, monkeypatch):
         assert paged(store, statement, 7, "auto") == whole
 
 
+@pytest.mark.suite("all", "it fills topics of all formats")
 def test_positions_are_cursors_too(store):
     """For a statement with one row per message the cursor may be a bare position."""
     topic = store.getTopic("both")

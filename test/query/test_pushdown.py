@@ -51,6 +51,7 @@ def explained(rosCas, condition, **wanted):
     return found
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_an_index_is_used_in_every_bucket(rosCas):
     found = explained(rosCas, "b = 7", buckets=8, indexed=8, filtered=0, whole=0, rows_read=48)
     assert found.server == ("b = 7 (index)",) and found.client == ()

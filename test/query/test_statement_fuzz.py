@@ -187,7 +187,7 @@ def store(cassandra, cql):
         rosCas.addTopic("/scan", format="binary")
         rosCas.addTopic("/names", format="json", key_format="manual")
         yield rosCas
-    cql.execute(f"DROP KEYSPACE {name}")
+    cql.execute(f"DROP KEYSPACE IF EXISTS {name}")
 
 
 def refill(rosCas):

@@ -342,6 +342,7 @@ def test_a_message_whose_chunks_are_gone_is_odd(rosCas):
     assert directory_rows(rosCas, table)[0].odd == 1
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_several_indexes_of_one_topic(rosCas):
     names = [["a", "b"], ["b"], []]
     states = [

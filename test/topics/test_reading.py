@@ -98,6 +98,7 @@ def test_what_is_no_cursor_is_refused(text):
         decode_cursor(text)
 
 
+@pytest.mark.suite("all", "requests fail in it")
 def test_reading_outlasts_a_server_that_stumbles(filled, monkeypatch):
     from cassandra import OperationTimedOut
 

@@ -89,6 +89,7 @@ READS = {
 }
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_read_sees_what_was_acknowledged_before_it_began(rosCas, connect_far):
     add_first(rosCas)
     clients = {way: connect_far() for way in READS}

@@ -227,6 +227,7 @@ def test_the_pieces_of_large_messages_go_too(rosCas, cql):
     assert [message.data[0] for _, message in topic.items()] == [0, 3]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_removal_says_what_it_needs(rosCas):
     topic = fill(rosCas, "time")
     for arguments in ({}, {"key": None}, {"nodeID": "r1"}):

@@ -304,6 +304,7 @@ def test_a_topic_that_is_being_recorded_is_refused(rosCas, connect, monkeypatch)
     assert rosCas.convertTopic("/t", "binary").messages == rosCas.getTopic("/t").countTopicData()
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_who_deletes_is_no_writer_that_is_waited_for(rosCas, monkeypatch):
     monkeypatch.setattr(convert, "QUIET_SEC", 1e9)
     monkeypatch.setattr(convert, "DELETING_SEC", 0.5)
@@ -414,6 +415,7 @@ def test_what_comes_in_the_seconds_after_the_switch_is_taken_along(rosCas, conne
     assert topic.getData(T0 + 5).header.seq == 99
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_what_comes_late_into_a_bucket_that_stayed_open_is_taken_along(
     rosCas, connect, monkeypatch
 ):
