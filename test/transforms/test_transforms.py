@@ -756,3 +756,9 @@ def test_an_unknown_robot_is_told_with_similar_ones(store):
     with pytest.raises(LookupException) as error:
         store.look("map", "base_link", 0, nodeID="huskey")
     assert "is of robot 'huskey'; did you mean husky?" in str(error.value)
+
+
+def test_a_topic_without_a_message_and_an_unknown_robot_have_no_transform(rosCas):
+    rosCas.addTopic("/tf")
+    with pytest.raises(LookupException, match="no transform at all"):
+        rosCas.lookupTransform("map", "base_link", 0, nodeID="husky")

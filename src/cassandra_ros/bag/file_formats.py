@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import os
 from typing import Callable, Sequence
 
@@ -20,6 +21,7 @@ from cassandra_ros.bag.rosbag2 import METADATA, SQLITE_MAGIC, refusal
 from cassandra_ros.errors import BagError
 from cassandra_ros.tables.registry import Run
 
+_log = logging.getLogger(__name__)
 MCAP_ENDING = ".mcap"
 _ENDINGS = (".bag", MCAP_ENDING)
 _UNFINISHED = ".active"
@@ -116,6 +118,7 @@ def runs_of_content(runs: Sequence[Run], path: str) -> list[Run]:
     """
     if not any(run.kind == "import" for run in runs) or not os.path.isfile(path):
         return []
+    _log.info("%s: no run has this path; it is read to find a run of its content", path)
     try:
         with open_file(path) as reader:
             content = read_content(reader)

@@ -274,13 +274,14 @@ class Bag:
     def _open(self, format: str | None) -> frozenset[int]:
         """Return the writer ids of the bag's runs. If the mode is 'w' or 'a', begin a new run."""
         name, runs = self.filename, self._store.catalog.keyspace.registry.runs()
-        meant = runs_meant(runs, name) or runs_of_content(runs, name)
-        writers = frozenset(run.writer for run in meant)
-        if self.mode == "r":
-            return writers or self._absent(name, runs)
         if self.mode == "w":
             writers = self._make_room(name, runs)
-        elif not writers and os.path.isfile(name) and os.path.getsize(name):
+        else:
+            meant = runs_meant(runs, name) or runs_of_content(runs, name)
+            writers = frozenset(run.writer for run in meant)
+        if self.mode == "r":
+            return writers or self._absent(name, runs)
+        if self.mode == "a" and not writers and os.path.isfile(name) and os.path.getsize(name):
             self._absent(name, runs)
         self._before = writers
         writer = new_writer_id()

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import errno
 import hashlib
 import logging
 import os
@@ -67,15 +68,24 @@ def _alone(full_name: str) -> Iterator[None]:
     text = f"{os.environ.get('ROS_MASTER_URI')} {full_name}".encode("utf-8", "surrogateescape")
     address = b"\0cassandra_ros " + hashlib.sha256(text).digest()
     ends = time.monotonic() + ALONE_SEC
-    # An address that begins with NUL is no file; it is free again when the program ends.
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as lock:
-        while time.monotonic() < ends:
-            try:
-                lock.bind(address)
-                break
-            except OSError:
+    with contextlib.ExitStack() as held:
+        with contextlib.suppress(OSError):  # a system without such sockets: names are as in ROS
+            lock = held.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            # An address that begins with NUL is no file; it is free again when the program ends.
+            while not _is_bound(lock, address) and time.monotonic() < ends:
                 time.sleep(_POLL_SEC)
         yield
+
+
+def _is_bound(lock: socket.socket, address: bytes) -> bool:
+    """Bind a socket to an address; return False if another program has it."""
+    try:
+        lock.bind(address)
+    except OSError as exc:
+        if exc.errno == errno.EADDRINUSE:
+            return False
+        raise
+    return True
 
 
 def _is_taken(full_name: str) -> bool:

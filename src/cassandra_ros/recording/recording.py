@@ -236,7 +236,7 @@ class Recording:
 
         After this one was stored: of two that start at the same moment at least one knows both.
         """
-        with suppress(StoreUnavailable):  # messages wait for the store then, and it is told
+        with suppress(CassandraRosError):  # messages wait for the store then, and it is told
             runs = self._store.result().keyspace.registry.runs()
             namesakes = [run for run in runs if run.name == self.name]
             if len(namesakes) > 1:

@@ -873,14 +873,15 @@ class RowWriter:
         if bucket.table.name in self.gone:
             return  # its directory was deleted with it, and each try would wait for the table
         bucket.check_marked()
-        totals = bucket.totals
+        totals, hidden = bucket.totals, 0
         try:
             if bucket.must_recount:
                 counted = recount(bucket.table, bucket.node, bucket.bucket)
                 totals = counted.get(self._writer_id, BucketTotals())
-                stats = self.stats[bucket.table.name]
-                stats.hidden += max(0, bucket.totals.rows - totals.rows)
+                if self._cassandra.finds_all_written:
+                    hidden = max(0, bucket.totals.rows - totals.rows)
             self._put(bucket, totals, closed=True)
+            self.stats[bucket.table.name].hidden += hidden
         except StoreUnavailable:
             raise
         except CassandraRosError as exc:

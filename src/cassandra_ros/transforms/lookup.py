@@ -179,7 +179,8 @@ class LookupErrors:
             more = ", …" if len(frames) > _SHOWN_FRAMES else ""
             hint = f"the frames are {', '.join(frames[:_SHOWN_FRAMES])}{more}"
         else:
-            unknown = self.node and next(iter(self.tables)).runs.unknown_robot(self.node)
+            table = next(iter(self.tables), None)  # a topic without a type has none
+            unknown = table is not None and self.node and table.runs.unknown_robot(self.node)
             hint = unknown or "there is no transform at all"
         return f"frame {frame!r} is not in {self._where()}{_ignored(frame, tree)}; {hint}"
 
