@@ -123,6 +123,7 @@ def test_an_end_far_behind_the_messages_is_told(filled, caplog, end, told):
         (PlaySelection(start=90_000), InvalidOption, "90000 s, lies after all"),
         (PlaySelection(start=T0 - 1), InvalidOption, "lies before all"),
         (PlaySelection(end=T0 - 1), InvalidOption, "lies before all"),
+        (PlaySelection(start=T0 // 10**6), InvalidOption, "milliseconds are written in seconds"),
         (PlaySelection(start=5, end=4), InvalidOption, "before the start"),
         (PlaySelection(end=5, duration=4), InvalidOption, "give one of them"),
         (PlaySelection(remap={"/tick": "/a b"}), InvalidName, "'/a b'"),

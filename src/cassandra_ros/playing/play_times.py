@@ -18,6 +18,7 @@ from cassandra_ros.messages.stamps import (
     When,
     duration_ns,
     iso_time,
+    other_unit,
     time_or_length,
     to_ns,
 )
@@ -95,13 +96,13 @@ def resolve_times(
     if start is not None:
         low = _placed(known, start)
         if low < known.low:
-            raise InvalidOption(f"the start, {iso_time(low)}, lies before {_reach(known)}")
+            raise InvalidOption(f"the start, {_too_early(known, start)}")
         if low > known.high:
             raise InvalidOption(f"the start, {_shown(known, start)}, lies after {_reach(known)}")
     if end is not None:
         high = _placed(known, end)
         if high < known.low:
-            raise InvalidOption(f"the end, {iso_time(high)}, lies before {_reach(known)}")
+            raise InvalidOption(f"the end, {_too_early(known, end)}")
         if high < low:
             raise InvalidOption(
                 f"the end, {iso_time(high)}, lies before the start, {iso_time(low)}: exchange them"
@@ -117,6 +118,12 @@ def _placed(known: TimeRange, when: When) -> int:
 
 def _shown(known: TimeRange, when: When) -> str:
     return f"{when.ns / SECOND_NS:g} s" if when.relative else iso_time(when.ns)
+
+
+def _too_early(known: TimeRange, when: When) -> str:
+    meant = other_unit(when.ns, known.low)
+    text = f"{iso_time(_placed(known, when))}, lies before {_reach(known)}"
+    return f"{text}; {meant}" if meant else text
 
 
 def _reach(known: TimeRange) -> str:
