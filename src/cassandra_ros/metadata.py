@@ -154,15 +154,25 @@ class Kind(NamedTuple):
     md5sum: str
     msg_type: str
     """Name of the type if the md5sum is ANY_MD5, otherwise ''."""
-    arrays: tuple[str, ...]
-    """Paths of the arrays of messages, see Definition; the md5 leaves their brackets out."""
+    arrays: tuple[str, ...] | None
+    """Paths of the arrays of messages, see Definition; the md5 leaves their brackets out. None =
+    the definition is unusable."""
+
+    def fits(self, other: Kind) -> bool:
+        """Return whether messages of both kinds may have the same type.
+
+        Where one definition is unusable the md5 decides.
+        """
+        if None in (self.arrays, other.arrays):
+            return self[:2] == other[:2]
+        return self == other
 
 
-def message_kind(md5sum: str, msg_type: str, arrays: tuple[str, ...]) -> Kind:
+def message_kind(md5sum: str, msg_type: str, arrays: tuple[str, ...] | None) -> Kind:
     """Return the kind of messages.
 
     Args:
-        arrays: Paths of the arrays of messages in their definition; () = it is unusable.
+        arrays: Paths of the arrays of messages in their definition; None = it is unusable.
     """
     return Kind(md5sum, msg_type if md5sum == ANY_MD5 else "", arrays)
 
@@ -170,10 +180,15 @@ def message_kind(md5sum: str, msg_type: str, arrays: tuple[str, ...]) -> Kind:
 def type_text(msg_type: str, kind: Kind, other: Kind) -> str:
     """Return a type as a text for the user, who must tell it from another one.
 
-    If both have the same md5sum it names the arrays of messages that only this one has.
+    If both have the same md5sum it names the arrays of messages that only this one has, or says
+    that its definition is unusable.
     """
     text = f"{msg_type} [{kind.md5sum}]"
     if kind.md5sum != other.md5sum or kind.arrays == other.arrays:
+        return text
+    if kind.arrays is None:
+        return f"{text} without a usable definition"
+    if other.arrays is None:
         return text
     arrays = ", ".join(array for array in kind.arrays if array not in other.arrays)
     return f"{text} with {arrays or 'single messages'}"

@@ -184,6 +184,23 @@ def test_a_message_of_another_definition_with_the_same_md5_is_refused(rosCas):
     assert [message.n for _, message in topic.items()] == [1]
 
 
+@pytest.mark.parametrize("added", [True, False])
+def test_without_a_usable_definition_the_md5_tells_the_type(rosCas, tmp_path, caplog, added):
+    """A publisher with a broken definition does not shut others of its type out."""
+    sound = header("tf2_msgs/TFMessage", TFMessage._full_text)
+    broken = {**sound, "message_definition": "this is no definition"}
+    by_writer(rosCas, tmp_path, [(broken, serialize(TFMessage()))], "binary")
+    caplog.set_level(logging.WARNING, "cassandra_ros")
+    topic = rosCas.addTopic("/t", msg_type=TFMessage._type) if added else rosCas.getTopic("/t")
+    topic.addData(TFMessage())
+    warning = warnings(caplog)[-1]
+    assert "without a usable definition" in warning
+    assert "single messages" not in warning
+    assert topic.countTopicData() == len(list(topic.rows())) == 2
+    with pytest.raises(TypeMismatch, match=r"without a usable definition|std_msgs/String"):
+        topic.addData(String("x"))
+
+
 def test_what_earlier_releases_kept_in_one_table_is_divided_by_a_repeated_import(
     rosCas, connect, tmp_path, monkeypatch
 ):

@@ -23,7 +23,7 @@ from cassandra_ros.errors import InvalidOption, StoreUnavailable, UnsupportedSch
 from cassandra_ros.formats.table import FORMATS
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.connection_header import api_connection, live_connection
-from cassandra_ros.messages.definition import definition_of
+from cassandra_ros.messages.definition import definition_of, parse_definition
 from cassandra_ros.tables.context_blob import NodeGraph, RunContext
 from cassandra_ros.tables.directory import Directory
 from cassandra_ros.tables.registry import Loss, LossKind, Run
@@ -93,6 +93,40 @@ def test_rows_are_copied_as_they_are_stored(rosCas, home, cql, fmt):
     assert facts(home) == facts(rosCas)
     assert directory(home) == directory(rosCas)
     assert all(row[5] for row in directory(home))
+
+
+PARTS = "Part[] parts\n" + "=" * 80 + "\nMSG: lost_msgs/Part\nint32 value\n"
+
+
+def write_parts(store, text, counters, writer_id=7):
+    """Write messages of a type that is not installed, whose connection has this definition."""
+    kind = {"type": "lost_msgs/Parts", "md5sum": parse_definition("lost_msgs/Parts", PARTS).md5sum}
+    with store.messageWriter(writer_id=writer_id, format="ros") as writer:
+        fields = {**kind, "callerid": "/x", "message_definition": text}
+        handle = writer.connect(live_connection("/t", fields))
+        for n in counters:
+            writer.write(handle, T0 + n, n, bytes([1, 0, 0, 0, n, 0, 0, 0]))
+
+
+@pytest.mark.parametrize("texts", [(PARTS, ""), ("", PARTS)])
+def test_a_side_without_a_usable_definition_is_no_other_type(rosCas, home, texts):
+    """Both stores recorded such a publisher; one of them does not know its definition."""
+    write_parts(rosCas, texts[0], range(6))
+    write_parts(home, texts[1], range(10, 13), writer_id=8)
+    report = Replicator(rosCas, home).copy()
+    assert report.complete, report
+    assert [row.t - T0 for row in home.getTopic("/t").rows()] == [*range(6), *range(10, 13)]
+    assert len(home.getTopic("/t").tables) == 1
+    assert Replicator(rosCas, home).compare().equal
+
+
+def test_a_table_without_a_usable_definition_takes_no_rows_of_the_other(rosCas, home):
+    for text, counters in (("", range(3)), (PARTS, range(3, 6))):
+        write_parts(rosCas, text, counters)
+    for _ in range(2):
+        assert Replicator(rosCas, home).copy().complete
+        assert sorted(each.format for each in home.info()) == ["binary", "ros"]
+        assert facts(home) == facts(rosCas)
 
 
 def test_nothing_is_decoded(rosCas, home, monkeypatch, cql):

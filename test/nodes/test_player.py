@@ -262,12 +262,22 @@ def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, r
         message_definition=Int32._full_text,
     )
     write("/mixed", [text("e"), text("f")], 3)
+    for number, brackets in enumerate(["", "[]", ""]):  # the first one without its definition
+        text_of = f"Part{brackets} parts\n" + "=" * 80 + "\nMSG: lost_msgs/Part\nint32 value\n"
+        write(
+            "/parts",
+            [b"%d" % number],
+            2 + number,
+            type="lost_msgs/Parts",
+            md5sum=parse_definition("lost_msgs/Parts", text_of).md5sum,
+            message_definition=text_of if number else "",
+        )
     write("/bare", [b"xyz"], 4, type="a/B", md5sum="", message_definition="")
     write("/no name", [text("g")], 4)
     writer.close()
     child = player("-s", "1.5", "-k", "--wait-for-subscribers")
     heard = {}
-    for topic in ("/fixed", "/lost", "/latin", "/mixed", "/bare"):
+    for topic in ("/fixed", "/lost", "/latin", "/mixed", "/parts", "/bare"):
         heard[topic] = RawSubscriber(roscore.uri, topic)
     child.await_line("without its definition")
     assert heard["/lost"].header["message_definition"].decode() == lost
@@ -278,6 +288,7 @@ def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, r
     assert heard["/fixed"].read() == text("b")
     assert heard["/fixed"].read() == text("c")
     assert heard["/bare"].read() == b"xyz"
+    assert [heard["/parts"].read() for _ in range(2)] == [b"0", b"1"]
     with RawSubscriber(roscore.uri, "/fixed", md5sum=String._md5sum) as late:
         assert [late.read(), late.read()] == [text("b"), text("c")]
     with RawSubscriber(roscore.uri, "/fixed", md5sum=Int32._md5sum) as wrong:
@@ -285,6 +296,6 @@ def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, r
     assert child.end() == 0, child.output
     assert "stored with several types" in child.output
     assert "topic /no name is not played" in child.output
-    assert "left out: 2 of /mixed, 1 of /no name" in child.lines[-1]
+    assert "left out: 2 of /mixed, 1 of /no name, 1 of /parts" in child.lines[-1]
     for one in heard.values():
         one.close()

@@ -89,15 +89,16 @@ def find_pair(
     _check_renamed(there, metadata, known)
     for table in tables:
         _check_alike(metadata, table.metadata)
-    kinds = [table for table in tables if table.kind == source.kind]
+    kinds = _of_kind(here, source, tables)
     if tables and not kinds and not _has_kinds(here, metadata.topic, tables):
         ours, theirs = type_texts(metadata, tables[0].metadata)
         raise _refusal(metadata, f"type {ours}", theirs)
-    if format is not None and source.definition is None:
-        format = FALLBACK_FORMAT
     # There may be a table of another format there, too: what is in one must not go to the other.
     took = there.schema.listing().heirs.get(known, known)
-    kinds = [table for table in kinds if table.name == took] or kinds
+    took_before = [t for t in tables if t.name == took and t.kind.fits(source.kind)]
+    kinds = took_before or kinds
+    if format is not None and all(table.definition is None for table in kinds or [source]):
+        format = FALLBACK_FORMAT
     name = _format_there(metadata, [table.metadata for table in kinds], format)
     _check_lifetime(metadata, name, alike=name == metadata.format and not thinned)
     target = next((table for table in kinds if table.metadata.format == name), None)
@@ -126,7 +127,7 @@ def find_existing(here: Keyspace, there: Keyspace, source: TopicTable) -> TableP
     tables = _tables_there(there, metadata)
     for table in tables:
         _check_alike(metadata, table.metadata)
-    kinds = [table for table in tables if table.kind == source.kind]
+    kinds = _of_kind(here, source, tables)
     if not kinds:
         return None
     name = _format_there(metadata, [table.metadata for table in kinds], None)
@@ -180,10 +181,23 @@ def _refusal(metadata: TopicMetadata, ours: str, theirs: str) -> SchemaConflict:
     )
 
 
+def _of_kind(
+    here: Keyspace, source: TopicTable, tables: Sequence[TopicTable]
+) -> Sequence[TopicTable]:
+    """Return the tables there for the messages of a table.
+
+    They have its kind. If there are none, the definition may be unusable at one side only: then
+    they are those of its md5, without the counterparts of other tables of the topic here.
+    """
+    alike = [table for table in tables if table.kind == source.kind]
+    kinds = {table.kind for table in here.tables.of_topic(source.metadata.topic)}
+    return alike or [t for t in tables if t.kind.fits(source.kind) and t.kind not in kinds]
+
+
 def _has_kinds(here: Keyspace, topic: str, tables: Sequence[TopicTable]) -> bool:
-    """Return whether one of the types there is one that the topic has here, too."""
+    """Return whether one of the types there may be one that the topic has here, too."""
     kinds = {table.kind for table in here.tables.of_topic(topic)}
-    return any(table.kind in kinds for table in tables)
+    return any(table.kind.fits(kind) for table in tables for kind in kinds)
 
 
 def _format_there(

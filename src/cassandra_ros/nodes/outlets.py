@@ -34,11 +34,6 @@ LAST_SEC = 10.0
 _stamp = struct.Struct("<II").pack
 
 
-def _layout(kind: Kind) -> tuple[str, tuple[str, ...]]:
-    """Return what two kinds have in common whose messages have the same bytes."""
-    return kind.md5sum, kind.arrays
-
-
 class PlayedTopic(NamedTuple):
     """A topic of a replay, with counts."""
 
@@ -97,8 +92,10 @@ class Outlets:
         publication = next((p for p in self._publications.values() if p.topic == name), None)
         if publication is not None:
             published = self._kinds[name]
-            if _layout(published) == _layout(channel.kind):
+            if published.fits(channel.kind):
                 self._publications[topic] = publication
+                if published.arrays is None:  # from now on only messages of this layout fit
+                    self._kinds[name] = channel.kind
                 return
             self._say(
                 (topic, channel.type, channel.kind),
@@ -161,7 +158,7 @@ class Outlets:
         publication, row = self._publications.get(played.topic), played.row
         if publication is None:
             return None, None
-        if _layout(self._kinds[publication.topic]) != _layout(row.table.kind):
+        if not self._kinds[publication.topic].fits(row.table.kind):
             return None, None
         try:
             return publication, key if row.connection.latching else None

@@ -353,7 +353,7 @@ def _metadata(topic: CassandraTopic, tables: Iterable[TopicTable]) -> dict[str, 
     types, units = {}, {}
     for table in tables:
         metadata, definition = table.metadata, table.definition
-        key = " ".join((metadata.md5sum, *table.kind.arrays))  # which the md5 leaves out
+        key = " ".join((metadata.md5sum, *(table.kind.arrays or ())))  # which the md5 leaves out
         types[key] = {"type": metadata.msg_type, "definition": metadata.definition}
         for ref in () if definition is None else all_fields(definition):
             unit = unit_of_field(ref.steps, definition) if definition is not None else ""

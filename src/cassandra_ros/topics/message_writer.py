@@ -630,7 +630,7 @@ def connection_kind(connection: Connection) -> Kind:
     definition, _ = usable_definition(connection, FALLBACK_FORMAT)
     if definition is not None:
         return definition.kind
-    return message_kind(connection.md5sum, connection.type, ())
+    return message_kind(connection.md5sum, connection.type, None)
 
 
 @lru_cache(maxsize=256)

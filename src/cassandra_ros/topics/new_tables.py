@@ -88,7 +88,7 @@ class Wish:
     def check(self, stored: TopicMetadata, definition: Definition | None) -> None:
         """Raise TopicExists if the topic is stored with other values than requested."""
         wrong, wanted = [], self.metadata
-        if definition is not None and definition.kind != kind_of(stored):
+        if definition is not None and not definition.kind.fits(kind_of(stored)):
             wrong.append(f"type {type_texts(stored, _typed(wanted, definition))[0]}")
         key = (wanted.key_format, wanted.key_part)
         if wanted.key_format and key != (stored.key_format, stored.key_part):
@@ -196,7 +196,7 @@ class NewTables:
         wished = [t for t in fitting if t.metadata.format == wish.metadata.format]
         if wished or (fitting and not wish.asked):
             return (wished or fitting)[0]
-        if tables and not fitting:
+        if tables and not any(table.kind.fits(definition.kind) for table in tables):
             stored, given = type_texts(tables[0].metadata, _typed(wish.metadata, definition))
             raise TypeMismatch(
                 f"topic {topic} holds {stored}, the message is {given}; nothing was stored: store "

@@ -316,7 +316,7 @@ def kind_of(metadata: TopicMetadata) -> Kind:
 
 
 def _kind(metadata: TopicMetadata, definition: Definition | None) -> Kind:
-    arrays = () if definition is None else definition.arrays
+    arrays = None if definition is None else definition.arrays
     return message_kind(metadata.md5sum, metadata.msg_type, arrays)
 
 
