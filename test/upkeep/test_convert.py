@@ -448,6 +448,7 @@ def test_what_comes_after_a_conversion_was_broken_off_is_taken_along(
     rosCas, connect, monkeypatch, form
 ):
     """A conversion dies after the switch; a client that does not know of it goes on; then again."""
+    monkeypatch.setattr(convert, "DELETING_SEC", 0.1)
     if form == "names":
         rosCas.addTopic("/t", "ros", msg_type="sensor_msgs/JointState", key_format="manual")
         for number in range(3):
@@ -478,6 +479,50 @@ def test_what_comes_after_a_conversion_was_broken_off_is_taken_along(
         (late,) = (row for row in topic.rows() if row.connection.callerid == "/late")
         assert (late.received, late.message().header.seq) == (T0 + 5, 99)
         assert len(rosCas.catalog.keyspace.schema.listing(fresh=True).every) == 1
+
+
+def test_what_came_late_is_not_taken_along_while_its_writer_goes_on(rosCas, connect, monkeypatch):
+    """Its next heartbeat would count without the late rows: both write the entry of its bucket."""
+    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 0.3)
+    monkeypatch.setattr(convert, "LOOK_SEC", 0.1)
+    fill(rosCas, "ros", 20)
+    topic, finish = rosCas.getTopic("/t"), replacement.finish
+
+    def finish_then_die(*arguments):
+        finish(*arguments)
+        raise KeyboardInterrupt
+
+    def write():
+        number = 3
+        while not stop.wait(0.01):
+            writer.write(handle, T0 + number, number, serialize(joint_state(number)))
+            number += 1
+
+    with connect(keyspace=rosCas.keyspace) as other, other.messageWriter() as writer:
+        handle = writer.connect(api_connection("/t", definition_of(JointState), "/late"))
+        with monkeypatch.context() as away:
+            away.setattr(other.catalog.keyspace.schema, "takes_rows", lambda table: True)
+            with monkeypatch.context() as killed, pytest.raises(KeyboardInterrupt):
+                killed.setattr(replacement, "finish", finish_then_die)
+                rosCas.convertTopic("/t", "json")
+            writer.write(handle, T0 + 1, 1, serialize(joint_state(1)))
+            writer.flush()
+        writer._rows.gone.add(handle.table.name)  # as it is told some seconds later
+        writer.write(handle, T0 + 2, 2, serialize(joint_state(2)))
+        writer.flush()
+        assert topic.countTopicData() == 41  # in the new table; the late one is not read yet
+        stop = threading.Event()
+        thread = threading.Thread(target=write)
+        thread.start()
+        try:
+            with pytest.raises(SchemaConflict, match="is being recorded .* end the recording"):
+                rosCas.convertTopic("/t", "json")
+        finally:
+            stop.set()
+            thread.join()
+    rosCas.convertTopic("/t", "json")
+    assert topic.countTopicData() == len(list(topic.rows()))
+    assert topic.getData(T0 + 1).header.seq == 1
 
 
 CHANGES = ["convert", "rename", "delete", "index"]

@@ -210,14 +210,18 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
 def _forget_left(space: Keyspace, topic: str) -> None:
     """Delete what killed conversions left, and the entries of replaced tables.
 
-    What clients stored in a replaced table after the switch is taken along before.
+    What clients stored in a replaced table after the switch is taken along before, when nobody
+    writes into the new one: a writer there may be the one whose rows come.
     """
     every = space.schema.listing(fresh=True).every
+    late: list[tuple[TopicTable, list[TopicTable]]] = []
     for table in space.tables.of_topic(topic):
         names = [name for name in table.metadata.replaces if name in every]
         if names and table.metadata.since_us:
-            olds = [space.tables.get(name, every[name]) for name in names]
-            TableCopy(space, olds, table, None).add_written_since(table.metadata.since_us)
+            late.append((table, [space.tables.get(name, every[name]) for name in names]))
+    _await_writers(space, topic, [table for table, _ in late])
+    for table, olds in late:
+        TableCopy(space, olds, table, None).add_written_since(table.metadata.since_us)
     replacement.clear(space.schema, topic, space.forget_table)
     for table in space.tables.of_topic(topic):
         for old in table.metadata.replaces:
