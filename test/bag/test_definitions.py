@@ -20,16 +20,13 @@ from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.stored_bag import Bag
 from cassandra_ros.errors import TypeMismatch
 from cassandra_ros.formats.table import FORMATS
-from cassandra_ros.messages import definition as definitions
 from cassandra_ros.messages.classes import message_class, serialize, to_yaml
 from cassandra_ros.messages.connection_header import live_connection
 from cassandra_ros.messages.definition import attribute_name, parse_definition
-from cassandra_ros.metadata import Kind
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.playing.play_stream import Stream
 from cassandra_ros.playing.played_store import PlayedKeyspace
 from cassandra_ros.recording.recording import Recording
-from cassandra_ros.topics import topic_table
 
 T0 = 1_500_000_000 * 10**9
 every_format = pytest.mark.parametrize("form", FORMATS)
@@ -199,20 +196,6 @@ def test_without_a_usable_definition_the_md5_tells_the_type(rosCas, tmp_path, ca
     assert topic.countTopicData() == len(list(topic.rows())) == 2
     with pytest.raises(TypeMismatch, match=r"without a usable definition|std_msgs/String"):
         topic.addData(String("x"))
-
-
-def test_what_earlier_releases_kept_in_one_table_is_divided_by_a_repeated_import(
-    rosCas, connect, tmp_path, monkeypatch
-):
-    path = write_bag(tmp_path / "a.bag", [way(n) for n in range(6)])
-    with monkeypatch.context() as earlier:
-        for module in (topic_table, definitions):
-            earlier.setattr(module, "message_kind", lambda md5sum, *_: Kind(md5sum, "", ()))
-        import_bag(rosCas, path, format="binary")
-        assert len(rosCas.getTopic("/t").tables) == 1
-    with connect(keyspace=rosCas.keyspace) as other:
-        import_bag(other, path)
-        check_ways(other)
 
 
 def test_messages_of_another_definition_with_the_same_md5_are_not_played_together(rosCas, tmp_path):

@@ -506,9 +506,7 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
     """Delete what an earlier import of the bag stored that ours will not overwrite.
 
     These are blocks that begin at other messages, after a conversion or if the topic was removed
-    during the import, and rows that earlier releases stored in the table of another definition: of
-    the md5sum in the header, or of one that differs in the brackets of arrays of messages. Their
-    messages would be stored twice.
+    during the import. Their messages would be stored twice.
     """
     whose = Whose((run.node,), frozenset((run.writer,)))
     tables = {handle.table.name: handle.table for handle in handles.values()}
@@ -518,9 +516,6 @@ def _remove_other_blocks(keyspace: Keyspace, handles: Mapping[int, Handle], run:
         if placed:
             keyspace.place_index.withdraw(table.name, run=(run.node, run.writer))
     other = [t for t in tables.values() if t.packed and (t.metadata.replaces or t.metadata.cut)]
-    for handle in handles.values():
-        others = (t for t in keyspace.tables.of_topic(handle.topic) if t.kind != handle.table.kind)
-        other += [t for t in others if keyspace.connections.has(t.name, handle.connection)]
     read = Read(TimeRange(0, MAX_NS), whose)
     held = [table for table in other if holds_any(keyspace.directory, [table], whose)]
     if delete_time_range(keyspace, held, read):
