@@ -112,6 +112,10 @@ def test_home_of_several_stores_counts_each_message_once(mixed):
     found = viewer.get("/api/keyspace")
     assert (found["stores"], found["partial"], found["missing"]) == (names, False, {})
     assert one.get("/api/keyspace")["stores"] == []
+    address = {"nodes": "husky,huskj", "time": T0 + 999 * 86_400 * SEC}
+    notes = [each.get("/api/notes", **address)["notes"] for each in (viewer, one)]
+    assert [len(each) for each in notes] == [2, 2]
+    assert "did you mean husky" in notes[0][0] and notes[0][1] == notes[1][1]
     mine, theirs = ({t["topic"]: t for t in v.get("/api/topics")["topics"]} for v in (viewer, one))
     assert mine.keys() == theirs.keys()
     for topic, entry in mine.items():
@@ -276,6 +280,7 @@ def test_a_store_that_does_not_answer_is_in_each_answer(fresh, proxied):  # noqa
         asked = {
             **{f"/api/{path}": {} for path in ("keyspace", "topics", "runs", "marks", "events")},
             **{f"/api/{path}": {} for path in ("timeline", "connections")},
+            "/api/notes": {"nodes": "nobody", "time": 1},
             "/api/query": {"q": "SELECT data FROM s"},
             "/api/plot": {"q": "SELECT KEY FROM s"},
             "/api/complete": {"q": "SELECT "},
@@ -289,6 +294,7 @@ def test_a_store_that_does_not_answer_is_in_each_answer(fresh, proxied):  # noqa
                 for path, parameters in asked.items():
                     found = viewer.get(path, **parameters)
                     assert (found["partial"], list(found["missing"])) == (True, [name]), path
+                assert viewer.get("/api/notes", **asked["/api/notes"])["notes"] == []
                 assert len(viewer.get("/api/query", **asked["/api/query"])["rows"]) == 5
                 for path in ("/api/messages", "/api/latest"):
                     found, told = frames_of(viewer.ask(path))

@@ -407,6 +407,7 @@ PLAYER = {"player": lambda user: user.play()}
 
 REQUESTS = {
     "/api/keyspace": {},
+    "/api/notes": {"time": T0},
     "/api/topics": {},
     "/api/runs": {},
     "/api/marks": {},

@@ -67,7 +67,7 @@ def test_the_keyspace_says_which_there_are(viewer, stored):
 
 def test_what_of_an_address_is_not_stored_is_noted(viewer):
     def notes(**address):
-        return viewer.get("/api/keyspace", **address)["notes"]
+        return viewer.get("/api/notes", **address)["notes"]
 
     day = 86_400 * SECOND
     assert notes() == notes(nodes="red,blue", start=NS - day, end=NS + day, time=NS) == []

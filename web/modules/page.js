@@ -20,13 +20,9 @@ export const ONE_STORE = "One store answers this, and this viewer shows several 
 /** @type {Promise<any> | null} */
 let told = null;
 
-/**
- * Return the answer of /api/keyspace, requested once: `stores` has several stores that are shown as one, `notes`
- * says what of the robots and times in the address is not stored.
- */
+/** Return the answer of /api/keyspace, requested once: `stores` has several stores that are shown as one. */
 export function keyspaceAnswer() {
-  const { nodes, start: first, end, time } = state.read();
-  told ??= get("/api/keyspace", { nodes, start: first, end, time });
+  told ??= get("/api/keyspace");
   return told;
 }
 
@@ -85,10 +81,11 @@ export function start(name) {
     if (event.reason instanceof Error && "status" in event.reason) event.preventDefault();
   });
   for (const problem of state.read().problems) showError(new Error(problem));
-  keyspaceAnswer().then((answer) => {
-    keyspace.replaceChildren(...shownPlace(answer));
-    answer.notes.forEach(showNote);
-  }, showError);
+  keyspaceAnswer().then((answer) => keyspace.replaceChildren(...shownPlace(answer)), showError);
+  const { nodes, start: first, end, time } = state.read();
+  if (nodes.length || first || end || time) {
+    get("/api/notes", { nodes, start: first, end, time }).then(({ notes }) => notes.forEach(showNote), showError);
+  }
   ifSeveralStores(() => {
     for (const [index, page] of PAGES.entries()) if (page.ofOneStore) disable(links[index]);
     if (PAGES.some((page) => page.ofOneStore && page.name === name)) {

@@ -5,12 +5,11 @@
 from __future__ import annotations
 
 from datetime import datetime
-from typing import Collection, Iterable, Sequence
+from typing import Iterable, Sequence
 
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.fleet.fleet_topic import FleetTopic
 from cassandra_ros.messages.stamps import to_ns
-from cassandra_ros.overview.stored_ends import far_outside, stored_ends, widest, wrong_unit
 from cassandra_ros.tables.registry import Run
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
@@ -19,7 +18,7 @@ from cassandra_ros.topics.stored_totals import TopicInfo
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.route import Parameter, Route
-from cassandra_ros.viewing.selection_parameters import END, NODES, RUNS, START, TIME, TOPICS
+from cassandra_ros.viewing.selection_parameters import RUNS, TOPICS
 
 MAX_LISTED = 10_000
 """Maximum number of runs or marks in one answer."""
@@ -45,24 +44,7 @@ def _keyspace(call: ApiCall) -> Json:
         "keyspaces": keyspaces,
         "stores": [],
         "allow_writes": call.settings.allow_writes,
-        "notes": notes_of(call, [call.catalog]),
     }
-
-
-def notes_of(call: ApiCall, catalogs: Collection[Catalog]) -> list[Json]:
-    """Say which robots of a call are not stored, and which times are far from what is stored."""
-    notes: list[Json] = []
-    for node in call.texts("nodes") or ():
-        reasons = [catalog.keyspace.runs.unknown_robot(node) for catalog in catalogs]
-        notes += reasons[:1] if all(reasons) else []
-    times = {name: call.time_ns(name) for name in ("start", "end", "time")}
-    asked = any(ns is not None for ns in times.values())
-    ends = widest(map(stored_ends, catalogs)) if asked else None
-    for name, ns in times.items():
-        if ns is not None and ends is not None:
-            reason = wrong_unit(str(ns), ns, ends) or far_outside(name, ns, ends)
-            notes += [f"{name}={ns} {reason}"] if reason else []
-    return notes
 
 
 def _topics(call: ApiCall) -> Json:
@@ -200,11 +182,9 @@ ROUTES: tuple[Route, ...] = (
     Route(
         "/api/keyspace",
         _keyspace,
-        "The keyspace that is shown, and the other keyspaces that have topics; `notes` say which "
-        "robots of the call are not stored, and which times are far from it. A viewer of several "
+        "The keyspace that is shown, and the other keyspaces that have topics. A viewer of several "
         "stores has their names in `stores`; each of its answers has `partial`, and in `missing` "
         "the stores that did not answer, with the reason.",
-        (NODES, START, END, TIME),
     ),
     Route(
         "/api/topics",

@@ -55,6 +55,7 @@ from cassandra_ros.viewing import (
     image_routes,
     look_routes,
     mark_routes,
+    note_routes,
     timeline_routes,
 )
 from cassandra_ros.viewing.answers import Answer, Bytes, Json, Stream
@@ -146,8 +147,17 @@ def _keyspace(call: ApiCall, stores: FleetAnswer) -> _Told:
         "keyspaces": [],
         "stores": [*call.fleet.names],
         "allow_writes": False,
-        "notes": catalog_routes.notes_of(call, stores.catalogs.values()),
     }
+
+
+def _notes(call: ApiCall, stores: FleetAnswer) -> _Told:
+    def unknown_robot(node: str) -> str:
+        reasons = stores.each(stores.catalogs, lambda c: c.keyspace.runs.unknown_robot(node))
+        return next(iter(reasons.values()), "") if all(reasons.values()) else ""
+
+    notes = note_routes.notes_of(call, unknown_robot, lambda: call.fleet.ends(stores))
+    # A store that does not answer may have them.
+    return {"notes": [] if stores.partial else notes}
 
 
 def _topics(call: ApiCall, stores: FleetAnswer) -> _Told:
@@ -388,6 +398,7 @@ def _describe(call: ApiCall) -> Json:
 
 _WORK: Mapping[str, _Work] = {
     "/api/keyspace": _keyspace,
+    "/api/notes": _notes,
     "/api/topics": _topics,
     "/api/runs": _runs,
     "/api/marks": _marks,

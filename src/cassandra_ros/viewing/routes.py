@@ -13,6 +13,7 @@ from cassandra_ros.viewing import (
     map_routes,
     mark_routes,
     near_routes,
+    note_routes,
     timeline_routes,
     window_routes,
 )
@@ -28,6 +29,7 @@ def _describe(call: ApiCall) -> Json:
 
 ROUTES: tuple[Route, ...] = (
     *catalog_routes.ROUTES,
+    *note_routes.ROUTES,
     *mark_routes.ROUTES,
     *event_routes.ROUTES,
     *timeline_routes.ROUTES,

@@ -13,6 +13,7 @@ from cassandra_ros.arguments import spellings
 from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.fleet.fleet_answer import FleetAnswer
 from cassandra_ros.fleet.fleet_topic import find_topic
+from cassandra_ros.overview.stored_ends import Ends, widest
 from cassandra_ros.overview.timeline.lanes import Picture, Timeline, View, window_of
 from cassandra_ros.overview.timeline.merged_pictures import merged_extent, merged_picture
 from cassandra_ros.query.plan.pushdown import Watch, unwatched
@@ -90,6 +91,12 @@ class ViewedFleet:
         extent = merged_extent(drawn(replace(view, cells=1, detail=False)))
         start, end = window_of(view, extent) or (None, None)
         return merged_picture(drawn(replace(view, start=start, end=end)), extent)
+
+    def ends(self, stores: FleetAnswer) -> Ends | None:
+        """Return the times of the first and the last message, ns; None = no message."""
+        names = {store: store for store in stores.catalogs}
+        ends = stores.each(names, lambda s: self._timeline(s, stores.catalogs[s]).ends())
+        return widest(ends.values())
 
     def _timeline(self, store: str, catalog: Catalog) -> Timeline:
         with self._mutex:

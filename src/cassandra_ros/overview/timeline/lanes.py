@@ -252,6 +252,10 @@ class Timeline:
         gone = threading.Event() if gone is None else gone
         return followed(list(tables.values()), lambda now: self._picture(now, view, gone))
 
+    def ends(self) -> Ends | None:
+        """Return the times of the first and the last message, ns; None = no message."""
+        return self._reader.extent(self._catalog.tables(None), EVERYBODY)
+
     def _picture(self, tables: Sequence[TopicTable], view: View, gone: threading.Event) -> Picture:
         named = [
             piece for table in tables if table.named for piece in named_pieces(table, view.whose)
