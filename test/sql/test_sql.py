@@ -19,16 +19,19 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from geometry_msgs.msg import TransformStamped
+from proxy import Proxy
 from sensor_msgs.msg import BatteryState, Imu
 from std_msgs.msg import String, UInt64
 from tf2_msgs.msg import TFMessage
 
+from cassandra_ros import RosCassandra
 from cassandra_ros.errors import (
     AnswerTooLarge,
     InvalidOption,
     InvalidQuery,
     MissingDependency,
     RunNotFound,
+    StoreUnavailable,
     TopicNotFound,
 )
 from cassandra_ros.keys import SECOND_NS
@@ -637,6 +640,12 @@ def test_times_are_exact_to_the_nanosecond_or_refused(rosCas):
         ("SELECT * FROM battery WHERE NODE = 'r11'", (), "of robot 'r11'; did you mean r1?"),
         ("SELECT count(*) FROM battery WHERE NODE IN ('q', ?)", ("r11",), "did you mean r1?"),
         ("SELECT * FROM battery WHERE RUN = 'nope'", (), "there is no run 'nope'"),
+        (
+            "SELECT (SELECT count(*) FROM battery WHERE RUN = $1)"
+            ' + (SELECT count(*) FROM "/imu/data" WHERE RUN = $1)',
+            ("nope",),
+            "there is no run 'nope'",
+        ),
         ("SELECT * FROM battery WHERE list_contains(EVENT, 'bum')", (), "event 'bum'"),
         ("SELECT * FROM tf('map', 'base_lnk')", (), "'base_lnk' is in no transform (did you mean"),
         ("SELECT * FROM tf('mpa', 'base_link')", (), "did you mean map?"),
@@ -647,8 +656,20 @@ def test_names_that_are_not_stored_are_told_with_similar_ones(
 ):
     result = robot.sql(statement, params)
     assert result.fetchall() in ([], [(0,)])
-    assert any(hint in each for each in result.hints), result.hints
-    assert all(each in caplog.text for each in result.hints)
+    assert len([each for each in result.hints if hint in each]) == 1, result.hints
+    logged = [record.getMessage() for record in caplog.records]
+    assert logged == [f"no message is found: {each}" for each in result.hints]
+
+
+@pytest.mark.suite("all", "it cuts a connection")
+@pytest.mark.fault
+def test_a_store_that_goes_away_while_names_are_looked_for_is_told_as_such(robot, cassandra):
+    with Proxy(cassandra.host, cassandra.port) as proxy:
+        with RosCassandra(proxy.host, proxy.port, keyspace=robot.keyspace) as store:
+            result = store.sql("SELECT * FROM battery WHERE RUN = 'nope'")
+            proxy.cut()
+            with pytest.raises(StoreUnavailable):
+                result.fetchall()
 
 
 def test_names_that_are_stored_are_not_told(robot):

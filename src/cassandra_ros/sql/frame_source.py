@@ -14,7 +14,6 @@ from cassandra_ros.places.poses import Poses
 from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.read import Whose
 from cassandra_ros.topics.catalog import Catalog
-from cassandra_ros.topics.unknown_names import warn_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -95,7 +94,7 @@ class FrameSource:
                     )
                 reasons.append(chain.unknown_frame())
             if all(reasons) and not self.hints:
-                self.hints += warn_of(reasons[:1])
+                self.hints += reasons[:1]
         except Exception as exc:
             self.error = exc
             raise

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import logging
 import re
 import weakref
 from concurrent import futures
@@ -25,7 +24,7 @@ from cassandra_ros.sql.event_names import EVENT
 from cassandra_ros.sql.frame_source import FrameSource
 from cassandra_ros.sql.listed_tables import LISTED, listed_source
 from cassandra_ros.sql.needed_columns import names_column, needed_columns
-from cassandra_ros.sql.pushed_conditions import EVERYTHING, PushedRead, pushed_reads
+from cassandra_ros.sql.pushed_conditions import EVERYTHING, pushed_reads
 from cassandra_ros.sql.python_values import python_rows
 from cassandra_ros.sql.sql_explanation import SqlExplanation, explain_source
 from cassandra_ros.sql.sql_statement import Params, SqlStatement, TableName
@@ -33,11 +32,10 @@ from cassandra_ros.sql.table_columns import TableColumns
 from cassandra_ros.sql.table_sources import ListSource, TopicSource
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.catalog import Catalog
+from cassandra_ros.topics.unknown_names import warn_of
 
 if TYPE_CHECKING:
     import pyarrow
-
-_log = logging.getLogger(__name__)
 
 Source = Union[TopicSource, ListSource, FrameSource]
 BATCH_ROWS = 4096
@@ -178,7 +176,7 @@ class SqlResult:
             yield run
         finally:
             sources = (s for s in run.sources.values() if not isinstance(s, ListSource))
-            self.hints = [hint for source in sources for hint in source.hints]
+            self.hints = warn_of(hint for source in sources for hint in source.hints)
             run.close()
 
     def _bound(self) -> _Run:
@@ -220,8 +218,6 @@ class _Run:
         self._stopped = self._closed = False
         self.sources: dict[str, Source] = {}
         self.relation: Any = None
-        self._told: set[str] = set()
-        """Reasons for which conditions find nothing, which were logged."""
 
     def bind(self, pushdown: bool) -> None:
         """Give DuckDB the tables that the statement names, and have it check the statement."""
@@ -299,18 +295,6 @@ class _Run:
         reads = pushed_reads(self._statement.tree, columns, value)
         for name, source in topics.items():
             source.pushed = reads.get(name, EVERYTHING)
-            self._tell_unknown(source.pushed)
-
-    def _tell_unknown(self, read: PushedRead) -> None:
-        """Warn of robots, runs and events in a condition that are not stored."""
-        runs, events = self._catalog.keyspace.runs, self._catalog.keyspace.events
-        reasons = [runs.unknown_robot(node) for node in read.nodes or ()]
-        reasons += [runs.unknown(run) for run in read.runs or ()]
-        reasons += [events.unknown(event, like=False) for event in read.events or ()]
-        for reason in filter(None, reasons):
-            if reason not in self._told:
-                self._told.add(reason)
-                _log.warning("%s", reason)
 
     def _look(self) -> None:
         if self._stopped:

@@ -22,7 +22,6 @@ from cassandra_ros.sql.pushed_conditions import EVERYTHING, PushedRead
 from cassandra_ros.topics.cassandra_topic import CassandraTopic
 from cassandra_ros.topics.event_times import EventTimes
 from cassandra_ros.topics.keyspace import Keyspace
-from cassandra_ros.topics.unknown_names import warn_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -105,11 +104,15 @@ class TopicSource:
 
     def batches(self) -> Iterator[pyarrow.RecordBatch]:
         """Yield what is read, as record batches."""
-        read = self.read()
-        if read is not None:
-            yield from self._batches(read)
-        if not self.messages and not self.hints:
-            self.hints += warn_of(self._unknown_names())
+        try:
+            read = self.read()
+            if read is not None:
+                yield from self._batches(read)
+            if not self.messages and not self.hints:
+                self.hints += filter(None, self._unknown_names())
+        except Exception as exc:
+            self.error = exc
+            raise
 
     def _unknown_names(self) -> Iterator[str]:
         """Yield for each name that bounds what is read whether it is unknown; '' = it is not."""
@@ -129,13 +132,9 @@ class TopicSource:
         if self.pushed.condition is not None:
             chooser = ConditionChooser(self.pushed.condition, self.pushed.floats, self._watch)
             self.choosers.append(chooser.pushdown)
-        try:
-            for batch in self._read_events(read, chooser):
-                self.messages += batch.num_rows
-                yield batch
-        except Exception as exc:
-            self.error = exc
-            raise
+        for batch in self._read_events(read, chooser):
+            self.messages += batch.num_rows
+            yield batch
 
     def _read_events(
         self, read: Read, chooser: ConditionChooser | None
