@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import random
 import struct
+import time
 
 import pyarrow as pa
 import pytest
 from geometry_msgs.msg import TransformStamped
+from nodes.children import await_true
 from std_msgs.msg import Header, String
 from suites import FEW_FORMATS, sparing
 from tf2_msgs.msg import TFMessage
@@ -203,3 +205,23 @@ def test_fields_that_differ_by_case_stay_apart_in_all_definitions(rosCas, fmt):
     assert set(columns) == {7, "a", "b", 0.5}
     assert columns["a"] == columns["b"]
     assert len(set(columns.values())) == 3
+
+
+def test_the_definition_that_was_stored_first_keeps_its_columns(rosCas):
+    topics = [f"/x{n}" for n in range(6)]
+
+    def store(field, key):
+        definition = parse_definition("t/A", f"int32 {field}\n", None)
+        with rosCas.messageWriter(format="binary") as writer:
+            for topic in topics:
+                handle = writer.connect(api_connection(topic, definition, "/n"))
+                writer.write(handle, key, key, struct.pack("<i", key))
+
+    store("value", 1)
+    first_sec = int(time.time())
+    await_true(lambda: int(time.time()) > first_sec)  # the dates of tables are in seconds
+    store("Value", 2)
+    for topic in topics:
+        table = rosCas.getTopic(topic).toArrow().read_all().sort_by("KEY")
+        assert table["value"].to_pylist() == [1, None], topic
+        assert table["Value_1"].to_pylist() == [None, 2], topic

@@ -10,7 +10,7 @@
 
 Names of columns are unique without regard to case, because SQL does not distinguish it: of fields
 ``Data`` and ``data`` the second has column ``data_1``. A field has the same column in all
-definitions of a topic.
+definitions of a topic; the definition that was stored first keeps its names.
 """
 
 from __future__ import annotations

@@ -282,12 +282,14 @@ class TopicTables:
             return make()
 
     def of_topic(self, topic: str, *, fresh: bool = False) -> WholeTopic:
-        """Return the tables of a topic: one for each kind and format."""
+        """Return the tables of a topic, the oldest first: one for each kind and format."""
         return self._whole(topic, self._schema.listing(fresh=fresh))
 
     def _whole(self, topic: str, listing: Listing, others: Iterable[str] = ()) -> WholeTopic:
         names = dict.fromkeys([*listing.by_topic.get(topic, ()), *others])
         tables = [self.get(name, listing.visible[name]) for name in names]
+        # Names of columns depend on the order: a later definition must not change them.
+        tables.sort(key=lambda table: (table.metadata.date, table.name))
         return WholeTopic(tables, listing, partial(self._renewed, topic))
 
     def _renewed(self, topic: str, was: WholeTopic, fresh: bool) -> WholeTopic:
