@@ -117,7 +117,7 @@ class TopicExists(CassandraRosError):
 
 
 class MessageNotFound(CassandraRosError, KeyError):
-    """There is no message with this key."""
+    """There is no message with this key, or in this time range."""
 
 
 class RunNotFound(CassandraRosError, KeyError):

@@ -18,7 +18,7 @@ from cassandra_ros.bag.comparison import Comparison, Entry, VerifyReport, verify
 from cassandra_ros.bag.exporter import export_bag
 from cassandra_ros.bag.importer import import_bag
 from cassandra_ros.bag.message_file import read_in_order
-from cassandra_ros.errors import BagError
+from cassandra_ros.errors import BagError, MessageNotFound
 from cassandra_ros.messages.classes import serialize
 from cassandra_ros.messages.definition import definition_of
 from cassandra_ros.messages.stamps import Stamp, iso_time
@@ -273,6 +273,30 @@ def test_what_an_import_leaves_out_is_missing(rosCas, tmp_path):
     assert " messages of /b are not stored: its messages are encoded as 'json'" in report.first[0]
     assert report.extras == {"attachments": 1}
     assert verify_bag(rosCas, path, topics=["/a"]).equal
+    # The times of what is left out are not known.
+    report = verify_bag(rosCas, path, start=Stamp.from_ns(START), end=Stamp.from_ns(START + 1))
+    assert (report.equal, report.equal_messages) == (True, 2)
+    (kind,) = report.extras.keys() - {"attachments"}
+    assert "messages of /b in the whole file" in kind and report.extras[kind] == 3
+
+
+def test_messages_outside_of_the_time_range_are_not_missing(rosCas, tmp_path):
+    """Of a topic that is not stored; and a range without any message is not equal."""
+    other = [("/b", t_ns, text) for _, t_ns, text in MESSAGES[15:30]]
+    path = write(tmp_path / "a.bag", sorted([*MESSAGES, *other], key=lambda each: each[1]))
+    import_bag(rosCas, path, topics=["/a"])
+
+    def compared(first, last):
+        bounds = [Stamp.from_ns(START + n * 1000) for n in (first, last)]
+        return verify_bag(rosCas, path, start=bounds[0], end=bounds[1])
+
+    report = compared(10, 19)
+    assert (report.differences, report.missing, report.equal_messages) == (5, 5, 10)
+    assert report.first == ["/b is not stored: its 5 messages are missing"]
+    report = compared(0, 9)
+    assert (report.equal, report.equal_messages) == (True, 10)
+    with pytest.raises(MessageNotFound, match=f"the file has messages from {iso_time(START)} to"):
+        compared(100, 200)
 
 
 def test_only_a_time_range_is_compared(rosCas, original, tmp_path):

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from itertools import groupby, islice
 from typing import AbstractSet, Iterable, Iterator, Mapping, NamedTuple
@@ -22,7 +22,7 @@ from cassandra_ros.bag.message_file import (
 )
 from cassandra_ros.bag.publish_times import count_other_publish_times
 from cassandra_ros.client.ros_cassandra import RosCassandra
-from cassandra_ros.errors import CorruptMessage, InvalidKey
+from cassandra_ros.errors import CorruptMessage, InvalidKey, MessageNotFound
 from cassandra_ros.keys import split_seq
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.messages.stamps import Time, iso_time, to_ns
@@ -69,7 +69,8 @@ class VerifyReport:
     """The robots of the compared messages, '' = one without name, if there are several and the file
     does not tell which message is whose; see verify_bag."""
     extras: dict[str, int] = field(default_factory=dict)
-    """Kind of records that are never stored → their number in the file, see MessageFile."""
+    """Kind of records that are never stored → their number in the file, see MessageFile. With a
+    time range also the messages that cannot be stored, whose times are not known, by topic."""
     first: list[str] = field(default_factory=list)
     """The first differences, one line each; at most SHOWN."""
 
@@ -129,6 +130,7 @@ def verify_bag(
         TopicNotFound: The bag has no such topic.
         RunNotFound: The store has no such run.
         InvalidKey: The bag was imported for several robots, and nodeID does not choose one.
+        MessageNotFound: Neither bag nor store has a message between start and end.
     """
     with open_file(path, salvage, large_chunks) as reader:
         numbers = connections_of_topics(reader, topics)
@@ -146,21 +148,26 @@ def verify_bag(
                 f" for node {own_import.node}" if own_import.node else ""
             )
         report = VerifyReport(reader.path, scope, extras=dict(reader.extras))
+        times = limits = catalog.time_range(stored, start, end)
         for topic in sorted(topics_of(reader, topics) & reader.left_out.keys()):
             count, why = reader.left_out[topic]
+            if times != TimeRange():  # the times of these messages are not known
+                report.extras[f"messages of {topic} in the whole file ({why})"] = count
+                continue
             report.add(f"{count} messages of {topic} are not stored: {why}", count)
             report.missing += count
         if own_import is None:
-            numbers -= _leave_out(reader, numbers, report)
+            numbers -= _leave_out(reader, numbers, report, times)
             chosen = {n: chosen[n] for n in numbers}
+        counts = _counts(reader, {n for n in chosen if chosen[n] not in stored}, times)
         for topic in sorted(set(chosen.values()) - stored):
             gone = {n for n in chosen if chosen[n] == topic}
-            count = sum(reader.counts[n] for n in gone)
-            report.add(f"{topic} is not stored: its {count} messages are missing", count)
+            count = sum(counts[n] for n in gone)
+            if count:
+                report.add(f"{topic} is not stored: its {count} messages are missing", count)
             report.missing += count
             numbers -= gone
         ranks = _Ranks(reader.connections.values(), positions=own_import is not None)
-        times = catalog.time_range(stored, start, end)
         origin = Whose.of(nodeID, writers)
         if own_import is not None:
             origin = Whose.of(own_import.node, frozenset([own_import.writer]))
@@ -176,6 +183,12 @@ def verify_bag(
             late = count_other_publish_times(catalog.keyspace.side_tables, reader, own_import)
         if late:
             report.add(f"publish_time or sequence of {late} messages are stored otherwise", late)
+        if limits != TimeRange() and report.equal and not report.equal_messages:
+            first, last = iso_time(reader.start_ns), iso_time(reader.end_ns)
+            raise MessageNotFound(
+                f"nothing was compared: {reader.path} and the store have no message between start "
+                f"and end; the file has messages from {first} to {last}"
+            )
     return report
 
 
@@ -227,7 +240,7 @@ def verify_content(
         report = VerifyReport(reader.path, "all stored messages on its topics, by content")
         early = start is not None and to_ns(start) <= reader.start_ns
         if early or event is not None:
-            numbers -= _leave_out(reader, numbers, report)
+            numbers -= _leave_out(reader, numbers, report, TimeRange())
         ranks = _Ranks((), positions=False)
         wanted = {reader.connections[n].topic for n in numbers}
         stored = _stored_topics(catalog, {renamed.get(topic, topic) for topic in wanted})
@@ -242,11 +255,23 @@ def verify_content(
     return report
 
 
-def _leave_out(reader: MessageFile, numbers: AbstractSet[int], report: VerifyReport) -> set[int]:
+def _leave_out(
+    reader: MessageFile, numbers: AbstractSet[int], report: VerifyReport, times: TimeRange
+) -> set[int]:
     """Return the connections that hold messages latched before an export, and count these."""
     early = {n for n in numbers if reader.connections[n].from_before}
-    report.left_out = sum(reader.counts[n] for n in early)
+    counts = _counts(reader, early, times)
+    report.left_out = sum(counts[n] for n in early)
     return early
+
+
+def _counts(reader: MessageFile, numbers: AbstractSet[int], times: TimeRange) -> Counter[int]:
+    """Return the number of messages in a time range of some connections, by connection number."""
+    if times == TimeRange() or not numbers:
+        return reader.counts
+    chunks = range(reader.chunk_count)
+    messages = (each for chunk in chunks for each in reader.chunk_messages(chunk, numbers))
+    return Counter(each.number for each in messages if times.low <= each.t_ns <= times.high)
 
 
 def _stored_topics(catalog: Catalog, names: Iterable[str]) -> AbstractSet[str]:

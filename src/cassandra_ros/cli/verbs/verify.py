@@ -10,8 +10,8 @@ names the robot of each message, so they are told apart; of other files the mess
 are compared together, and a line says so.
 
 With --start and --end only messages of that time range are compared: so a time range that was
-exported is equal to its file. Times are seconds (1368021980.25), ISO 8601 or nanoseconds (13 digits
-or more).
+exported is equal to its file. A range without any message in both is an error. Times are seconds
+(1368021980.25), ISO 8601 or nanoseconds (13 digits or more).
 
 With --content only type, md5sum, bytes and order of each topic's messages are compared. Use it for
 a recording of a bag that was played: its times and connections differ from the bag. --start and
@@ -201,7 +201,8 @@ def _print_left_out(report: VerifyReport) -> None:
             "tell it; --node-id compares those of one"
         )
     for kind, count in report.extras.items():
-        print(f"not stored: {kind} of the file, {count}; the store holds messages only")
+        what = f"{shown(kind, None)} of the file, {count}"
+        print(f"not stored: {what}; the store holds messages only")
 
 
 def _print_differences(report: VerifyReport) -> None:
