@@ -281,7 +281,7 @@ def test_what_an_import_leaves_out_is_missing(rosCas, tmp_path):
 
 
 def test_messages_outside_of_the_time_range_are_not_missing(rosCas, tmp_path):
-    """Of a topic that is not stored; and a range without any message is not equal."""
+    """A topic that is not stored has some; and a range without any message is not equal."""
     other = [("/b", t_ns, text) for _, t_ns, text in MESSAGES[15:30]]
     path = write(tmp_path / "a.bag", sorted([*MESSAGES, *other], key=lambda each: each[1]))
     import_bag(rosCas, path, topics=["/a"])

@@ -186,7 +186,7 @@ def _of_kind(
 ) -> Sequence[TopicTable]:
     """Return the tables there for the messages of a table.
 
-    They have its kind. If there are none, the definition may be unusable at one side only: then
+    They have its kind. Otherwise the definition may be unusable at one side only: then
     they are those of its md5, without the counterparts of other tables of the topic here.
     """
     alike = [table for table in tables if table.kind == source.kind]
