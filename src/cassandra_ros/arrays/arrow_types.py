@@ -124,8 +124,9 @@ class ColumnNames:
         """Return the name in Arrow of a field of the message at a path."""
         names = self._names.setdefault(prefix, {})
         if field not in names:
-            own = () if prefix else OWN_COLUMNS
-            names[field] = _free_name(field, {each.lower() for each in (*own, *names.values())})
+            reserved = () if prefix else OWN_COLUMNS
+            taken = {name.lower() for name in (*reserved, *names.values())}
+            names[field] = _free_name(field, taken)
         return names[field]
 
 

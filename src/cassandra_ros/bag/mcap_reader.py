@@ -316,12 +316,12 @@ class McapReader(MessageFile):
         if size > mcap_events.MAX_BYTES or full:
             return False
         try:
-            found = mcapformat.parse(Metadata, self._bytes(record), self.path)
+            metadata = mcapformat.parse(Metadata, self._bytes(record), self.path)
         except BagError:
             return False  # it is counted with the records that are not stored
-        if found.name != mcap_events.NAME:
+        if metadata.name != mcap_events.NAME:
             return False
-        self.events.append(found.metadata)
+        self.events.append(metadata.metadata)
         return True
 
     def _take(self, head: ChunkHead, place: Record, position: int) -> None:

@@ -206,7 +206,7 @@ class StoreWait:
     meanwhile: str = ""
     """What happens meanwhile, as a clause: ', messages wait in memory'."""
     given_up: threading.Event = field(default_factory=threading.Event)
-    """Set when nobody wants the store any more."""
+    """Set when the program does not need the store any more."""
 
 
 def open_store(
@@ -333,7 +333,7 @@ def _connect(options: argparse.Namespace, wait: StoreWait) -> RosCassandra:
             )
         except ConnectionFailed as exc:
             failure = _explained(exc, options)
-            # A server that refuses will do so again; without a limit somebody may mend it.
+            # A server that refuses once refuses again; without a limit the user may correct it.
             over = time.monotonic() >= ends or wait.given_up.is_set()
             if over or (exc.refused and not unlimited):
                 raise failure from exc

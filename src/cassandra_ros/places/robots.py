@@ -206,7 +206,7 @@ class RobotFinder:
         frames_of_runs = [self._of_runs(each, named) for each in asked]
         robots = [robot for robot in frames_of_runs if robot is not None]
         if not robots and all_nodes:
-            raise InvalidOption(self._nobody(nodes, all_nodes) or self._nothing(asked))
+            raise InvalidOption(self._unknown_robots(nodes, all_nodes) or self._no_pose(asked))
         if not robots:
             raise InvalidOption(
                 "where robots were is not stored: neither tf nor a topic of poses, as "
@@ -298,14 +298,14 @@ class RobotFinder:
         self._told.setdefault(topic.name, []).append(frame or _NO_FRAME_NAME)
         return frame
 
-    def _nobody(self, asked: Sequence[str] | None, stored: set[str]) -> str:
+    def _unknown_robots(self, asked: Sequence[str] | None, stored: set[str]) -> str:
         """Say that none of the asked nodes has poses, with similar ones; '' = one has."""
         if asked is None or stored.intersection(asked):
             return ""
         similar = "".join(nearest(node, sorted(stored)) for node in asked)
         return f"no pose of robot {' or '.join(map(repr, asked))} is stored{similar}"
 
-    def _nothing(self, nodes: Sequence[str]) -> str:
+    def _no_pose(self, nodes: Sequence[str]) -> str:
         all_frames: set[str] = set()
         for node in nodes:
             seen = self._find_frames(node)

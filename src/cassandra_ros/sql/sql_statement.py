@@ -174,7 +174,7 @@ class SqlStatement:
                 raise InvalidQuery(self.text, max(0, self.text.find(text)), reason)
 
     def _text(self, node: Any) -> str:
-        """Return the text of a literal or of a parameter; '' = it is none."""
+        """Return the text of a literal or of a parameter; '' = it is another expression."""
         if isinstance(node, self._glot.exp.Literal):
             return str(node.this) if node.is_string else ""
         name = node.name

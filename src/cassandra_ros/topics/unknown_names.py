@@ -69,7 +69,7 @@ def _unknown_names(
     events = _distinct([table.events for table in tables])
     for leaf in leaves(condition) if tables else ():
         if isinstance(leaf, Near):
-            yield from filter(None, [_nobody_near(leaf, read)])
+            yield from filter(None, [_no_robot_near(leaf, read)])
         elif isinstance(leaf, InEvent):
             name = str(leaf.name.value)
             yield from _of_all([source.unknown(name, leaf.like) for source in events])
@@ -98,7 +98,7 @@ def _of_all(reasons: Sequence[str]) -> Sequence[str]:
     return reasons[:1] if all(reasons) else ()
 
 
-def _nobody_near(near: Near, read: Read) -> str:
+def _no_robot_near(near: Near, read: Read) -> str:
     """Say that no robot was on the disk of NEAR in the time of a read; '' = one was."""
     low, high = read.time_range
     if near.stays is None or near.stays in _told:

@@ -210,8 +210,8 @@ def _await_writers(space: Keyspace, topic: str, tables: Sequence[TopicTable]) ->
 def _forget_left(space: Keyspace, topic: str) -> None:
     """Delete what killed conversions left, and the entries of replaced tables.
 
-    What clients stored in a replaced table after the switch is taken along before, when nobody
-    writes into the new one: a writer there may be the one whose rows come.
+    Before that, what clients stored in a replaced table after the switch is copied. No client
+    may write into the new table meanwhile: it may be the one whose rows are copied.
     """
     every = space.schema.listing(fresh=True).every
     late: list[tuple[TopicTable, list[TopicTable]]] = []
