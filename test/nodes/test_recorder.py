@@ -438,6 +438,23 @@ def test_no_name_of_a_living_node_is_taken(roscore, recorder, rosCas):
 
 
 @pytest.mark.suite("all", "it starts many programs")
+def test_a_second_node_of_a_name_has_the_parameters_that_roslaunch_wrote_there(
+    roscore, recorder, rosCas
+):
+    first = recorder("/x")
+    master = xmlrpc.client.ServerProxy(roscore.uri)
+    master.setParam("/test", "/recorder/topics", "/y")
+    second = recorder("__name:=recorder")
+    master.deleteParam("/test", "/recorder/topics")
+    assert "a node /recorder runs already; this one is /recorder_" in second.output
+    with publisher(roscore, "/x", name="/px") as x, publisher(roscore, "/y", name="/py") as y:
+        for one in (x, y):
+            one.await_subscribers().publish(text(1))
+        await_stored(rosCas, x=1, y=1)
+    assert (first.end(), second.end()) == (0, 0)
+
+
+@pytest.mark.suite("all", "it starts many programs")
 def test_recorders_that_start_at_the_same_moment_have_two_names(roscore, recorder, rosCas):
     """The run, too: it is told that a second run has its name, and how to name one of them."""
     both = [recorder("/x", "--name", "lab", ready="") for _ in range(2)]

@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from suites import sparing
 
 from cassandra_ros import RosCassandra
-from cassandra_ros.errors import WriteFailed
+from cassandra_ros.errors import SpoolError, WriteFailed
 from cassandra_ros.recording.backlog import SpoolPlan
 from cassandra_ros.recording.left_runs import lines_of
 from cassandra_ros.recording.message_buffer import LONGEST_BUCKET_NS
@@ -501,6 +501,17 @@ def test_files_whose_messages_are_stored_are_not_missing(rosCas, journal):
     (done,) = drain(rosCas, journal)
     assert (done.complete, done.lost) == (True, {})
     assert {each.kind for each in rosCas.losses()} == {LossKind.KILLED}
+
+
+def test_a_run_whose_notes_cannot_be_read_is_not_drained(rosCas, journal):
+    """Nobody knows then which of the missing files were stored."""
+    (run_folder,) = journal.runs()
+    (run_folder / "settled").mkdir()
+    with pytest.raises(SpoolError, match="settled: Is a directory.*make it readable"):
+        drain(rosCas, journal)
+    assert len(list(run_folder.glob("*.mcap"))) > 3
+    (run_folder / "settled").rmdir()
+    assert [done.complete for done in drain(rosCas, journal)] == [True]
 
 
 @pytest.mark.parametrize("newest", [False, pytest.param(True, marks=IN_EVERY_RUN)])

@@ -4,14 +4,12 @@
 
 from __future__ import annotations
 
-import logging
 from typing import Any, Callable, Sequence
 
 import rospy
 
-from cassandra_ros.nodes.ros_node import REMAP, bound_master_calls, forward_logging, own_name
+from cassandra_ros.nodes.ros_node import start_named_node
 
-_log = logging.getLogger(__name__)
 _NAME = "map_publisher"
 
 
@@ -24,14 +22,7 @@ def publish_map(message: Any, topic: str, argv: Sequence[str], say: Callable[[st
         argv: The command line, with remappings.
         say: Prints a line for the user.
     """
-    with own_name(_NAME, argv) as (name, full_name, taken):
-        # With a name on the command line rospy would not choose an anonymous one.
-        words = [word for word in argv if not (taken and word.startswith(REMAP))]
-        rospy.init_node(name, argv=words, anonymous=taken, disable_rostime=True)
-    forward_logging()
-    bound_master_calls()
-    if taken:
-        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
+    start_named_node(_NAME, argv, signals=True)
     publisher = rospy.Publisher(topic, type(message), latch=True, queue_size=1)
     publisher.publish(message)
     say(f"the map is latched on {publisher.resolved_name} until Ctrl-C")

@@ -19,13 +19,7 @@ from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
 from cassandra_ros.nodes.player import Player, PlayerState
-from cassandra_ros.nodes.ros_node import (
-    REMAP,
-    bound_master_calls,
-    forward_logging,
-    log_as_rosout,
-    own_name,
-)
+from cassandra_ros.nodes.ros_node import start_named_node
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.srv import (
@@ -80,7 +74,8 @@ def play(
     """
     player = Player(store, selection, options)  # raises errors before the node is started
     sys.setswitchinterval(SWITCH_SEC)
-    _start_node(argv)
+    # Wall time, also if /use_sim_time is set: it may itself publish /clock.
+    start_named_node("player", argv, rosout=False)
     hurry = store.hurry if isinstance(store, Fleet) else store.cassandra.outage.hurry
     signals: list[int] = []
 
@@ -112,29 +107,6 @@ def play(
     finally:
         player.stop(abandon=True)
         rospy.signal_shutdown("the replay has ended")
-
-
-def _start_node(argv: Sequence[str]) -> None:
-    """Start the node /player, or an anonymous one if that name is taken.
-
-    It uses wall time, also if /use_sim_time is set: it may itself publish /clock.
-    """
-    with own_name("player", argv) as (name, full_name, taken):
-        # With a name on the command line rospy would not choose an anonymous one.
-        words = [word for word in argv if not (taken and word.startswith(REMAP))]
-        rospy.init_node(
-            name,
-            argv=words,
-            anonymous=taken,
-            disable_signals=True,
-            disable_rostime=True,
-            disable_rosout=True,
-        )
-    log_as_rosout()
-    forward_logging()
-    bound_master_calls()
-    if taken:
-        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
 
 
 def _say_what(player: Player, say: Say) -> None:

@@ -17,13 +17,7 @@ from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.nodes.diagnostics import Diagnostics, KeyspaceAddress
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
 from cassandra_ros.nodes.recorder_services import serve
-from cassandra_ros.nodes.ros_node import (
-    REMAP,
-    bound_master_calls,
-    follow_clock,
-    forward_logging,
-    own_name,
-)
+from cassandra_ros.nodes.ros_node import follow_clock, start_named_node
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.recording_status import Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
@@ -38,19 +32,9 @@ Show = Callable[[RecordingStatus, Rates], None]
 
 def start_node(argv: Sequence[str]) -> Mapping[str, object]:
     """Start the node /recorder, or an anonymous one if the name is taken; return its parameters."""
-    with own_name("recorder", argv) as (name, full_name, taken):
-        # With a name on the command line rospy would not choose an anonymous one.
-        words = [word for word in argv if not (taken and word.startswith(REMAP))]
-        rospy.init_node(
-            name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True
-        )
-    forward_logging()
-    bound_master_calls()
+    given = start_named_node("recorder", argv)
     follow_clock()
-    if taken:
-        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
-    given = rospy.get_param("~", {})
-    return given if isinstance(given, dict) else {}
+    return given
 
 
 def record(

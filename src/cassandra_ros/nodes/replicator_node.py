@@ -25,7 +25,7 @@ from cassandra_ros.copying.follower import (
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.msg import CopiedTopic
 from cassandra_ros.nodes.quota_entry import quota_entry
-from cassandra_ros.nodes.ros_node import REMAP, bound_master_calls, forward_logging, own_name
+from cassandra_ros.nodes.ros_node import start_named_node
 from cassandra_ros.srv import (
     ReplicatorStatus,
     ReplicatorStatusRequest,
@@ -58,17 +58,7 @@ def start_node(argv: Sequence[str]) -> list[str]:
     Raises:
         InvalidOption: There is no such parameter.
     """
-    with own_name("replicator", argv) as (name, full_name, taken):
-        words = [word for word in argv if not (taken and word.startswith(REMAP))]
-        rospy.init_node(
-            name, argv=words, anonymous=taken, disable_signals=True, disable_rostime=True
-        )
-    forward_logging()
-    bound_master_calls()
-    if taken:
-        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
-    given = rospy.get_param("~", {})
-    found = given if isinstance(given, dict) else {}
+    found = start_named_node("replicator", argv)
     unknown = sorted(set(found).difference(PARAMETERS))
     if unknown:
         raise InvalidOption(

@@ -14,6 +14,7 @@ import socket
 import struct
 import time
 import xmlrpc.client
+from collections import ChainMap
 from http.client import HTTPException
 from typing import Iterator, Mapping, Sequence
 from urllib.parse import urlparse
@@ -26,12 +27,14 @@ from cassandra_ros.messages.ros_master import MasterTransport
 from cassandra_ros.nodes.subscription import subscribe
 from cassandra_ros.printable import shown_lines
 
+_log = logging.getLogger(__name__)
+
 _OURS = "cassandra_ros"
 _ROSPY = "rosout"
 """Name of the logger that rospy.logwarn and similar functions use."""
 _LOG = "/rosout"
 _STAMP = struct.Struct("<II")
-REMAP = "__name:="
+_NAME = "__name:="
 """Start of the command line word that sets the name of a node."""
 _TIMEOUT_SEC = 2.0
 """Maximum time to connect to another node, s."""
@@ -55,11 +58,48 @@ def own_name(default: str, argv: Sequence[str]) -> Iterator[tuple[str, str, bool
         default: Name if the command line has no ``__name:=x``.
         argv: The command line.
     """
-    given = [word[len(REMAP) :] for word in argv if word.startswith(REMAP)]
+    given = [word[len(_NAME) :] for word in argv if word.startswith(_NAME)]
     name = given[-1] if given else default
     full_name = str(rospy.get_namespace()) + name
     with _alone(full_name):
         yield name, full_name, _is_taken(full_name)
+
+
+def start_named_node(
+    default: str, argv: Sequence[str], *, signals: bool = False, rosout: bool = True
+) -> Mapping[str, object]:
+    """Start a node, or an anonymous one if a node of its name is running; return its parameters.
+
+    rospy's time is that of the machine, also if /use_sim_time is set, see ``follow_clock``. An
+    anonymous node also has the parameters of the name that the command line gives it: roslaunch has
+    written them there.
+
+    Args:
+        default: Name if the command line has no ``__name:=x``.
+        argv: The command line.
+        signals: Whether rospy handles SIGINT and SIGTERM.
+        rosout: Whether the log goes to the topic that /rosout is remapped to; False = to /rosout.
+    """
+    with own_name(default, argv) as (name, full_name, taken):
+        # With a name on the command line rospy would not choose an anonymous one.
+        words = [word for word in argv if not (taken and word.startswith(_NAME))]
+        rospy.init_node(
+            name,
+            argv=words,
+            anonymous=taken,
+            disable_signals=not signals,
+            disable_rostime=True,
+            disable_rosout=not rosout,
+        )
+    if not rosout:
+        log_as_rosout()
+    forward_logging()
+    bound_master_calls()
+    if taken:
+        _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
+    places = [full_name, "~"] if len(words) < len(argv) else ["~"]
+    given = [rospy.get_param(place, {}) for place in places]
+    return dict(ChainMap(*(each for each in reversed(given) if isinstance(each, dict))))
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ import logging
 import math
 import os
 import threading
+from bisect import bisect_right
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -431,19 +432,24 @@ class _NumberRanges:
     """A set of numbers that come nearly in order."""
 
     def __init__(self) -> None:
-        self._ranges: list[list[int]] = []
-        """First and last number of each range."""
+        self._firsts: list[int] = []
+        """First number of each range, in order."""
+        self._lasts: list[int] = []
+        """Last number of each range."""
 
     def add(self, number: int) -> None:
         """Add a number."""
-        if self._ranges and self._ranges[-1][1] + 1 == number:
-            self._ranges[-1][1] = number
+        place = bisect_right(self._firsts, number)
+        if place and self._lasts[place - 1] + 1 >= number:
+            self._lasts[place - 1] = max(self._lasts[place - 1], number)
         else:
-            self._ranges.append([number, number])
+            self._firsts.insert(place, number)
+            self._lasts.insert(place, number)
 
     def has(self, number: int) -> bool:
         """Return whether a number was added."""
-        return any(first <= number <= last for first, last in self._ranges)
+        place = bisect_right(self._firsts, number)
+        return place > 0 and number <= self._lasts[place - 1]
 
 
 class _StoredBlocks:

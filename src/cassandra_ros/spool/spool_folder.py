@@ -77,8 +77,10 @@ class RunFolder:
             totals: The messages of the run up to its end.
         """
         self.note_settled(path, totals)
-        with suppress(OSError):
-            path.unlink()
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as exc:
+            _log.warning("%s stays, all its messages are stored: delete it (%s)", path, exc)
         if self._unnoted:  # the disk was full: now it has room
             self._write_notes()
 
@@ -98,11 +100,20 @@ class RunFolder:
             self._unnoted.clear()
 
     def settled(self) -> dict[int, Totals]:
-        """Return the numbers of the files that were settled, and the totals at their ends."""
+        """Return the numbers of the files that were settled, and the totals at their ends.
+
+        Raises:
+            SpoolError: It cannot be read which they are.
+        """
+        path = self.path / _SETTLED
         try:
-            lines = (self.path / _SETTLED).read_bytes().splitlines()
-        except OSError:
+            lines = path.read_bytes().splitlines()
+        except FileNotFoundError:
             return {}
+        except OSError as exc:
+            raise SpoolError(
+                f"{path}: {exc.strerror}; it says which files are stored: make it readable"
+            ) from exc
         settled: dict[int, Totals] = {}
         for line in lines:
             crc, _, text = line.partition(b" ")
