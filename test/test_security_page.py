@@ -15,7 +15,13 @@ from cassandra_ros.query.rows import answer_bound
 from cassandra_ros.query.tree import parse
 from cassandra_ros.recording import place_keeper, recording, topic_settings
 from cassandra_ros.spool import spool_folder
-from cassandra_ros.sql import duck_database, sql_statement
+from cassandra_ros.sql import (
+    duck_database,
+    process_frames,
+    sql_statement,
+    statement_process,
+    statement_processes,
+)
 from cassandra_ros.viewing import viewer_settings
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -39,8 +45,12 @@ FIGURES = [
     mib(parse.MAX_STATEMENT),
     f"{sql_statement.MAX_TEXT >> 10} KiB",
     duck_database.MEMORY,
-    duck_database.SPILL,
-    f"{query_node.SQL_SEC:g} s",
+    f"{statement_process.MORE_BYTES >> 30} GiB",
+    f"{statement_process.SPILL_BYTES // 10**9} GB",
+    f"{statement_process.KEPT_BYTES // 10**9} GB",
+    f"{statement_processes.MOST_SEC:g} s",
+    str(statement_processes.AT_ONCE),
+    mib(process_frames.MAX_BYTES),
     mib(definition.MAX_TEXT),
     str(definition.MAX_TYPES),
     str(shape.MAX_DEPTH),

@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import contextlib
-import sys
 import threading
+from pathlib import Path
 from urllib.parse import urlencode
 
 import pytest
@@ -14,8 +14,7 @@ from geometry_msgs.msg import Twist, Vector3
 from std_msgs.msg import Float64
 from viewers import running_viewer
 
-from cassandra_ros.sql.sql_result import SqlResult
-from cassandra_ros.viewing.sql_answers import AT_ONCE
+from cassandra_ros.sql.statement_processes import AT_ONCE, SqlAnswer
 
 pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
 
@@ -115,12 +114,14 @@ def test_the_plan_says_what_was_read(viewer):
     assert "columns:  KEY, data" in text and "messages: 1 read" in text
 
 
-def test_a_missing_duckdb_is_told(viewer, monkeypatch):
-    monkeypatch.setitem(sys.modules, "duckdb", None)
-    status, problem = viewer.fail("/api/query", q="SELECT 1", language="sql")
-    assert status >= 400 and "requirements-tables.txt" in problem["text"]
-    # Completion needs none of it.
-    assert offered(viewer, "SELECT data FROM vo") == ["volt"]
+def test_a_missing_duckdb_is_told(viewer, monkeypatch, tmp_path):
+    (tmp_path / "duckdb.py").write_text("raise ImportError('not here')", encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with running_viewer(viewer.store) as other:
+        status, problem = other.fail("/api/query", q="SELECT 1", language="sql")
+        assert status >= 400 and "requirements-tables.txt" in problem["text"]
+        # Completion needs none of it.
+        assert offered(other, "SELECT data FROM vo") == ["volt"]
 
 
 def offered(viewer, text, at=None):
@@ -143,13 +144,13 @@ def test_tables_and_columns_are_completed(viewer):
 @pytest.fixture
 def begun(monkeypatch):
     """Set when a statement begins."""
-    begins, batches = threading.Event(), SqlResult.batches
+    begins, batches = threading.Event(), SqlAnswer.batches
 
-    def noted(result):
+    def noted(answer):
         begins.set()
-        yield from batches(result)
+        yield from batches(answer)
 
-    monkeypatch.setattr(SqlResult, "batches", noted)
+    monkeypatch.setattr(SqlAnswer, "batches", noted)
     return begins
 
 
@@ -173,10 +174,21 @@ def test_a_client_that_leaves_ends_its_statement(viewer, begun):
 
 
 def test_the_viewer_ends_while_statements_run(viewer, begun):
-    before = set(threading.enumerate())
+    before = sql_processes()
     with contextlib.ExitStack() as clients:
         with running_viewer(viewer.store) as other:
             for _ in range(AT_ONCE):
                 clients.enter_context(asking_without_end(other, begun))
-    begun_here = set(threading.enumerate()) - before
-    assert not [thread for thread in begun_here if thread.name.startswith("sql")]
+            assert len(sql_processes() - before) == AT_ONCE
+    assert sql_processes() <= before
+
+
+def sql_processes():
+    """Return the processes for statements that this one has started and that run."""
+    running = set()
+    for children in Path("/proc/self/task").glob("*/children"):
+        for pid in children.read_text(encoding="ascii").split():
+            with contextlib.suppress(OSError):
+                if b"statement_process" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                    running.add(int(pid))
+    return running

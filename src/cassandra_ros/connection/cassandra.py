@@ -66,6 +66,7 @@ from cassandra_ros.connection.sessions import Link, Links
 from cassandra_ros.errors import (
     CassandraRosError,
     ConnectionFailed,
+    InvalidOption,
     KeyspaceNotFound,
     StoreUnavailable,
     TopicNotFound,
@@ -173,6 +174,8 @@ class Cassandra:
         self.schema_changes = SchemaChanges()
         self.consistency = _consistency_level(consistency)
         self._ssl_context = ssl_context
+        self._files = {"cqlshrc": cqlshrc, "credentials": credentials}
+        self._limit_sec = answer_sec
         self._prepared: dict[str, PreparedStatement] = {}
         self._prepare_lock = threading.Lock()
         self._process, self._forks = os.getpid(), _forks
@@ -182,6 +185,27 @@ class Cassandra:
         self._connecting_until = 0.0
         places = [(host, self.port) for host in self.hosts]
         self._links = Links(self._make_link, self._adopt, places, self._where)
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments with which another process connects as this one: plain values.
+
+        Raises:
+            InvalidOption: The connection has an ``ssl_context``, which stays in its process.
+        """
+        if self._ssl_context is not None:
+            raise InvalidOption(
+                f"{self._where}: another process connects with the files of a cqlshrc, not with an "
+                "ssl_context: name its certificates in a cqlshrc"
+            )
+        return {
+            "host": self.hosts,
+            "port": self.port,
+            "consistency": ConsistencyLevel.value_to_name[self.consistency],
+            "username": self._login.username,
+            "password": self._login.password,
+            **self._files,
+            "answer_sec": self._limit_sec,
+        }
 
     def _make_link(self) -> Link:
         try:

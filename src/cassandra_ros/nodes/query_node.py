@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -25,6 +24,7 @@ from cassandra_ros.errors import (
     InvalidKey,
     InvalidName,
     InvalidOption,
+    StoreUnavailable,
 )
 from cassandra_ros.keys import SECOND_NS, RowName, decode_cursor, encode_cursor
 from cassandra_ros.messages.classes import (
@@ -48,6 +48,7 @@ from cassandra_ros.read import LAST_NS, Read, TimeRange, Whose
 from cassandra_ros.recording.event_marks import EventMarks
 from cassandra_ros.recording.option_values import read_label
 from cassandra_ros.sql.python_values import printable_value
+from cassandra_ros.sql.statement_processes import MOST_SEC, Statement, StatementProcesses
 from cassandra_ros.srv import (
     AddData,
     AddDataRequest,
@@ -95,8 +96,6 @@ _log = logging.getLogger(__name__)
 PARAMETERS = ("host", "port", "keyspace", "cqlshrc", "credentials", "allow_writes")
 DEFAULT_LIMIT = 100
 """Default number of messages or rows of a page."""
-SQL_SEC = 60.0
-"""Default time after which an SQL statement is stopped, s."""
 MAX_REPLY_BYTES = 16 * 1024 * 1024
 """Size of an answer above which a page ends, bytes."""
 YAML_BYTES = 1024 * 1024
@@ -160,6 +159,7 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
     how = "writes are allowed" if allow_writes else "read-only"
     say(f"serving keyspace {ros_cas.keyspace}, {how}")
     rospy.spin()
+    services.close()
     with suppress(ClockNotSet):  # then no event has begun
         marks.end_all(now_ns(None))
 
@@ -180,7 +180,7 @@ def _answer(
         return response_class(success=False, message=clean(reason))
 
 
-@dataclass(frozen=True)
+@dataclass
 class Services:
     """The handlers of the services. Thread-safe."""
 
@@ -189,6 +189,13 @@ class Services:
     """Whether requests that change stored messages are allowed."""
     marks: EventMarks
     """The events that requests have begun and not ended."""
+
+    def __post_init__(self) -> None:
+        self._statements = StatementProcesses(self.ros_cas.cassandra)
+
+    def close(self) -> None:
+        """End the processes of statements in SQL."""
+        self._statements.close()
 
     def get_data(self, request: GetDataRequest) -> GetDataResponse:
         """Answer GetData."""
@@ -306,18 +313,20 @@ class Services:
 
     def sql(self, request: SqlRequest) -> SqlResponse:
         """Answer Sql."""
-        params = [from_json(text, f"params[{n}]") for n, text in enumerate(request.params)]
         node, run = request.node_id or None, request.run or None
-        watch = _deadline(check_seconds("timeout", request.timeout) or SQL_SEC)
-        result = self.ros_cas.sql(request.statement, params, nodeID=node, run=run, watch=watch)
+        whose = self.ros_cas.catalog.whose(node, run)
+        keyspace = self.ros_cas.catalog.keyspace.name
+        statement = Statement(keyspace, request.statement, whose, tuple(request.params))
+        seconds = check_seconds("timeout", request.timeout) or MOST_SEC
         limit = request.limit or DEFAULT_LIMIT
-        response = SqlResponse(success=True, columns=[clean(c) for c in result.columns])
-        bound, rows = AnswerBound("the answer", _FEWER), iter(result)
-        for values in islice(rows, limit):
-            bound.take(64 + 16 * len(values))
-            row = [bound.json(printable_value(value)) for value in values]
-            response.rows.append(Row(row))
-        response.more = len(response.rows) == limit and next(rows, None) is not None
+        with self._statements.answer(statement, _until_shutdown, seconds) as answer:
+            response = SqlResponse(success=True, columns=[clean(c) for c in answer.columns])
+            bound, rows = AnswerBound("the answer", _FEWER), iter(answer)
+            for values in islice(rows, limit):
+                bound.take(64 + 16 * len(values))
+                row = [bound.json(printable_value(value)) for value in values]
+                response.rows.append(Row(row))
+            response.more = len(response.rows) == limit and next(rows, None) is not None
         return response
 
     def info(self, request: InfoRequest) -> InfoResponse:
@@ -389,18 +398,9 @@ class Services:
         return LookupTransformResponse(True, "", transform)
 
 
-def _deadline(seconds: float) -> Callable[[], None]:
-    """Return a function that raises AnswerTooLarge when this time is over."""
-    end = time.monotonic() + seconds
-
-    def watch() -> None:
-        if time.monotonic() > end:
-            raise AnswerTooLarge(
-                f"the statement was stopped after {seconds:g} s; give it more time by timeout, or "
-                "bound what it reads by WHERE"
-            )
-
-    return watch
+def _until_shutdown() -> None:
+    if rospy.is_shutdown():
+        raise StoreUnavailable("the query server ends")
 
 
 SERVICES: Mapping[str, tuple[type, Callable[..., Response], str]] = {

@@ -8,10 +8,13 @@ its memory goes to a folder of its own, which is deleted with it.
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from typing import Any
 
 from cassandra_ros.errors import MissingDependency
@@ -22,6 +25,9 @@ MEMORY = "384MB"
 """Memory of DuckDB for one statement; joins and sorts of more go to disk."""
 SPILL = "32GB"
 """Maximum size of what goes to disk."""
+_PREFIX = "cassandra_ros_sql_"
+_NEW_SEC = 60.0
+"""Age of a folder from which it is locked, if its process is running, s."""
 _OLDEST = (3, 11)
 """Oldest Python for which there is a DuckDB 2; older releases of DuckDB push conditions into what
 they scan, and compare NaN and joined keys wrongly there."""
@@ -49,12 +55,54 @@ def _clock_macros(ns: int) -> list[str]:
     ]
 
 
+class SpillFolder:
+    """A folder for what goes to disk, deleted by ``close``, or by the next one if a kill ended it.
+
+    Args:
+        parent: Folder in which it lies; None = the system's folder for temporary files.
+
+    Attributes:
+        path: Its path.
+    """
+
+    def __init__(self, parent: str | None = None) -> None:
+        if parent is None:
+            _remove_abandoned(tempfile.gettempdir())
+        self.path = tempfile.mkdtemp(prefix=_PREFIX, dir=parent)
+        self._lock = os.open(self.path, os.O_RDONLY | os.O_DIRECTORY)
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+
+    def close(self) -> None:
+        """Delete it. Can be repeated."""
+        lock, self._lock = self._lock, -1
+        if lock >= 0:
+            shutil.rmtree(self.path, ignore_errors=True)
+            os.close(lock)
+
+
+def _remove_abandoned(parent: str) -> None:
+    """Delete the folders of this user whose processes have ended without deleting them."""
+    for entry in os.scandir(parent):
+        if not entry.name.startswith(_PREFIX):
+            continue
+        with suppress(OSError):  # another program deletes it, or it is none of ours
+            lock = os.open(entry.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                status = os.fstat(lock)
+                if status.st_uid == os.getuid() and time.time() > status.st_mtime + _NEW_SEC:
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    shutil.rmtree(entry.path, ignore_errors=True)
+            finally:
+                os.close(lock)
+
+
 class DuckDatabase:
     """One DuckDB for one statement. Close it.
 
     Args:
         memory: Its memory, as DuckDB writes it: '384MB'.
         folder: Folder for what goes to disk; None = the system's folder for temporary files.
+        spill: Maximum size of that, as DuckDB writes it; None = SPILL.
 
     Attributes:
         connection: DuckDB's connection.
@@ -64,16 +112,18 @@ class DuckDatabase:
         MissingDependency: DuckDB is not installed; the text says how to install it.
     """
 
-    def __init__(self, memory: str = MEMORY, folder: str | None = None) -> None:
+    def __init__(self, memory: str = MEMORY, folder: str | None = None, spill: str = SPILL) -> None:
         if sys.version_info < _OLDEST:
             raise MissingDependency(
                 "sql needs DuckDB 2, which needs Python 3.11 or later: ask from a machine that "
                 "has it, or use executeCQL, toArrow or cassandra_bag lake here"
             )
         self.duckdb: Any = optional_module("duckdb", "sql")
-        self._folder = tempfile.mkdtemp(prefix="cassandra_ros_sql_", dir=folder)
+        self._folder = SpillFolder(folder)
         try:
-            self.connection: Any = self.duckdb.connect(":memory:", config=self._config(memory))
+            self.connection: Any = self.duckdb.connect(
+                ":memory:", config=self._config(memory, spill or SPILL)
+            )
             for statement in (
                 "SET TimeZone = 'UTC'",
                 # The number of rows is unknown to DuckDB: it would compare each with each.
@@ -85,14 +135,14 @@ class DuckDatabase:
             ):
                 self.connection.execute(statement)
         except BaseException:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder.close()
             raise
 
-    def _config(self, memory: str) -> dict[str, Any]:
+    def _config(self, memory: str, spill: str) -> dict[str, Any]:
         return {
             "memory_limit": memory,
-            "temp_directory": self._folder,
-            "max_temp_directory_size": SPILL,
+            "temp_directory": self._folder.path,
+            "max_temp_directory_size": spill,
             "autoinstall_known_extensions": "false",
             "autoload_known_extensions": "false",
             "preserve_insertion_order": "false",
@@ -124,4 +174,4 @@ class DuckDatabase:
         try:
             self.connection.close()
         finally:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder.close()

@@ -8,6 +8,7 @@ import re
 import weakref
 from concurrent import futures
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, AbstractSet, Any, Callable, Iterator, Sequence, TypeVar, Union
 
@@ -61,6 +62,8 @@ class SqlResult:
         memory: Memory of DuckDB, as it writes it.
         pushdown: Whether only the columns and messages are read that the statement may need; the
             answer does not depend on it.
+        folder, spill: Folder for what does not fit into memory, and its maximum size, as for
+            DuckDatabase.
         watch: Called repeatedly while the statement runs; an exception from it stops it.
 
     Raises:
@@ -78,12 +81,14 @@ class SqlResult:
         *,
         memory: str = MEMORY,
         pushdown: bool = True,
+        folder: str | None = None,
+        spill: str | None = None,
         watch: Watch = unwatched,
     ) -> None:
         self._arrow = load_arrow("sql")
         self._catalog = catalog
         self._whose = whose
-        self._memory = memory
+        self._make_database = partial(DuckDatabase, memory, folder, spill)
         self._pushdown = pushdown
         self._watch = watch
         self._statement = SqlStatement(text, params)
@@ -180,7 +185,7 @@ class SqlResult:
             run.close()
 
     def _bound(self) -> _Run:
-        run = _Run(self._catalog, self._statement, self._whose, self._memory, self._watch)
+        run = _Run(self._catalog, self._statement, self._whose, self._make_database(), self._watch)
         try:
             run.bind(self._pushdown)
         except BaseException:
@@ -204,14 +209,14 @@ class _Run:
         catalog: Catalog,
         statement: SqlStatement,
         whose: Whose,
-        memory: str,
+        database: DuckDatabase,
         watch: Watch,
     ) -> None:
         self._catalog = catalog
         self._statement = statement
         self._whose = whose
         self._watch = watch
-        self._database = DuckDatabase(memory)
+        self._database = database
         self._worker = futures.ThreadPoolExecutor(1, thread_name_prefix="sql")
         self._work: futures.Future[Any] | None = None
         """The work of DuckDB that was begun last."""

@@ -8,7 +8,7 @@ lies outside of them.
 
 from __future__ import annotations
 
-from typing import Any, Iterator, NamedTuple
+from typing import Any, Iterable, Iterator, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from cassandra_ros.arrays.array_types import AnyArray
 from cassandra_ros.arrays.arrow_types import load_arrow
 from cassandra_ros.arrays.envelope import Envelope, Grid, Points
 from cassandra_ros.keys import MAX_NS
-from cassandra_ros.sql.sql_result import SqlResult
 
 MAX_COLUMNS = 24
 """Maximum number of lines drawn for one statement."""
@@ -58,16 +57,18 @@ def times_of(column: Any) -> AnyArray:
     return np.where((times >= 0) & (times <= MAX_NS), times, -1)
 
 
-def read_sql_series(result: SqlResult, low: int | None, high: int | None, pixels: int) -> SqlSeries:
-    """Run a statement and read its numbers over the first column of times.
+def read_sql_series(
+    batches: Iterable[Any], low: int | None, high: int | None, pixels: int
+) -> SqlSeries:
+    """Read the numbers of a statement over the first column of times.
 
     Args:
-        result: The statement.
+        batches: Its rows as record batches, at least one.
         low, high: First and last time to draw, both included, ns; None = those of the rows.
         pixels: Maximum number of pixels.
     """
     reader: _SeriesReader | None = None
-    for batch in result.batches():
+    for batch in batches:
         reader = reader or _SeriesReader(batch.schema, low, high, pixels)
         reader.add(batch)
     if reader is None:

@@ -13,6 +13,7 @@ from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.errors import InvalidKey, InvalidOption
 from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.messages.stamps import written_time_ns
+from cassandra_ros.sql.statement_processes import StatementProcesses
 from cassandra_ros.topics.catalog import Catalog
 from cassandra_ros.viewing.route import KEYSPACE, KINDS, Parameter, Route, Value
 from cassandra_ros.viewing.viewed_fleet import ViewedFleet
@@ -87,6 +88,12 @@ class ApiCall:
     def catalog(self) -> Catalog:
         """Topics of the requested keyspace."""
         return self._shared.store.catalog
+
+    @property
+    def statements(self) -> StatementProcesses:
+        """The processes for statements in SQL."""
+        make = partial(StatementProcesses, self._viewer.store.cassandra)
+        return self._viewer.get(StatementProcesses, make)
 
     @property
     def settings(self) -> ViewerSettings:

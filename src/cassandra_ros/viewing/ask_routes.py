@@ -378,6 +378,7 @@ ROUTES: tuple[Route, ...] = (
             RUNS,
             _LANGUAGE,
         ),
+        takes_turns=is_sql,
     ),
     Route(
         "/api/explain",
@@ -385,6 +386,7 @@ ROUTES: tuple[Route, ...] = (
         "How a statement is answered: it is run to its end, and the answer counts what the server "
         "checked and what was read; text is for people.",
         (_STATEMENT, NODES, RUNS, _LANGUAGE),
+        takes_turns=is_sql,
     ),
     Route(
         "/api/complete",
@@ -422,5 +424,6 @@ ROUTES: tuple[Route, ...] = (
             RUNS,
             _LANGUAGE,
         ),
+        takes_turns=is_sql,
     ),
 )

@@ -20,6 +20,7 @@ from aiohttp import web
 from aiohttp.typedefs import Handler
 
 from cassandra_ros.errors import CassandraRosError, StoreUnavailable
+from cassandra_ros.sql.statement_processes import AT_ONCE
 from cassandra_ros.viewing.answers import Bytes, CachedFile, Stream, json_bytes
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.file_answer import send_file
@@ -44,6 +45,8 @@ class HandlerThreads:
     def __init__(self, shared: ViewerContext) -> None:
         self._shared = shared
         self._threads = ThreadPoolExecutor(shared.settings.threads, "viewer")
+        self._in_turn = ThreadPoolExecutor(AT_ONCE, "viewer-turn")
+        """Threads of the calls that take turns, so that those which wait hold no other one."""
         self._calls: set[ApiCall] = set()
         self._held_bytes = 0
         """Size of the answers that are being sent, bytes."""
@@ -57,7 +60,8 @@ class HandlerThreads:
             call = ApiCall(self._shared, route, query, headers, request.method)
             self._calls.add(call)
             try:
-                body = await self._run(partial(_work, route, call))
+                threads = self._in_turn if route.takes_turns(call) else self._threads
+                body = await self._run(partial(_work, route, call), threads)
                 if isinstance(body, _Chunks):
                     return await self._send_stream(request, call, body)
                 if isinstance(body, CachedFile):
@@ -69,9 +73,11 @@ class HandlerThreads:
 
         return answer
 
-    def _run(self, work: Callable[[], T]) -> asyncio.Future[T]:
+    def _run(
+        self, work: Callable[[], T], threads: ThreadPoolExecutor | None = None
+    ) -> asyncio.Future[T]:
         # Cancelling the task does not end the thread: it checks call.gone.
-        return asyncio.wrap_future(self._threads.submit(work))
+        return asyncio.wrap_future((threads or self._threads).submit(work))
 
     async def _send_bytes(self, request: web.Request, body: Bytes) -> web.StreamResponse:
         """Send an answer piece by piece, so that the connection does not copy a large one."""
@@ -149,12 +155,16 @@ class HandlerThreads:
         patience = loop.time() + PATIENCE_SEC
         while self._calls and loop.time() < patience:
             await asyncio.sleep(_POLL_SEC)  # cancelled tasks release their files
-        ended = loop.run_in_executor(None, self._threads.shutdown)
+        ended = loop.run_in_executor(None, self._shut_down)
         done, _ = await asyncio.wait([ended], timeout=PATIENCE_SEC)
         if not done:
             self._shared.source.close()  # handlers that still read get an error
             await ended
         self._shared.close()
+
+    def _shut_down(self) -> None:
+        for threads in (self._in_turn, self._threads):
+            threads.shutdown()
 
 
 class _Chunks:

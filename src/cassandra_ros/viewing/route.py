@@ -45,6 +45,10 @@ KEYSPACE = Parameter(
 """Parameter that every route has."""
 
 
+def _takes_no_turn(call: ApiCall) -> bool:
+    return False
+
+
 @dataclass(frozen=True)
 class Route:
     """A path and its handler, which is called on a thread: for GET and HEAD, or for POST."""
@@ -58,5 +62,7 @@ class Route:
     """Parameters in addition to KEYSPACE."""
     kind: str = "json"
     """Type of the answer: json, or a content type like image/jpeg."""
+    takes_turns: Callable[[ApiCall], bool] = _takes_no_turn
+    """Whether a call waits until few others like it run; it holds no handler thread meanwhile."""
     writes: bool = False
     """Whether it changes what is stored; then it answers POST only."""

@@ -2,23 +2,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Answers to statements in SQL: rows, explanation and plots.
 
-The routes of ask_routes.py give them for ``language=sql``. DuckDB has memory of its own for each
-statement, so few run at the same time; the others wait.
+The routes of ask_routes.py give them for ``language=sql``. Each statement runs in a process of its
+own, few at the same time.
 """
 
 from __future__ import annotations
 
-import threading
-from contextlib import contextmanager
-from typing import Any, Callable, Iterator, Sequence
+from typing import Any, ContextManager, Iterator, Sequence
 
 import numpy as np
 
 from cassandra_ros.arrays.arrow_types import load_arrow
 from cassandra_ros.errors import AnswerTooLarge, InvalidOption
+from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.query.tree.json_values import to_json
 from cassandra_ros.sql.python_values import printable_value, python_rows
-from cassandra_ros.sql.sql_result import SqlResult
 from cassandra_ros.sql.sql_series import (
     SqlSeries,
     is_time_type,
@@ -26,35 +24,21 @@ from cassandra_ros.sql.sql_series import (
     time_column,
     times_of,
 )
+from cassandra_ros.sql.statement_processes import SqlAnswer, Statement
 from cassandra_ros.viewing.answers import Json
 from cassandra_ros.viewing.api_call import ApiCall
 from cassandra_ros.viewing.lossless_json import Cells
 from cassandra_ros.viewing.selection_parameters import whose_of
-from cassandra_ros.viewing.viewer_settings import ViewerSettings
-
-AT_ONCE = 2
-"""Maximum number of SQL statements that run at the same time."""
-_TURN_SEC = 0.1
-"""Interval at which a waiting statement looks whether its client is still connected, s."""
 
 
-def _turns(settings: ViewerSettings) -> threading.BoundedSemaphore:
-    return threading.BoundedSemaphore(AT_ONCE)
+def _answered(call: ApiCall, watch: Watch, plan: bool = False) -> ContextManager[SqlAnswer]:
+    """Return the answer to the statement of a call; on entering it waits for its turn."""
+    keyspace = call.catalog.keyspace.name
+    statement = Statement(keyspace, call.text("q") or "", whose_of(call), plan=plan)
+    return call.statements.answer(statement, watch)
 
 
-@contextmanager
-def _prepared(call: ApiCall, watch: Callable[[], None]) -> Iterator[SqlResult]:
-    """Yield the statement of a call when it is its turn."""
-    turns = call.cached_by_viewer(_turns)
-    while not turns.acquire(timeout=_TURN_SEC):
-        watch()
-    try:
-        yield SqlResult(call.catalog, call.text("q") or "", (), whose_of(call), watch=watch)
-    finally:
-        turns.release()
-
-
-def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Callable[[], None]) -> Json:
+def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Watch) -> Json:
     """Answer with the first rows of a statement; of those with a time, the rows from start to end.
 
     ``more`` says whether there are further rows. There is no cursor: rows have no order but that of
@@ -67,15 +51,15 @@ def sql_rows(call: ApiCall, limit: int, page_bytes: int, watch: Callable[[], Non
     times: list[Json] = []
     kinds: list[Json] = []
     more = False
-    with _prepared(call, watch) as result:
-        for batch, at in _windowed(result, call.time_ns("start"), call.time_ns("end")):
+    with _answered(call, watch) as answer:
+        for batch, at in _windowed(answer, call.time_ns("start"), call.time_ns("end")):
             kinds = [_kind(field.type) for field in batch.schema]
             more = _add_rows(cells, rows, zip(_rows_of(batch), at), times, (limit, page_bytes))
             if more:
                 break
-        columns: list[Json] = list(result.columns)
+        columns: list[Json] = list(answer.columns)
     page: dict[str, Json] = {"topic": "", "columns": columns, "kinds": kinds, "rows": rows}
-    return {**page, "times": times, "after": "", "more": more, "hints": list(result.hints)}
+    return {**page, "times": times, "after": "", "more": more, "hints": list(answer.hints)}
 
 
 def _add_rows(
@@ -100,10 +84,10 @@ def _add_rows(
 
 
 def _windowed(
-    result: SqlResult, low: int | None, high: int | None
+    answer: SqlAnswer, low: int | None, high: int | None
 ) -> Iterator[tuple[Any, list[Json]]]:
     """Yield batches of the rows in a time range, and the time of each row, ns."""
-    for batch in result.batches():
+    for batch in answer.batches():
         place = time_column(batch.schema)
         if place is None:
             yield batch, [None] * batch.num_rows
@@ -146,15 +130,15 @@ def _kind(kind: Any) -> str:
     return {"float": "float32", "double": "float64"}.get(text, text.partition("<")[0])
 
 
-def sql_plan(call: ApiCall, watch: Callable[[], None]) -> Json:
+def sql_plan(call: ApiCall, watch: Watch) -> Json:
     """Answer with what a statement read, and DuckDB's plan; it is run to its end."""
-    with _prepared(call, watch) as result:
-        return {"text": str(result.explain())}
+    with _answered(call, watch, plan=True) as answer:
+        return {"text": answer.explanation()}
 
 
 def sql_plot(
-    call: ApiCall, window: tuple[int | None, int | None], pixels: int, watch: Callable[[], None]
+    call: ApiCall, window: tuple[int | None, int | None], pixels: int, watch: Watch
 ) -> SqlSeries:
     """Return the numbers of a statement over time."""
-    with _prepared(call, watch) as result:
-        return read_sql_series(result, *window, pixels)
+    with _answered(call, watch) as answer:
+        return read_sql_series(answer.batches(), *window, pixels)

@@ -1,0 +1,242 @@
+# SPDX-FileCopyrightText: 2026 cassandra_ros authors
+# SPDX-License-Identifier: BSD-3-Clause
+"""Statements in processes of their own answer as in this one, and cost an answer at most."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from nodes.children import await_true
+from std_msgs.msg import Float64
+
+from cassandra_ros.errors import (
+    AnswerTooLarge,
+    CassandraRosError,
+    InvalidExpression,
+    InvalidQuery,
+    StoreUnavailable,
+)
+from cassandra_ros.read import EVERYBODY, Whose
+from cassandra_ros.sql.duck_database import SpillFolder
+from cassandra_ros.sql.statement_processes import Statement, StatementProcesses
+
+pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
+
+ENDLESS = "WITH RECURSIVE r AS (SELECT 1 AS n UNION ALL SELECT n + 1 FROM r) SELECT max(n) FROM r"
+CRASH = "SELECT json_contains(repeat('[', 1000000) || repeat(']', 1000000), '1')"
+"""DuckDB parses JSON by recursion: it overflows its stack."""
+COUNT = 20
+
+
+@pytest.fixture(scope="module")
+def store(fresh):
+    with fresh() as store:
+        for node in ("husky", "jackal"):
+            topic = store.addTopic("/volt", nodeID=node)
+            for n in range(COUNT):
+                topic.addData(Float64(n / 4), key=10**18 + n)
+        yield store
+
+
+@pytest.fixture(scope="module")
+def shared(store):
+    with contextlib.closing(StatementProcesses(store.cassandra)) as processes:
+        yield processes
+
+
+@pytest.fixture
+def own(store):
+    with contextlib.closing(StatementProcesses(store.cassandra)) as processes:
+        yield processes
+
+
+def run(processes, store, text, *params, whose=EVERYBODY, seconds=60.0, watch=lambda: None):
+    """Return columns, rows and hints of a statement."""
+    statement = Statement(store.keyspace, text, whose, params)
+    with processes.answer(statement, watch, seconds) as answer:
+        rows = list(answer)
+        return answer.columns, rows, answer.hints
+
+
+@pytest.fixture
+def pids(shared):
+    """Return the processes for statements that the test has started and that run."""
+    earlier = children()
+    return lambda: children() - earlier
+
+
+def children():
+    return {
+        int(pid)
+        for children in Path("/proc/self/task").glob("*/children")
+        for pid in children.read_text(encoding="ascii").split()
+        if b"statement_process" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    }
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELECT * FROM volt ORDER BY ALL",
+        "SELECT KEY, data FROM volt WHERE data > 3 AND NODE = 'husky' ORDER BY KEY",
+        "SELECT * FROM volt WHERE NODE = 'huskey'",
+        "SELECT 1 WHERE false",
+        "SELECT 1 AS a, 2 AS a",
+        "SELECT 'x'::ENUM('x', 'y'), uuid '00000000-0000-0000-0000-000000000001', 2::HUGEINT ** 2",
+        "SELECT INTERVAL 1 SECOND, DATE '2020-01-01', TIMESTAMP_NS '2020-01-01 00:00:00.000000001'",
+        "SELECT {'a': [1, NULL], 'b': MAP {'k': 'v'}}, 1.25::DECIMAL(9, 2), 'nan'::FLOAT, NULL",
+        "SELECT unnest(range(10000)) AS n, repeat('x', 1000) AS text",
+        "SELECT i, CASE WHEN i = 7 THEN repeat('y', 30000000) END AS large FROM range(9) t(i)",
+    ],
+)
+def test_the_answer_is_that_of_this_process(shared, store, text):
+    result = store.sql(text)
+    rows = result.fetchall()
+    assert repr(run(shared, store, text)) == repr((result.columns, rows, result.hints))  # NaN
+
+
+def test_parameters_robots_and_explanations(shared, store):
+    text = "SELECT count(*) FROM volt WHERE data >= ? AND NODE <> $2".replace("$2", "?")
+    assert run(shared, store, text, "2.5", '"jackal"')[1] == [(10,)]
+    narrow = Whose(("husky",), None)
+    assert run(shared, store, "SELECT count(*) FROM volt", whose=narrow)[1] == [(COUNT,)]
+    nobody = Whose(None, frozenset({1}))
+    assert run(shared, store, "SELECT count(*) FROM volt", whose=nobody)[1] == [(0,)]
+    plan = Statement(store.keyspace, "SELECT max(data) FROM volt", EVERYBODY, plan=True)
+    with shared.answer(plan, lambda: None) as answer:
+        assert f"messages: {2 * COUNT} read" in answer.explanation()
+
+
+@pytest.mark.parametrize("text", ["SELECT nix FROM volt", "SELECT", "SELECT '", "DROP TABLE volt"])
+def test_an_error_is_that_of_this_process(shared, store, text):
+    errors = []
+    for ask in (store.sql, lambda text: run(shared, store, text)):
+        with pytest.raises(InvalidQuery) as caught:
+            ask(text)
+        errors.append((str(caught.value), caught.value.position, caught.value.statement))
+    assert errors[0] == errors[1]
+
+
+def test_other_errors_keep_their_class(shared, store):
+    with pytest.raises(InvalidExpression, match=r"params\[0\] is not JSON"):
+        run(shared, store, "SELECT ?", "x")
+    with pytest.raises(AnswerTooLarge, match="a row of the answer has"):
+        run(shared, store, "SELECT repeat('x', 70000000)")
+    with pytest.raises(AnswerTooLarge, match="needs more memory"):
+        run(shared, store, "SELECT repeat('x', 1500000000)")
+    assert run(shared, store, "SELECT 1")[1] == [(1,)]
+
+
+def test_a_statement_that_ends_duckdb_ends_nothing_else(pids, own, store):
+    assert run(own, store, "SELECT 1")[1] == [(1,)]
+    first = pids()
+    with pytest.raises(InvalidQuery, match="this statement ended DuckDB .SIGSEGV."):
+        run(own, store, CRASH)
+    second = pids()
+    assert not first & second
+    assert run(own, store, "SELECT 2")[1] == [(2,)]
+    assert pids() == second
+
+
+def test_what_is_not_waited_for_ends_and_its_process_goes_on(pids, own, store):
+    class Gone(CassandraRosError):
+        pass
+
+    def leave():
+        raise Gone
+
+    run(own, store, "SELECT 1")
+    before = pids()
+    with pytest.raises(Gone):
+        run(own, store, ENDLESS, watch=leave)
+    with pytest.raises(AnswerTooLarge, match=r"stopped after 0.5 s, of at most 60 s"):
+        run(own, store, ENDLESS, seconds=0.5)
+    many = Statement(store.keyspace, "SELECT * FROM range(1000000000)", EVERYBODY)
+    with own.answer(many, lambda: None) as answer:
+        assert next(iter(answer)) == (0,)
+    assert run(own, store, "SELECT 2")[1] == [(2,)]
+    assert len(pids() & before) in (0, 1)  # a busy machine may not stop it in time
+
+
+@pytest.mark.suite("all", "a call of DuckDB that cannot be interrupted")
+def test_what_cannot_be_interrupted_is_killed(pids, own, store):
+    run(own, store, "SELECT 1")
+    before = pids()
+    slow = "SELECT jaro_winkler_similarity(repeat('ab', 1500000), repeat('ba', 1500000))"
+    with pytest.raises(AnswerTooLarge, match="stopped after 1 s"):
+        run(own, store, slow, seconds=1)
+    assert not pids() & before
+    assert run(own, store, "SELECT 2")[1] == [(2,)]
+
+
+def test_a_closed_one_answers_no_more(pids, store):
+    processes = StatementProcesses(store.cassandra)
+    run(processes, store, "SELECT 1")
+    processes.close()
+    assert not pids()
+    with pytest.raises(StoreUnavailable, match="ends"):
+        run(processes, store, "SELECT 1")
+
+
+PROGRAM = """
+import sys
+from cassandra_ros import RosCassandra
+from cassandra_ros.read import EVERYBODY
+from cassandra_ros.sql.statement_processes import Statement, StatementProcesses
+with RosCassandra(sys.argv[1], int(sys.argv[2]), keyspace=sys.argv[3]) as store:
+    processes = StatementProcesses(store.cassandra)
+    with processes.answer(Statement(store.keyspace, sys.argv[4], EVERYBODY), lambda: None) as got:
+        print("begun", flush=True)
+        list(got)
+"""
+
+
+@pytest.mark.suite("all", "it kills a program")
+def test_what_a_killed_program_leaves_goes(store, cassandra, tmp_path):
+    env = {**os.environ, "PYTHONPATH": str(ROOT / "src"), "TMPDIR": str(tmp_path)}
+    words = [cassandra.host, str(cassandra.port), store.keyspace, ENDLESS]
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM, *words], env=env, stdout=subprocess.PIPE
+    ) as program:
+        assert program.stdout.readline() == b"begun\n"
+        children = Path(f"/proc/{program.pid}/task/{program.pid}/children").read_text("ascii")
+        program.send_signal(signal.SIGKILL)
+    (pid,) = children.split()
+    await_true(lambda: has_ended(pid))
+    (left,) = tmp_path.glob("cassandra_ros_sql_*")
+    os.utime(left, (time.time() - 3600,) * 2)
+    used = tmp_path / "cassandra_ros_sql_used"
+    used.mkdir()
+    env["LOCKED"] = str(used)
+    check = (
+        "import fcntl, os, subprocess, sys, time\n"
+        "used = os.open(os.environ['LOCKED'], os.O_RDONLY)\n"
+        "fcntl.flock(used, fcntl.LOCK_EX)\n"
+        "os.utime(used, (time.time() - 3600,) * 2)\n"
+        "subprocess.run([sys.executable, '-c', sys.argv[1]], check=True)\n"
+    )
+    clean = "from cassandra_ros.sql.duck_database import SpillFolder\nSpillFolder().close()\n"
+    subprocess.run([sys.executable, "-c", check, clean], env=env, check=True)
+    assert list(tmp_path.glob("cassandra_ros_sql_*")) == [used]
+
+
+def has_ended(pid):
+    with contextlib.suppress(FileNotFoundError):
+        return Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()[0] == "Z"
+    return True
+
+
+def test_a_folder_is_private_and_goes(tmp_path):
+    folder = SpillFolder(str(tmp_path))
+    assert Path(folder.path).stat().st_mode & 0o777 == 0o700
+    folder.close()
+    folder.close()
+    assert not list(tmp_path.iterdir())
