@@ -233,7 +233,9 @@ def test_keyspace_names(cassandra, name):
             rosCas.getAllTopics()
 
 
-def test_buckets_of_the_keyspace_before_are_closed(rosCas, new_keyspace):
+def test_buckets_of_the_keyspace_before_are_closed(rosCas, new_keyspace, monkeypatch):
+    # No idle bucket is closed by itself meanwhile, however long it takes.
+    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
     rosCas.addTopic("/a").addData(String(), key=T0)
     before = rosCas.catalog.keyspace
     (table,) = before.tables.of_topic("/a")

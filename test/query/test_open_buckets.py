@@ -53,8 +53,9 @@ def test_what_no_column_holds_is_found(rosCas, monkeypatch, plan, closed):
 
 
 @pytest.mark.parametrize("plan", ["index", "auto"])
-def test_an_index_that_one_of_two_writers_fills_hides_no_row(rosCas, plan):
+def test_an_index_that_one_of_two_writers_fills_hides_no_row(rosCas, monkeypatch, plan):
     """One has opened the bucket before the index was made: its rows go on without."""
+    monkeypatch.setattr(writer, "HEARTBEAT_SEC", 1e9)  # it would be closed, idle, meanwhile
     topic = rosCas.addTopic("/h", msg_type="std_msgs/Header", format="binary")
     early, late = (rosCas.messageWriter(writer_id=n, format="binary") for n in (1, 2))
     connection = api_connection("/h", definition_of(Header), "/x")

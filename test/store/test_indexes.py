@@ -624,6 +624,8 @@ def test_what_is_a_ttl(ttl):
 def test_a_slot_is_noted_again_while_it_is_written(rosCas, monkeypatch):
     from cassandra_ros.tables import directory as listing
 
+    # Only the test's own.
+    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)
     writer = rosCas.messageWriter(ttl=500)
     handle = writer.connect(api_connection("/t", definition_of(String), "/w"), bucket_ns=600 * SEC)
 
