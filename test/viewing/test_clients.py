@@ -19,6 +19,8 @@ from cassandra_ros.viewing.answers import Bytes
 from cassandra_ros.viewing.viewer_settings import Limits
 
 BIG = bytes(16 * MIB)
+UNHURRIED = {"head_sec": 600.0, "idle_sec": 600.0, "stalled_sec": 600.0}
+"""Limits of time that no test reaches, also where the machine stands still for a while."""
 
 
 @contextlib.contextmanager
@@ -91,7 +93,7 @@ def test_who_trickles_a_head_is_disconnected():
 
 
 def test_an_idle_connection_is_closed():
-    limits = Limits(idle_sec=0.3)
+    limits = Limits(head_sec=600.0, idle_sec=0.3)
     with running_viewer(None, [route("/api/one", lambda call: 1)], limits=limits) as viewer:
         head = b"GET /api/one HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
         with connected(viewer, head=head) as (sock,):
@@ -103,7 +105,7 @@ def test_an_idle_connection_is_closed():
 def test_too_many_clients_are_told_so():
     go_on = threading.Event()
     routes = [route("/api/wait", lambda call: int(go_on.wait(180)))]
-    with running_viewer(None, routes, limits=Limits(clients=3)) as viewer:
+    with running_viewer(None, routes, limits=Limits(clients=3, **UNHURRIED)) as viewer:
         with connected(viewer, 3) as (first, *_):
             found = viewer.ask("/api/wait")
             assert (found.status, found.headers["Connection"]) == (503, "close")
@@ -117,7 +119,8 @@ def test_too_many_clients_are_told_so():
 
 
 def test_a_burst_of_clients_is_no_way_round_the_limit():
-    with running_viewer(None, [route("/api/one", lambda call: 1)], limits=Limits(clients=5)) as v:
+    limits = Limits(clients=5, **UNHURRIED)
+    with running_viewer(None, [route("/api/one", lambda call: 1)], limits=limits) as v:
         with connected(v, 40, b"GET /api/one HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n") as every:
             answers = [sock.recv(12) for sock in every]
     assert (answers.count(b"HTTP/1.1 200"), answers.count(b"HTTP/1.1 503")) == (5, 35)
@@ -133,7 +136,7 @@ def test_who_does_not_read_a_stream_is_disconnected():
 
 
 def test_answers_that_are_not_read_are_held_within_a_bound():
-    limits = Limits(answers_bytes=4 * len(BIG))
+    limits = Limits(answers_bytes=4 * len(BIG), **UNHURRIED)
     routes = [route("/big", lambda call: Bytes(BIG)), route("/api/one", lambda call: 1)]
     head = b"GET /big HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
     with running_viewer(None, routes, limits=limits) as viewer:
@@ -176,7 +179,8 @@ def test_one_that_does_not_read_gives_back_what_it_held():
 def test_a_stream_that_finds_no_room_is_refused_and_never_sent_in_part():
     endless = Endless(b"x" * 2 * MIB)
     routes = [route("/big", lambda call: Bytes(BIG)), route("/endless", endless.answer)]
-    with running_viewer(None, routes, limits=Limits(answers_bytes=len(BIG) + MIB)) as viewer:
+    limits = Limits(answers_bytes=len(BIG) + MIB, **UNHURRIED)
+    with running_viewer(None, routes, limits=limits) as viewer:
         with connected(viewer, head=b"GET /big HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", buffer=4096):
             await_true(lambda: viewer.ask("/big", method="HEAD").status == 503)
             with pytest.raises((http.client.IncompleteRead, ConnectionError)):
