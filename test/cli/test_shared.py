@@ -79,13 +79,19 @@ def test_invalid_times_to_wait(parse, seconds):
         parse("--wait", seconds)
 
 
-def test_that_there_is_no_store_yet_is_told_again_and_again(monkeypatch):
+@pytest.fixture
+def refusing_port():
+    """A port at which connections are refused; no other test listens there meanwhile."""
+    with socket.socket() as held:
+        held.bind(("127.0.0.1", 0))
+        yield str(held.getsockname()[1])
+
+
+def test_that_there_is_no_store_yet_is_told_again_and_again(monkeypatch, refusing_port):
     """A recorder waits without limit; with --wait 0 it ends at once."""
     monkeypatch.setattr(store_options, "TELL_SEC", 0.5)
     parser = recorder.make_parser()
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = str(free.getsockname()[1])
-    words = ["/a", "--host", "127.0.0.1", "--port", port]
+    words = ["/a", "--host", "127.0.0.1", "--port", refusing_port]
     told, third = [], threading.Event()
 
     def tell(text):
@@ -96,12 +102,12 @@ def test_that_there_is_no_store_yet_is_told_again_and_again(monkeypatch):
     options = parser.parse_args(words)
     wait = store_options.StoreWait(tell, ", messages wait")
     with store_options.awaited_store(options, wait) as store:
-        assert third.wait(60.0)
+        assert third.wait(180.0)
         assert not store.done()
     with pytest.raises(ConnectionFailed):  # it is not tried any more
-        store.result(60.0)
+        store.result(180.0)
     assert told[0].startswith("no store yet, messages wait: no Cassandra answers at 127.0.0.1")
-    assert f"port {port}" in told[0] and "local_cassandra start" in told[0]
+    assert f"port {refusing_port}" in told[0] and "local_cassandra start" in told[0]
     now = parser.parse_args([*words, "--wait", "0"])
     refused = pytest.raises(ConnectionFailed, match="local_cassandra start")
     with refused, store_options.awaited_store(now, wait):
