@@ -107,8 +107,8 @@ def test_a_recorder_that_is_killed(
                 # A loaded machine may not have handed over the first message yet.
                 await_true(lambda: left_in(spool).difference(killed))
                 time.sleep(chance.uniform(0.0, 2.5))
+                at = time.monotonic()  # before: what is sent while this waits for the processor
                 child.process.kill()
-                at = time.monotonic()
                 child.wait()
             output += child.output
             (left,) = left_in(spool).difference(killed)
