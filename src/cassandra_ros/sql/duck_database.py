@@ -112,7 +112,9 @@ class DuckDatabase:
         MissingDependency: DuckDB is not installed; the text says how to install it.
     """
 
-    def __init__(self, memory: str = MEMORY, folder: str | None = None, spill: str = SPILL) -> None:
+    def __init__(
+        self, memory: str = MEMORY, folder: str | None = None, spill: str | None = None
+    ) -> None:
         if sys.version_info < _OLDEST:
             raise MissingDependency(
                 "sql needs DuckDB 2, which needs Python 3.11 or later: ask from a machine that "
