@@ -21,6 +21,18 @@ Each error text is a complete sentence: what failed, on which topic, why, and wh
 
 from __future__ import annotations
 
+import errno
+import os
+
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of a disk that is full, a quota that is used up, and a file of the maximum size."""
+
+
+def cannot_write(where: str | os.PathLike[str], cause: OSError) -> str:
+    """Return the text of an error about a file or an output that cannot be written."""
+    remedy = "free some space there, or write" if cause.errno in DISK_FULL else "write"
+    return f"{os.fspath(where)} cannot be written: {cause.strerror or cause}; {remedy} elsewhere"
+
 
 class CassandraRosError(Exception):
     """Base class of all errors that this package raises."""

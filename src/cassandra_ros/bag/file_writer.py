@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from contextlib import ExitStack, suppress
 from typing import IO, TypeVar
 
-from cassandra_ros.errors import BagError
+from cassandra_ros.errors import BagError, cannot_write
 from cassandra_ros.messages.connection_header import Connection
 from cassandra_ros.tables.event_table import Event
 
@@ -118,7 +118,7 @@ class FileWriter(ABC):
             os.replace(self._active, self.path)
         except OSError as exc:
             self.discard()
-            raise BagError(f"{self.path} cannot be written: {exc.strerror}") from exc
+            raise BagError(cannot_write(self.path, exc)) from exc
         except BagError:
             self.discard()
             raise
@@ -147,4 +147,4 @@ class FileWriter(ABC):
             self.discard()
 
     def _failure(self, cause: OSError) -> BagError:
-        return BagError(f"{self._active} cannot be written: {cause.strerror}")
+        return BagError(cannot_write(self._active, cause))

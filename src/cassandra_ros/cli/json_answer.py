@@ -18,6 +18,8 @@ from datetime import datetime, timezone
 from enum import Enum
 from typing import Mapping
 
+from cassandra_ros.cli.terminal_text import write_utf8
+
 
 def add_json_option(parser: argparse._ActionsContainer) -> None:
     """Add --json."""
@@ -31,6 +33,7 @@ def add_json_option(parser: argparse._ActionsContainer) -> None:
 
 def print_json(answer: object) -> None:
     """Print a value that plain() accepts as JSON. Unprintable characters are escaped."""
+    write_utf8()
     text = json.dumps(plain(answer), ensure_ascii=False, allow_nan=False, indent=1)
     print("".join(c if c.isprintable() or c == "\n" else json.dumps(c)[1:-1] for c in text))
 

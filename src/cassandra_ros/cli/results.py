@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import sys
@@ -14,8 +13,8 @@ from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
 from cassandra_ros.arrays.array_types import ArrayType
-from cassandra_ros.cli.terminal_text import align
-from cassandra_ros.errors import InvalidOption
+from cassandra_ros.cli.terminal_text import align, write_utf8
+from cassandra_ros.errors import CassandraRosError, InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
 from cassandra_ros.printable import shown
@@ -296,10 +295,12 @@ def open_output(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]
 
     The file is named PATH.active until then. If the path is not a regular file (/dev/stdout, a
     pipe), it is written directly.
+
+    Raises:
+        InvalidOption: The file exists, or cannot be made or written.
     """
     if path is None:
-        if isinstance(sys.stdout, io.TextIOWrapper):
-            sys.stdout.reconfigure(encoding="utf-8")
+        write_utf8()
         yield sys.stdout
         return
     special = os.path.exists(path) and not os.path.isfile(path)
@@ -311,13 +312,15 @@ def open_output(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]
             open(active, "wb") if binary else open(active, "w", encoding="utf-8", newline="")
         )
     except OSError as exc:
-        raise InvalidOption(f"{path} cannot be written: {exc.strerror}") from exc
+        raise InvalidOption(cannot_write(path, exc)) from exc
     try:
         with stream:
             yield stream
         if not special:
             os.replace(active, path)
-    except BaseException:
+    except BaseException as exc:
         if not special:
             os.unlink(active)
+        if isinstance(exc, OSError) and not isinstance(exc, (CassandraRosError, BrokenPipeError)):
+            raise InvalidOption(cannot_write(path, exc)) from exc
         raise

@@ -4,7 +4,9 @@
 
 from __future__ import annotations
 
+import io
 import math
+import sys
 from typing import Collection, Sequence
 
 from cassandra_ros.keys import SECOND_NS
@@ -56,6 +58,12 @@ def format_length(ns: int) -> str:
         if ns and ns % (seconds * SECOND_NS) == 0:
             return f"{ns // (seconds * SECOND_NS)} {unit}"
     return f"{ns} ns"
+
+
+def write_utf8() -> None:
+    """Write standard output in UTF-8 from now on, for other programs, whatever a terminal knows."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(encoding="utf-8")
 
 
 def counted(count: int, noun: str) -> str:

@@ -9,7 +9,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cassandra_ros.errors import InvalidOption
+from cassandra_ros.errors import InvalidOption, cannot_write
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -59,5 +59,5 @@ def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
         os.replace(active, path)
     except OSError as exc:
         active.unlink(missing_ok=True)
-        raise InvalidOption(f"{os.fspath(path)} cannot be written: {exc.strerror}") from exc
+        raise InvalidOption(cannot_write(path, exc)) from exc
     return len(image.getvalue())

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, Callable, Iterable, Iterator, Mapping, Na
 from urllib.parse import quote
 
 from cassandra_ros.arrays.arrow_types import load_arrow
-from cassandra_ros.errors import CorruptMessage, InvalidOption
+from cassandra_ros.errors import CorruptMessage, InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.query.plan.pushdown import unwatched
@@ -143,7 +143,7 @@ class Lake:
         try:
             lock = path.open("w")  # noqa: SIM115 - closed below
         except OSError as exc:
-            raise InvalidOption(f"{path} cannot be written: {exc.strerror}") from exc
+            raise InvalidOption(cannot_write(path, exc)) from exc
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -228,7 +228,7 @@ class Lake:
                 _sync(active)
                 os.replace(active, path)
         except OSError as exc:
-            raise InvalidOption(f"{path} cannot be written: {exc.strerror or exc}") from exc
+            raise InvalidOption(cannot_write(path, exc)) from exc
         finally:
             with suppress(FileNotFoundError):
                 active.unlink()
@@ -343,9 +343,14 @@ def _sync(path: Path) -> None:
 
 def _write_listing(folder: Path, listing: Mapping[str, Any]) -> None:
     active = folder / f"{LISTING}.active"
-    active.write_text(json.dumps(listing, indent=1), encoding="utf-8")
-    _sync(active)
-    os.replace(active, folder / LISTING)
+    try:
+        active.write_text(json.dumps(listing, indent=1), encoding="utf-8")
+        _sync(active)
+        os.replace(active, folder / LISTING)
+    except OSError as exc:
+        with suppress(OSError):
+            active.unlink()
+        raise InvalidOption(cannot_write(folder / LISTING, exc)) from exc
 
 
 def _metadata(topic: CassandraTopic, tables: Iterable[TopicTable]) -> dict[str, str]:

@@ -46,7 +46,7 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.readers import factor, whole_number
 from cassandra_ros.cli.terminal_text import MessageBar, counted
-from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound
+from cassandra_ros.errors import InvalidName, InvalidOption, TopicNotFound, cannot_write
 from cassandra_ros.printable import shown
 
 if TYPE_CHECKING:
@@ -221,7 +221,7 @@ def _save(made: OccupancyMap, output: Path) -> list[str]:
         write_whole(output, map_png(made))
         return [str(output)]
     except OSError as exc:
-        raise InvalidOption(f"{output} cannot be written: {exc.strerror}") from exc
+        raise InvalidOption(cannot_write(output, exc)) from exc
 
 
 def _store(ros_cas: RosCassandra, made: OccupancyMap, options: argparse.Namespace) -> None:
