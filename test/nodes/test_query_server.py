@@ -13,12 +13,10 @@ import time
 import uuid
 
 import pytest
-from conftest import NO_MASTER
 from nodes.children import start_client, start_node
 from nodes.raw_publisher import message
 from sensor_msgs.msg import Image, NavSatFix
 from std_msgs.msg import Int64, String, UInt8MultiArray
-from suites import sparing
 from tf2_msgs.msg import TFMessage
 
 from cassandra_ros import RosCassandra
@@ -446,15 +444,6 @@ def test_a_keyspace_that_a_recorder_makes_later(roscore, cassandra, connect, new
         store.addTopic("/a").addData(String(data="a"), key=T0)
         assert client.call("/early/getData", topic="/a", key=T0)["success"]
         assert child.end() == 0
-
-
-@pytest.mark.suite("all", "it waits for seconds")
-@pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGINT]))
-def test_it_can_be_interrupted_while_there_is_no_master(roscore, number):
-    with start_node(roscore, "query_server", env=[("ROS_MASTER_URI", NO_MASTER)]) as child:
-        child.await_line("Unable to register with master node")
-        assert child.end(number) == 130
-        assert "Traceback" not in child.output
 
 
 def test_no_server(roscore):

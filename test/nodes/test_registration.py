@@ -18,9 +18,12 @@ from types import SimpleNamespace
 from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
-from nodes.children import Child, await_true, start_node, start_recorder
+from conftest import NO_MASTER
+from mapping.room import Drive
+from nodes.children import PROGRAMS, Child, await_true, start_node, start_recorder
 from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
+from suites import sparing
 
 from cassandra_ros.local_server import free_port
 from cassandra_ros.nodes.ros_node import own_name
@@ -251,3 +254,39 @@ def test_programs_that_start_at_the_same_moment_choose_their_names_one_after_the
         order.append(full_name)
     second.join()
     assert order == ["/recorder", "second"]
+
+
+NODES = {
+    "recorder": ["-a"],
+    "player": ["/odom"],
+    "query_server": [],
+    "replicator": ["--to", "127.0.0.1:1"],
+    "cassandra_bag": [
+        *("map", "/scan", "--publish", "/office", "--resolution", "0.5", "--limit", "4"),
+    ],
+}
+"""Program that starts a node -> its arguments."""
+
+
+@pytest.mark.parametrize("number", sparing([signal.SIGINT, signal.SIGTERM], kept=[signal.SIGTERM]))
+@pytest.mark.parametrize("name", sparing(list(NODES), kept=["recorder"]))
+def test_a_node_says_which_master_it_waits_for(ros_env, cassandra, rosCas, keyspace, name, number):
+    """Its standard error is a pipe, as a log file is: nothing waits in a buffer."""
+    Drive().store(rosCas, ("/odom", "/scan"))
+    where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", keyspace)
+    only_errors = ["bash", "-c", 'exec "$0" "$@" > /dev/null', PROGRAMS / name]
+    env = {**ros_env, "ROS_MASTER_URI": NO_MASTER}
+    with Child([*only_errors, *NODES[name], *where], env) as child:
+        line = child.await_line("waiting for the ROS master")
+        assert f"{NO_MASTER} (ROS_MASTER_URI): start roscore" in line
+        assert child.end(number) == 128 + number, child.output
+        assert child.lines == [line]
+
+
+def test_a_node_goes_on_when_its_master_comes(master, cassandra, rosCas, keyspace):
+    master.stop()
+    with start_recorder(master, cassandra, keyspace, "-a") as child:
+        child.await_line("waiting for the ROS master")
+        master.start()
+        child.await_line("services under /recorder")
+        assert child.end() == 0, child.output

@@ -10,6 +10,7 @@ import logging
 import socket
 import xmlrpc.client
 from typing import Any, Iterable
+from xml.parsers.expat import ExpatError
 
 import rosgraph
 
@@ -59,11 +60,16 @@ def master_proxy(timeout_sec: float = TIMEOUT_SEC) -> Any:
     return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=transport)
 
 
+def master_uri() -> str:
+    """Return the address of the ROS master: that of ``__master:=``, else ROS_MASTER_URI."""
+    return str(rosgraph.get_master_uri())
+
+
 def master_answers() -> bool:
     """Return whether a ROS master answers within 1 s."""
     try:
         master_proxy().getPid("/cassandra_ros")
-    except (OSError, xmlrpc.client.Error, http.client.HTTPException) as exc:
+    except (OSError, xmlrpc.client.Error, http.client.HTTPException, ExpatError) as exc:
         _log.info("no ROS master at %s: %s", rosgraph.get_master_uri(), exc)
         return False
     return True

@@ -39,7 +39,7 @@ from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage, StoredTopic
 from cassandra_ros.nodes.mark_answer import pack_event, read_values
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.nodes.ros_node import bound_master_calls, forward_logging, own_name
+from cassandra_ros.nodes.ros_node import await_master, bound_master_calls, forward_logging, own_name
 from cassandra_ros.query.rows.answer_bound import AnswerBound
 from cassandra_ros.query.tree.json_values import from_json
 from cassandra_ros.query.tree.parse import parse_statement
@@ -119,6 +119,7 @@ def start_node(argv: Sequence[str]) -> dict[str, str]:
     Raises:
         InvalidName: A node of the same name is running.
     """
+    await_master()
     with own_name("cassandra_ros", argv) as (name, full, taken):
         if taken:  # two nodes of one name would replace each other's services
             raise InvalidName(

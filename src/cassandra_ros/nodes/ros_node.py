@@ -10,12 +10,15 @@ import errno
 import hashlib
 import logging
 import os
+import signal
 import socket
 import struct
+import threading
 import time
 import xmlrpc.client
 from collections import ChainMap
 from http.client import HTTPException
+from types import FrameType
 from typing import Iterator, Mapping, Sequence
 from urllib.parse import urlparse
 from xml.parsers.expat import ExpatError
@@ -23,7 +26,7 @@ from xml.parsers.expat import ExpatError
 import rospy
 
 from cassandra_ros.errors import ClockNotSet
-from cassandra_ros.messages.ros_master import MasterTransport
+from cassandra_ros.messages.ros_master import MasterTransport, master_answers, master_uri
 from cassandra_ros.nodes.subscription import subscribe
 from cassandra_ros.printable import shown_lines
 
@@ -43,6 +46,8 @@ MASTER_SEC = 5.0
 ALONE_SEC = 10.0
 """Maximum time to wait for another program that starts a node of the same name, s."""
 _POLL_SEC = 0.05
+_TELL_SEC = 0.5
+"""Time without an answer of the master after which a program says that it waits for it, s."""
 MASTER_ERRORS = (OSError, HTTPException, xmlrpc.client.Error, ExpatError)
 """Exceptions of a request to a master that does not answer, or ends while it answers."""
 
@@ -65,6 +70,42 @@ def own_name(default: str, argv: Sequence[str]) -> Iterator[tuple[str, str, bool
         yield name, full_name, _is_taken(full_name)
 
 
+def await_master() -> None:
+    """Wait until the ROS master answers; say what is waited for after _TELL_SEC.
+
+    The main thread calls it before ``init_node``, which waits in silence, and ends late.
+
+    Raises:
+        KeyboardInterrupt, SystemExit: SIGINT came, or SIGTERM (status 143).
+    """
+    uri, answers, ended = master_uri(), threading.Event(), threading.Event()
+
+    def ask() -> None:
+        while not (ended.is_set() or master_answers()):
+            ended.wait(_TELL_SEC)
+        answers.set()
+
+    def signalled(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
+
+    # A thread of its own asks: the search for the address of a host ignores signals.
+    threading.Thread(target=ask, name="ask the master", daemon=True).start()
+    # With & a shell ignores SIGINT, which counts all the same.
+    before = {n: signal.signal(n, signalled) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        if not answers.wait(_TELL_SEC):
+            _log.warning(
+                "waiting for the ROS master at %s (ROS_MASTER_URI): start roscore there, or set "
+                "ROS_MASTER_URI to the address of another one",
+                shown_lines(uri),
+            )
+            answers.wait()
+    finally:
+        ended.set()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def start_named_node(
     default: str, argv: Sequence[str], *, signals: bool = False, rosout: bool = True
 ) -> Mapping[str, object]:
@@ -80,6 +121,7 @@ def start_named_node(
         signals: Whether rospy handles SIGINT and SIGTERM.
         rosout: Whether the log goes to the topic that /rosout is remapped to; False = to /rosout.
     """
+    await_master()
     with own_name(default, argv) as (name, full_name, taken):
         # With a name on the command line rospy would not choose an anonymous one.
         words = [word for word in argv if not (taken and word.startswith(_NAME))]
