@@ -15,7 +15,16 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "src" / "cassandra_ros"
 
 # Known to all; they know only each other.
-GROUND = {"errors", "keys", "metadata", "arguments", "printable", "installation", "read"}
+GROUND = {
+    "errors",
+    "keys",
+    "metadata",
+    "arguments",
+    "printable",
+    "installation",
+    "read",
+    "own_files",
+}
 
 # Room -> the rooms below it that it may use.
 CASSANDRA = {"connection", "tables", "blocks", "store"}
@@ -29,6 +38,7 @@ BELOW = {
     "printable": set(),
     "read": {"keys"},
     "installation": {"errors"},
+    "own_files": set(),
     "messages": set(),
     "formats": {"messages"},
     "connection": set(),

@@ -312,7 +312,7 @@ def test_a_keyspace_is_made_when_all_nodes_of_a_local_cluster_answer(
     """Else it would keep one copy of each message for ever."""
     monkeypatch.setenv("CASSANDRA_ROS_DIR", str(tmp_path / "server"))
     (tmp_path / "server").mkdir()
-    monkeypatch.setattr(disk, "find_server", lambda config: os.getpid())
+    monkeypatch.setattr(disk, "find_server", lambda config, pid_file: os.getpid())
     three = change_settings(new_settings(), nodes=3, host=cassandra.host, port=cassandra.port)
     save_settings(tmp_path / "server", three)
     make_bag(tmp_path / "a.bag")

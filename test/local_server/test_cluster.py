@@ -39,6 +39,7 @@ from cassandra_ros.local_server import cluster as cluster_module
 from cassandra_ros.local_server.cluster_settings import change_settings, new_settings, save_settings
 from cassandra_ros.local_server.commit_log import cut_torn_end
 from cassandra_ros.local_server.cql import answers_cql
+from cassandra_ros.local_server.processes import read_start
 
 
 def make(folder, **options):
@@ -114,7 +115,7 @@ def test_it_runs_and_a_second_start_does_nothing(folder):
     [status] = cluster.status()
     assert make(folder).start() is False
     assert cluster.status()[0].pid == status.pid
-    assert int(status.node.pid_file.read_text()) == status.pid
+    assert read_start(status.node.pid_file).pid == status.pid
 
 
 def test_it_listens_on_loopback_only(folder):

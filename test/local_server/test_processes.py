@@ -2,17 +2,21 @@
 # SPDX-License-Identifier: BSD-3-Clause
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import pytest
+from other_user import refusal_of
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import processes
+from cassandra_ros.local_server import LocalCluster, disk, free_port, processes
+from cassandra_ros.local_server.cluster_settings import save_settings
 
 _SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 
@@ -25,9 +29,9 @@ def test_a_server_is_known_by_its_command_line_only(tmp_path):
         time.sleep(0.001)
     try:
         assert processes.is_server(child.pid, config)
-        assert processes.find_server(config) == child.pid
+        assert processes.find_server(config, tmp_path / "pid") == child.pid
         assert not processes.is_server(other.pid, config)
-        assert processes.find_server(tmp_path / "other.yaml") == 0
+        assert processes.find_server(tmp_path / "other.yaml", tmp_path / "pid") == 0
         assert str(config) in processes.describe_process(child.pid)
     finally:
         for process in (child, other):
@@ -99,3 +103,75 @@ def test_what_belongs_to_another_user_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "kill", kill)
     with pytest.raises(ServerError, match="process 7 belongs to another user"):
         processes.terminate(7)
+
+
+# A program that looks like a server. Its words: what it does first, a folder, the configuration.
+_FOREIGN = """
+import ctypes, os, sys, time
+if sys.argv[1] == "chroot":
+    os.chroot(sys.argv[2])
+else:
+    ctypes.CDLL(None).prctl(4, 0, 0, 0, 0)  # PR_SET_DUMPABLE: only root looks into it now
+print("ready", flush=True)
+time.sleep(600)
+"""
+
+
+@contextlib.contextmanager
+def foreign_server(config, action, root):
+    # Who is not root may change its root in a user namespace of its own.
+    may = [] if action != "chroot" or os.geteuid() == 0 else ["unshare", "--map-root-user"]
+    words = [action, root, processes.config_argument(config)]
+    words.append(f"-Dcassandra.storagedir={config.parent}")
+    with subprocess.Popen(
+        [*may, sys.executable, "-c", _FOREIGN, *words], stdout=subprocess.PIPE
+    ) as child:
+        try:
+            assert child.stdout.readline() == b"ready\n"
+            yield child
+        finally:
+            child.kill()
+
+
+def test_a_server_in_another_root_with_the_same_paths_is_not_ours(tmp_path):
+    directory, root = tmp_path / "cassandra", tmp_path / "root"
+    cluster = LocalCluster(directory, port=free_port())
+    [node] = cluster.nodes
+    for folder in (node.directory, root / node.directory.relative_to("/")):
+        folder.mkdir(parents=True)
+    save_settings(directory, cluster.settings)
+    with foreign_server(node.config, "chroot", root) as child:
+        assert processes.find_server(node.config, node.pid_file) == 0
+        node.pid_file.write_text(f"{child.pid}\n")  # as an earlier release wrote it
+        assert processes.find_server(node.config, node.pid_file) == 0
+        assert disk.local_nodes(directory) == 0
+        assert disk.local_directory("127.0.0.1", cluster.settings.port) is None
+        assert cluster.stop() is False
+        assert LocalCluster(directory).clear() is True
+        assert child.poll() is None
+
+
+def test_a_server_that_cannot_be_looked_into_is_known_by_its_start(tmp_path):
+    # Not in tmp_path, which other users cannot enter.
+    with tempfile.TemporaryDirectory(prefix="cassandra_ros_start_") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        config, pid_file = folder / "cassandra.yaml", folder / "pid"
+
+        def check(pid):
+            assert processes.find_server(config, pid_file) == pid
+
+        with foreign_server(config, "hide", folder) as child:
+            assert refusal_of(check, 0) == ""
+            pid_file.write_text(f"{child.pid} {processes.start_time(child.pid) + 1}\n")
+            assert refusal_of(check, 0) == ""
+            processes.write_start(pid_file, child.pid)
+            assert refusal_of(check, child.pid) == ""
+
+
+def test_a_wait_is_told_every_ten_seconds():
+    said = []
+    tell = processes.ProgressLines(said.append)
+    for seconds in (0.1, 9.9, 10.1, 11.0, 19.9, 20.0, 0.1, 10.0):
+        tell("waiting", seconds)
+    assert said == ["waiting … 10 s", "waiting … 20 s", "waiting … 10 s"]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import LocalCluster, free_port
+from cassandra_ros.local_server import LocalCluster, cluster_settings, free_port
 from cassandra_ros.local_server.cluster_settings import (
     change_settings,
     load_settings,
@@ -160,7 +160,7 @@ def test_what_another_start_makes_meanwhile_is_not_foreign(tmp_path, monkeypatch
         raise FileNotFoundError(path)
 
     with monkeypatch.context() as patched:
-        patched.setattr(Path, "read_text", too_early)
+        patched.setattr(cluster_settings, "open_regular", too_early)
         assert load_settings(tmp_path) is None
     assert load_settings(tmp_path)
 

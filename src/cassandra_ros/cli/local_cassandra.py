@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import shlex
 import shutil
 import signal
@@ -24,6 +25,7 @@ from cassandra_ros.local_server.disk import full_disk
 from cassandra_ros.local_server.jars import cassandra_version, jars_directory
 from cassandra_ros.local_server.nodes import Node, size_of
 from cassandra_ros.local_server.ports import count_clients
+from cassandra_ros.local_server.processes import ProgressLines
 from cassandra_ros.printable import shown
 
 EXIT_NOT_RUNNING = 3
@@ -345,9 +347,14 @@ def say(text: str) -> None:
 
 
 def show_progress(text: str, seconds: float) -> None:
-    """Update the progress line on standard error, if that is a terminal."""
+    """Update the progress line on standard error; where that is no terminal, say it every 10 s."""
     if sys.stderr.isatty():
         print(f"\r{text} … {seconds:.0f} s\033[K", end="", file=sys.stderr, flush=True)
+    else:
+        _lines(text, seconds)
+
+
+_lines = ProgressLines(functools.partial(print, file=sys.stderr, flush=True))
 
 
 def _clear_progress() -> None:

@@ -9,6 +9,7 @@ import os
 import sys
 from contextlib import contextmanager
 from itertools import chain, islice
+from pathlib import Path
 from types import ModuleType
 from typing import IO, TYPE_CHECKING, Any, Iterable, Iterator, Sequence, Tuple
 
@@ -17,6 +18,7 @@ from cassandra_ros.cli.terminal_text import align, write_utf8
 from cassandra_ros.errors import CassandraRosError, InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
 from cassandra_ros.messages.stamps import Stamp, iso_time
+from cassandra_ros.own_files import new_file
 from cassandra_ros.printable import shown
 from cassandra_ros.query.rows.answer_bound import AnswerBound, least_bytes
 from cassandra_ros.query.tree.json_values import json_value, to_json
@@ -308,8 +310,9 @@ def open_output(path: str | None, force: bool, binary: bool) -> Iterator[IO[Any]
         raise InvalidOption(f"{path} exists; choose another name, or replace it with --force")
     active = path if special else f"{path}.active"
     try:
+        target = path if special else new_file(Path(active))
         stream: IO[Any] = (
-            open(active, "wb") if binary else open(active, "w", encoding="utf-8", newline="")
+            open(target, "wb") if binary else open(target, "w", encoding="utf-8", newline="")
         )
     except OSError as exc:
         raise InvalidOption(cannot_write(path, exc)) from exc

@@ -6,10 +6,12 @@ from __future__ import annotations
 
 import io
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cassandra_ros.errors import InvalidOption, cannot_write
+from cassandra_ros.own_files import new_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -55,9 +57,11 @@ def save_picture(picture: Image, path: str | os.PathLike[str]) -> int:
             f"many for {form}; take .png, or fewer or smaller pictures ({exc})"
         ) from exc
     try:
-        active.write_bytes(image.getvalue())
+        with open(new_file(active), "wb") as file:
+            file.write(image.getvalue())
         os.replace(active, path)
     except OSError as exc:
-        active.unlink(missing_ok=True)
+        with suppress(OSError):
+            active.unlink()
         raise InvalidOption(cannot_write(path, exc)) from exc
     return len(image.getvalue())

@@ -18,7 +18,7 @@ from cassandra_ros.local_server.cluster import LocalCluster
 from cassandra_ros.local_server.jars import find_java, jars_directory
 from cassandra_ros.local_server.nodes import archive_name, find_archive
 from cassandra_ros.local_server.ports import free_port
-from cassandra_ros.local_server.processes import locked, run_program
+from cassandra_ros.local_server.processes import ProgressLines, locked, run_program
 
 _HEAP = "512M"
 _PROBE_SEC = 30.0
@@ -34,7 +34,7 @@ def make_class_archive(say: Callable[[str], None]) -> bool:
     """
     java, jars = find_java(), jars_directory()
     try:
-        with locked(jars.parent / f".{jars.name}-classes.lock"):
+        with locked(jars.parent / f".{jars.name}-classes.lock", ProgressLines(say)):
             if find_archive(java, jars):
                 return False
             if not takes_archives(java):

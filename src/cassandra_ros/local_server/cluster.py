@@ -142,7 +142,7 @@ class LocalCluster:
         )
         if warning:
             self._say(f"warning: {warning}")
-        with locked(self.directory / "lock"):
+        with locked(self.directory / "lock", self._progress):
             self._load()  # another process may just have made the cluster
             offsets = {node.number: log_size(node) for node in self.nodes}
             asleep = [node for node in self.nodes if not self._pid(node)]
@@ -184,7 +184,7 @@ class LocalCluster:
         """
         if not self.directory.is_dir():
             return False
-        with locked(self.directory / "lock"):
+        with locked(self.directory / "lock", self._progress):
             self._load()  # another process may just have started more nodes
             running = [(node, pid) for node in self.nodes if (pid := self._pid(node))]
             for _, pid in running:
@@ -213,7 +213,7 @@ class LocalCluster:
                 f"{self.directory} has {self.settings.nodes if self.exists else 0} nodes"
             )
         node = replace(self.nodes[number - 1], replaced=True)
-        with locked(self.directory / "lock"):
+        with locked(self.directory / "lock", self._progress):
             self._check_replaceable(node)
             offset = log_size(node)
             if self._pid(node):  # an earlier call did not wait for the end
@@ -249,7 +249,7 @@ class LocalCluster:
                 f"the cluster in {self.directory} has {self.settings.nodes if self.exists else 0} "
                 "node(s): only several nodes have copies to compare"
             )
-        with locked(self.directory / "lock"):
+        with locked(self.directory / "lock", self._progress):
             self._load()
             silent = self._silent_of(self.nodes)
             if silent is not None:
@@ -312,7 +312,7 @@ class LocalCluster:
         """
         if not self.directory.is_dir():
             return False
-        with locked(self.directory / "lock"):
+        with locked(self.directory / "lock", self._progress):
             self._load()
             if self._stored is None:
                 return False
@@ -349,13 +349,7 @@ class LocalCluster:
         child = self._children.get(node.number)
         if child is not None:
             child.poll()  # otherwise it remains a zombie
-        try:
-            remembered = int(node.pid_file.read_text(encoding="ascii"))
-        except (OSError, ValueError):
-            remembered = 0
-        if remembered and processes.is_server(remembered, node.config):
-            return remembered
-        return processes.find_server(node.config)
+        return processes.find_server(node.config, node.pid_file)
 
     def _tell_memory(self, nodes: int) -> None:
         """Say how much memory several nodes will take."""
@@ -431,7 +425,7 @@ class LocalCluster:
             command = with_visible_root(node.command(java, jars_directory()), node.directory)
             child = processes.spawn(command, node.console, environment, die_with_us=die_with_us)
             self._children[node.number] = child
-            node.pid_file.write_text(f"{child.pid}\n", encoding="ascii")
+            processes.write_start(node.pid_file, child.pid)
         except OSError as exc:
             raise ServerError(f"Cassandra node {node.number} cannot be started: {exc}") from exc
 
@@ -467,11 +461,13 @@ class LocalCluster:
         begun = time.monotonic()
         while not node.answers():
             waited = time.monotonic() - begun
-            self._progress(f"starting Cassandra node {node.number}", waited)
-            if not self._pid(node):
+            where, pid = f"{node.address}:{self.settings.port}", self._pid(node)
+            if not pid:
                 self._fail(node, "ended while it was starting.", offset)
+            self._progress(
+                f"starting Cassandra node {node.number} (pid {pid}): waiting for {where}", waited
+            )
             if waited > limit_sec:
-                where = f"{node.address}:{self.settings.port}"
                 text = f"does not answer on {where} after {waited:.0f} s; it is left running."
                 self._fail(node, text, offset)
             time.sleep(_POLL_SEC)
@@ -486,7 +482,8 @@ class LocalCluster:
         Before that no quorum can be reached. It takes a second or two. After the timeout the start
         still counts as successful: only requests that need both nodes fail.
         """
-        deadline = time.monotonic() + _NEIGHBOUR_TIMEOUT_SEC
+        begun = time.monotonic()
+        deadline = begun + _NEIGHBOUR_TIMEOUT_SEC
         nodes = [node for node in self.nodes if not node.is_being_replaced]
         for node in nodes:
             others = [other for other in nodes if other != node]
@@ -499,7 +496,8 @@ class LocalCluster:
                 versions = self._schema_versions(node)
                 if seen and len(versions) > len(others) and len(set(versions.values())) == 1:
                     break
-                self._progress("waiting for the nodes to know each other", 0.0)
+                waited = time.monotonic() - begun
+                self._progress("waiting for the nodes to know each other", waited)
                 time.sleep(_POLL_SEC)
 
     def _schema_versions(self, node: Node) -> dict[str, str]:
@@ -516,11 +514,13 @@ class LocalCluster:
         return {}
 
     def _await_end(self, node: Node, pid: int) -> None:
-        begun = time.monotonic()
-        while processes.is_server(pid, node.config):
-            self._pid(node)
+        begun, child = time.monotonic(), self._children.get(node.number)
+        started = processes.read_start(node.pid_file)
+        while processes.is_server(pid, node.config, started):
+            if child is not None:
+                child.poll()  # otherwise it remains a zombie
             waited = time.monotonic() - begun
-            self._progress(f"stopping Cassandra node {node.number}", waited)
+            self._progress(f"stopping Cassandra node {node.number} (pid {pid})", waited)
             if waited > STOP_TIMEOUT_SEC:
                 raise ServerError(
                     f"Cassandra node {node.number} (pid {pid}) does not end {waited:.0f} s after "

@@ -15,6 +15,7 @@ from pathlib import Path
 import psutil
 
 from cassandra_ros.errors import ServerError
+from cassandra_ros.own_files import new_file, open_regular
 
 MAX_NODES = 3
 MIN_HEAP_MB = 256
@@ -25,6 +26,8 @@ BESIDE_HEAP_MB = 450
 _MEMORY_LIMIT = Path("/sys/fs/cgroup/memory.max")
 SETTINGS_FILE = "cluster.json"
 _DRAFT = "cluster.draft"
+_MAX_CHARS = 1 << 16
+"""Maximum length of the settings that are read, characters."""
 LOGIN_DIRECTORY = "login"
 """Name of the folder with keys and passwords of a cluster that requires a login."""
 
@@ -105,7 +108,8 @@ def load_settings(directory: Path) -> Settings | None:
     try:
         # List foreign files first, so that files of a start that runs meanwhile do not count.
         foreign = _foreign(directory)
-        values = json.loads(path.read_text(encoding="utf-8"))
+        with open(open_regular(path), encoding="utf-8") as file:
+            values = json.loads(file.read(_MAX_CHARS))
         types = {field.name: field.type for field in fields(Settings)}
         settings = Settings(**{name: values[name] for name in types if name in values})
         for name, kind in types.items():
@@ -129,7 +133,7 @@ def load_settings(directory: Path) -> Settings | None:
 def save_settings(directory: Path, settings: Settings) -> None:
     """Write the settings atomically: a crash leaves either the old or the new ones."""
     draft = directory / _DRAFT
-    with draft.open("w", encoding="utf-8") as file:
+    with open(new_file(draft), "w", encoding="utf-8") as file:
         file.write(json.dumps(asdict(settings), indent=2) + "\n")
         file.flush()
         os.fsync(file.fileno())

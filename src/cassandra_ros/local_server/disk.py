@@ -16,7 +16,12 @@ from cassandra_ros.local_server.cluster_settings import Settings, load_settings
 from cassandra_ros.local_server.jars import default_directory
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.preflight import log_since, log_size
-from cassandra_ros.local_server.processes import command_line, find_server
+from cassandra_ros.local_server.processes import (
+    command_line,
+    find_server,
+    is_server,
+    read_start,
+)
 
 LOW_BYTES = 64 << 20
 """Free space below which a disk counts as full, bytes. A commit log segment has 32 MiB."""
@@ -50,7 +55,7 @@ def local_nodes(directory: Path) -> int:
         return 0
     numbers = range(1, settings.nodes + 1)
     nodes = [Node(n, directory / f"node{n}", settings) for n in numbers]
-    return len(nodes) if any(find_server(node.config) for node in nodes) else 0
+    return len(nodes) if any(find_server(node.config, node.pid_file) for node in nodes) else 0
 
 
 def disk_trouble(directory: Path) -> str:
@@ -61,7 +66,7 @@ def disk_trouble(directory: Path) -> str:
         return full
     for number in range(1, settings.nodes + 1):
         node = Node(number, directory / f"node{number}", settings)
-        if not find_server(node.config):
+        if not find_server(node.config, node.pid_file):
             return f"Cassandra node {number} of {directory} does not run; its log is {node.log}"
     return ""
 
@@ -102,5 +107,11 @@ def _is_at(directory: Path, address: str, port: int) -> bool:
 
 
 def _running() -> list[Path]:
-    words = (word for pid in psutil.pids() for word in command_line(pid))
-    return [Path(word[len(_STORAGE) :]).parent for word in words if word.startswith(_STORAGE)]
+    words = ((pid, word) for pid in psutil.pids() for word in command_line(pid))
+    nodes = [(pid, Path(w[len(_STORAGE) :])) for pid, w in words if w.startswith(_STORAGE)]
+    return [node.parent for pid, node in nodes if _is_here(pid, node)]
+
+
+def _is_here(pid: int, node: Path) -> bool:
+    """Return whether a server's folder is the one that we see by its path: not in a container."""
+    return is_server(pid, node / "cassandra.yaml", read_start(node / "pid"))

@@ -24,7 +24,7 @@ from typing import Callable
 
 from cassandra_ros.errors import MissingDependency, ServerError
 from cassandra_ros.installation import home_folder, optional_module, shipped_file
-from cassandra_ros.local_server.processes import locked, run_program
+from cassandra_ros.local_server.processes import ProgressLines, locked, run_program
 
 _MARKER = "complete"
 _ATTEMPTS = 4
@@ -99,7 +99,7 @@ def install_jars(say: Callable[[str], None]) -> bool:
     directory = jars_directory()
     try:
         directory.parent.mkdir(parents=True, exist_ok=True)
-        with locked(directory.parent / f".{directory.name}.lock"):
+        with locked(directory.parent / f".{directory.name}.lock", ProgressLines(say)):
             if jars_installed():
                 return False
             _fetch(directory, say)

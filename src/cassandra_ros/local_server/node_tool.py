@@ -14,6 +14,7 @@ import secrets
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import tempfile
 import time
@@ -27,6 +28,7 @@ from cassandra_ros.local_server.java_programs import module_options
 from cassandra_ros.local_server.nodes import Node
 from cassandra_ros.local_server.ports import free_port
 from cassandra_ros.local_server.processes import run_program
+from cassandra_ros.own_files import open_own
 
 _LOOPBACK = "127.0.0.1"
 _MODULE = "jdk.naming.rmi"
@@ -143,17 +145,29 @@ def _attach_socket(pid: int) -> Path:
     """Return the path of the socket on which a Java process takes commands; have it make one."""
     folder = Path(f"/proc/{pid}/root/tmp")
     path = folder / f".java_pid{pid}"
-    if path.is_socket():
+    if _is_socket_of(path, pid):
         return path
     request = folder / f".attach_pid{pid}"
-    request.touch()
+    os.close(open_own(request, os.O_WRONLY | os.O_CREAT))
     try:
         os.kill(pid, signal.SIGQUIT)
         deadline = time.monotonic() + _ATTACH_SEC
-        while not path.is_socket():
+        while not _is_socket_of(path, pid):
             if time.monotonic() > deadline:
                 raise TimeoutError(f"no socket {path} after {_ATTACH_SEC:.0f} s")
             time.sleep(_POLL_SEC)
     finally:
         request.unlink()
     return path
+
+
+def _is_socket_of(path: Path, pid: int) -> bool:
+    """Return whether a path is a socket that the user of a process has made, as Java looks at it.
+
+    Everybody can make files in this folder.
+    """
+    try:
+        state, owner = path.lstat(), os.stat(f"/proc/{pid}").st_uid
+    except FileNotFoundError:
+        return False
+    return stat.S_ISSOCK(state.st_mode) and state.st_uid == owner

@@ -12,6 +12,7 @@ from cassandra_ros.local_server import ports, processes
 from cassandra_ros.local_server.cluster_settings import Settings
 from cassandra_ros.local_server.cql import answers_cql
 from cassandra_ros.local_server.nodes import Node
+from cassandra_ros.own_files import open_regular
 
 _NEEDED_BYTES = 768 << 20  # per node: the commit log alone may take 512 MiB
 
@@ -78,11 +79,10 @@ def note_stale_pid_file(node: Node) -> str:
 
     It stays until the node is started: what was killed must be looked after then.
     """
-    try:
-        text = node.pid_file.read_text(encoding="ascii", errors="replace").strip()
-    except FileNotFoundError:
+    if not node.pid_file.exists():
         return ""
-    owner = processes.describe_process(int(text)) if text.isdigit() else "no process"
+    started = processes.read_start(node.pid_file)
+    owner = processes.describe_process(started.pid) if started and started.pid else "no process"
     return f"{node.pid_file} is stale: it names {owner}, not this Cassandra"
 
 
@@ -190,7 +190,7 @@ def explain_failure(node: Node, offset: int) -> str:
 
 def _read(path: Path, offset: int) -> str:
     try:
-        with open(path, "rb") as file:
+        with open(open_regular(path), "rb") as file:
             end = file.seek(0, 2)
             file.seek(max(offset, end - _TAIL_BYTES))
             return file.read().decode("utf-8", "replace")

@@ -1,29 +1,53 @@
 # SPDX-FileCopyrightText: 2026 cassandra_ros authors
 # SPDX-License-Identifier: BSD-3-Clause
-"""Processes of the local Cassandra, identified by their command line, never by a pid alone.
+"""Processes of the local Cassandra, identified by their folder, never by a pid alone.
 
 A pid in a file may belong to another process by now. So a process counts as a node's server only
-if its command line names that node's configuration file.
+if its command line names that node's configuration file, and the folder of this file, as that
+process sees it, is the node's folder: in a chroot or a container another folder can have the same
+path. Where the system does not let us look through its eyes, it must be the process whose pid and
+start time the node's folder holds.
 """
 
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import os
 import signal
 import subprocess
 import time
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Callable, Iterator, Mapping, Sequence
+from typing import Callable, Iterator, Mapping, NamedTuple, Sequence
 
 import psutil
 
 from cassandra_ros.errors import ServerError
+from cassandra_ros.own_files import lock_holder, lock_own, open_regular
 
 _PR_SET_PDEATHSIG = 1
 _CONFIG = "-Dcassandra.config="
+LOCK_SEC = 600.0
+"""Maximum time to wait for another process that holds a lock, s."""
+_LOCK_POLL_SEC = 0.1
+_TELL_SEC = 10.0
+"""Time between two lines that say what is being waited for, s."""
+_PID_CHARS = 64
+
+
+class ServerStart(NamedTuple):
+    """What a pid file holds.
+
+    Attributes:
+        pid: Pid of the server; 0 = the file is missing or damaged.
+        time: Its start time, see start_time; 0 = not noted.
+    """
+
+    pid: int
+    time: int
+
+
+_NOT_NOTED = ServerStart(0, 0)
 
 
 def config_argument(config: Path) -> str:
@@ -47,14 +71,57 @@ def resident_bytes(pid: int) -> int:
         return 0
 
 
-def is_server(pid: int, config: Path) -> bool:
-    """Return whether a process is the server with this configuration file."""
-    return config_argument(config) in command_line(pid)
+def start_time(pid: int) -> int:
+    """Return when a process was started, in ticks since the machine was; 0 = it has ended."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return 0
+    return int(text.rpartition(")")[2].split()[19])  # the name before it may have parentheses
 
 
-def find_server(config: Path) -> int:
+def write_start(pid_file: Path, pid: int) -> None:
+    """Write the pid and the start time of a server into its pid file."""
+    pid_file.write_text(f"{pid} {start_time(pid)}\n", encoding="ascii")
+
+
+def read_start(pid_file: Path) -> ServerStart | None:
+    """Return what a pid file holds; None = its folder is another user's, and we may not read it."""
+    try:
+        with open(open_regular(pid_file), encoding="ascii", errors="replace") as file:
+            words = file.read(_PID_CHARS).split()
+        return ServerStart(int(words[0]), int(words[1]) if len(words) > 1 else 0)
+    except PermissionError:
+        return None
+    except (OSError, ValueError, IndexError):
+        return _NOT_NOTED
+
+
+def is_server(pid: int, config: Path, started: ServerStart | None = _NOT_NOTED) -> bool:
+    """Return whether a process is the server with this configuration file, in this very folder.
+
+    Args:
+        pid: The process.
+        config: The configuration file.
+        started: What the pid file holds; see read_start.
+    """
+    if config_argument(config) not in command_line(pid):
+        return False
+    try:
+        return os.path.samestat(os.stat(f"/proc/{pid}/root{config.parent}"), config.parent.stat())
+    except PermissionError:
+        # A process or a folder of another user, or a process with more rights. If the pid file
+        # cannot be read either, the command line must do: then we cannot end that process.
+        return started is None or started == (pid, start_time(pid))
+    except OSError:
+        return False  # there is no such folder where it runs, or it has ended
+
+
+def find_server(config: Path, pid_file: Path) -> int:
     """Return the pid of the server with this configuration file; 0 = it is not running."""
-    return next((pid for pid in psutil.pids() if is_server(pid, config)), 0)
+    started = read_start(pid_file)
+    first = [started.pid] if started and started.pid else []
+    return next((pid for pid in (*first, *psutil.pids()) if is_server(pid, config, started)), 0)
 
 
 def run_program(
@@ -152,19 +219,61 @@ def _in_child(die_with_us: bool) -> Callable[[], None]:
     return prepare
 
 
+class ProgressLines:
+    """A progress callback that says every 10 s what is being waited for.
+
+    Args:
+        say: Callback that gets a line of text.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._step = 0
+
+    def __call__(self, text: str, seconds: float) -> None:
+        """Say a text if another 10 s of its wait have passed."""
+        step, self._step = self._step, int(seconds // _TELL_SEC)
+        if self._step > step:
+            self._say(f"{text} … {seconds:.0f} s")
+
+
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
+def locked(
+    path: Path,
+    progress: Callable[[str, float], None] = lambda text, seconds: None,
+    limit_sec: float = LOCK_SEC,
+) -> Iterator[None]:
     """Hold the lock of a file, which is created if needed; wait for other processes.
 
+    Args:
+        path: The file. No other user can open it, and so hold the lock.
+        progress: Callback that gets regularly what is being waited for, and since how many seconds.
+        limit_sec: Maximum time to wait, s.
+
     Raises:
-        ServerError: The file cannot be opened.
+        ServerError: The file cannot be opened, or another process holds the lock for longer.
     """
+    begun = time.monotonic()
+    while True:
+        try:
+            lock = lock_own(path)
+            break
+        except BlockingIOError:
+            waited = time.monotonic() - begun
+        except OSError as exc:
+            raise ServerError(
+                f"{path} cannot be opened: {exc.strerror}; was it made by another user?"
+            ) from exc
+        pid = lock_holder(path)
+        holder = describe_process(pid) if pid else "a process that is not known"
+        if waited > limit_sec:
+            raise ServerError(
+                f"{path} is still locked by {holder} after {waited:.0f} s; wait until that has "
+                "ended, or end it"
+            )
+        progress(f"waiting for {holder}, which has locked {path}", waited)
+        time.sleep(_LOCK_POLL_SEC)
     try:
-        file = open(path, "a", encoding="utf-8")
-    except OSError as exc:
-        raise ServerError(
-            f"{path} cannot be opened: {exc.strerror}; was it made by another user?"
-        ) from exc
-    with file:
-        fcntl.flock(file, fcntl.LOCK_EX)
         yield
+    finally:
+        os.close(lock)

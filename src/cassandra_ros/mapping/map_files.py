@@ -13,6 +13,7 @@ import yaml
 
 from cassandra_ros.errors import InvalidName
 from cassandra_ros.mapping.occupancy import OccupancyMap
+from cassandra_ros.own_files import new_file
 
 OCCUPIED_FROM = 65
 """Minimum probability of an occupied cell, %, included, as in map_saver."""
@@ -76,7 +77,8 @@ def write_whole(path: Path, data: bytes) -> None:
     """Write a file atomically: other processes see the old or the new file."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        part.write_bytes(data)
+        with open(new_file(part), "wb") as file:
+            file.write(data)
         part.replace(path)
     finally:
         with suppress(FileNotFoundError):

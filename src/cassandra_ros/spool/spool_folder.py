@@ -12,7 +12,6 @@ missing for another reason is told.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import logging
 import os
@@ -24,6 +23,7 @@ from typing import Iterator
 
 from cassandra_ros.errors import SpoolError
 from cassandra_ros.installation import home_folder
+from cassandra_ros.own_files import lock_own, own_folder
 from cassandra_ros.spool.spool_label import RunTotals, Totals
 from cassandra_ros.tables.checksum import crc32
 
@@ -155,9 +155,7 @@ class SpoolFolder:
         hidden, path = self.path / f".{writer}", self.path / str(writer)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.mkdir(mode=0o700, exist_ok=True)
-            if self.path.stat().st_mode & 0o077:
-                self.path.chmod(0o700)
+            own_folder(self.path)
             hidden.mkdir(mode=0o700)
             lock = _locked(hidden)
             # Under its name only when it is locked: else others would take it for left.
@@ -165,7 +163,9 @@ class SpoolFolder:
         except OSError as exc:
             raise SpoolError(f"the spool {self.path} cannot be used: {exc}") from exc
         if lock is None:
-            raise SpoolError(f"the spool {self.path} cannot be locked: its disk has no flock")
+            raise SpoolError(
+                f"the spool {self.path} cannot be locked: another process has its lock"
+            )
         return RunFolder(path, lock)
 
     def left(self) -> Iterator[RunFolder]:
@@ -210,14 +210,14 @@ def run_files(path: Path) -> list[Path]:
 
 def _locked(path: Path) -> int | None:
     """Lock a folder; return the file descriptor of the lock, None if another process holds it."""
-    descriptor = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        descriptor = lock_own(path / _LOCK)
+    except BlockingIOError:
+        return None
+    with suppress(OSError):
         # Another process may have removed it meanwhile.
         if (path / _LOCK).stat().st_ino == os.fstat(descriptor).st_ino:
             return descriptor
-    except OSError:
-        pass
     os.close(descriptor)
     return None
 

@@ -10,7 +10,6 @@ because of its name. Files of messages that the store does not have any more are
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 import logging
@@ -26,6 +25,7 @@ from cassandra_ros.arrays.arrow_types import load_arrow
 from cassandra_ros.errors import CorruptMessage, InvalidOption, cannot_write
 from cassandra_ros.installation import optional_module
 from cassandra_ros.keys import SECOND_NS
+from cassandra_ros.own_files import lock_own, new_file
 from cassandra_ros.query.plan.pushdown import unwatched
 from cassandra_ros.query.tree.field_names import all_fields
 from cassandra_ros.query.tree.units import unit_of_field
@@ -141,16 +141,16 @@ class Lake:
         """Keep other programs from writing: two would write into one file."""
         path = self._folder / LOCK
         try:
-            lock = path.open("w")  # noqa: SIM115 - closed below
+            lock = lock_own(path)
+        except BlockingIOError as exc:
+            reason = "is being written by another program: try again when it has ended"
+            raise InvalidOption(f"{self._folder} {reason}") from exc
         except OSError as exc:
             raise InvalidOption(cannot_write(path, exc)) from exc
-        with lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as exc:
-                reason = "is being written by another program: try again when it has ended"
-                raise InvalidOption(f"{self._folder} {reason}") from exc
+        try:
             yield
+        finally:
+            os.close(lock)
 
     def _timed(self) -> Iterator[CassandraTopic]:
         """Yield the topics whose messages have times."""
@@ -220,10 +220,11 @@ class Lake:
         count = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with self._parquet.ParquetWriter(active, schema, compression="zstd") as writer:
-                for table in self._groups(source, schema):
-                    writer.write_table(table.sort_by("KEY"), row_group_size=GROUP_ROWS)
-                    count += table.num_rows
+            with open(new_file(active), "wb") as file:
+                with self._parquet.ParquetWriter(file, schema, compression="zstd") as writer:
+                    for table in self._groups(source, schema):
+                        writer.write_table(table.sort_by("KEY"), row_group_size=GROUP_ROWS)
+                        count += table.num_rows
             if count:
                 _sync(active)
                 os.replace(active, path)
@@ -344,7 +345,8 @@ def _sync(path: Path) -> None:
 def _write_listing(folder: Path, listing: Mapping[str, Any]) -> None:
     active = folder / f"{LISTING}.active"
     try:
-        active.write_text(json.dumps(listing, indent=1), encoding="utf-8")
+        with open(new_file(active), "w", encoding="utf-8") as file:
+            json.dump(listing, file, indent=1)
         _sync(active)
         os.replace(active, folder / LISTING)
     except OSError as exc:

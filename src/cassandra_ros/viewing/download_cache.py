@@ -9,7 +9,6 @@ bounded: the files whose last request is the oldest are deleted first.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import tempfile
@@ -21,6 +20,7 @@ from typing import IO, Callable, Iterator
 
 from cassandra_ros.bag.message_file import MessageProgress
 from cassandra_ros.errors import CassandraRosError, InvalidOption, StoreUnavailable
+from cassandra_ros.own_files import lock_own, own_folder
 
 Write = Callable[[Path, MessageProgress], None]
 """Function that writes a file at a path and reports its progress: messages and bytes written."""
@@ -147,8 +147,7 @@ class DownloadCache:
             base.mkdir(parents=True, exist_ok=True)
             _remove_orphans(base)
             self._folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=base))
-            self._lock = (self._folder / _LOCK).open("wb")
-            fcntl.flock(self._lock, fcntl.LOCK_EX)
+            self._lock = lock_own(self._folder / _LOCK)
         except OSError as exc:
             raise InvalidOption(f"no files can be kept in {base}: {exc.strerror}") from exc
         self._most_bytes = most_bytes
@@ -203,7 +202,7 @@ class DownloadCache:
     def _begin(self, key: str, request: str, name: str, write: Write) -> CacheEntry:
         try:
             # A cleaner of temporary files may have removed it.
-            self._folder.mkdir(0o700, exist_ok=True)
+            own_folder(self._folder)
             folder = Path(tempfile.mkdtemp(prefix=f"{key[:16]}_", dir=self._folder))
         except OSError as exc:
             raise StoreUnavailable(
@@ -299,7 +298,9 @@ class DownloadCache:
         for thread in threads:
             thread.join(max(0.0, patience - time.monotonic()))
         shutil.rmtree(self._folder, ignore_errors=True)
-        self._lock.close()
+        lock, self._lock = self._lock, -1
+        if lock >= 0:
+            os.close(lock)
 
 
 def _active(path: Path) -> Path:
@@ -316,10 +317,14 @@ def _open_any(path: Path) -> IO[bytes] | None:
 
 def _remove_orphans(base: Path) -> None:
     """Remove the folders of viewers that were killed: their locks are free."""
-    for lock in base.glob(f"{_PREFIX}*/{_LOCK}"):
-        with suppress(OSError), lock.open("rb") as stream:
-            state = os.fstat(stream.fileno())
-            if state.st_uid != os.getuid() or time.time() - state.st_mtime < _ORPHAN_SEC:
+    for path in base.glob(f"{_PREFIX}*/{_LOCK}"):
+        with suppress(OSError):
+            state = path.lstat()
+            # Not those of other users, also as root.
+            if state.st_uid != os.geteuid() or time.time() - state.st_mtime < _ORPHAN_SEC:
                 continue
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(lock.parent, ignore_errors=True)
+            lock = lock_own(path)
+            try:
+                shutil.rmtree(path.parent, ignore_errors=True)
+            finally:
+                os.close(lock)
