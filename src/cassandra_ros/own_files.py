@@ -137,4 +137,5 @@ def _check_owner(path: Path, state: os.stat_result, *, root_may: bool = True) ->
 
 
 def _refusal(path: Path, reason: str) -> OSError:
-    return OSError(errno.EACCES, reason, str(path))
+    # Not EACCES: that is a file of which the system does not tell us more.
+    return OSError(errno.EINVAL, reason, str(path))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -12,10 +13,10 @@ import time
 from pathlib import Path
 
 import pytest
-from other_user import refusal_of
+from other_user import NOBODY, refusal_of
 
 from cassandra_ros.errors import ServerError
-from cassandra_ros.local_server import LocalCluster, disk, free_port, processes
+from cassandra_ros.local_server import LocalCluster, disk, free_port, node_tool, processes
 from cassandra_ros.local_server.cluster_settings import save_settings
 
 _SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
@@ -167,6 +168,22 @@ def test_a_server_that_cannot_be_looked_into_is_known_by_its_start(tmp_path):
             assert refusal_of(check, 0) == ""
             processes.write_start(pid_file, child.pid)
             assert refusal_of(check, child.pid) == ""
+
+
+def test_a_socket_of_java_is_that_of_its_user(tmp_path):
+    """In /tmp another user can make one, and would get the commands that are for the server."""
+    path = tmp_path / ".java_pid1"
+    assert not node_tool._is_socket_of(path, os.getpid())
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(path))
+        assert node_tool._is_socket_of(path, os.getpid())
+        if os.geteuid() == 0:
+            os.chown(path, NOBODY, NOBODY)
+            assert not node_tool._is_socket_of(path, os.getpid())
+        else:
+            assert not node_tool._is_socket_of(path, 1)
+    (tmp_path / "link").symlink_to(path)
+    assert not node_tool._is_socket_of(tmp_path / "link", os.getpid())
 
 
 def test_a_wait_is_told_every_ten_seconds():

@@ -293,11 +293,13 @@ class LocalCluster:
 
         A node that runs may be busy: it is asked again for up to _NEIGHBOUR_TIMEOUT_SEC.
         """
-        deadline = time.monotonic() + _NEIGHBOUR_TIMEOUT_SEC
+        begun = time.monotonic()
         for node in nodes:
             while not node.answers():
-                if not self._pid(node) or time.monotonic() > deadline:
+                waited = time.monotonic() - begun
+                if not self._pid(node) or waited > _NEIGHBOUR_TIMEOUT_SEC:
                     return node
+                self._progress(f"waiting for an answer of node {node.number}", waited)
                 time.sleep(_POLL_SEC)
         return None
 
