@@ -140,6 +140,7 @@ def test_a_statement_that_ends_duckdb_ends_nothing_else(pids, own, store):
     first = pids()
     with pytest.raises(InvalidQuery, match="this statement ended DuckDB .SIGSEGV."):
         run(own, store, CRASH)
+    await_true(pids)  # a process has its name a moment after its start
     second = pids()
     assert not first & second
     assert run(own, store, "SELECT 2")[1] == [(2,)]
