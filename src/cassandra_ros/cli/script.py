@@ -48,6 +48,11 @@ def run_script(module: str) -> None:
             raise
         _drop_unwritten()
         status = f"{program}: {shown_lines(cannot_write(exc.filename or 'the output', exc))}"
+    if isinstance(status, str):
+        with contextlib.suppress(OSError):  # dropped below
+            print(status, file=sys.stderr)
+        status = 1
+    _drop_unwritten()
     sys.exit(status)
 
 
@@ -70,11 +75,13 @@ def _run(program: str, module: str) -> int | str | None:
 
 
 def _drop_unwritten() -> None:
-    """Drop what standard output does not take: Python would try to write it again at the end."""
-    try:
-        sys.stdout.flush()
-    except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Drop what the standard streams do not take: Python would try to write it again at the end."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:  # it is None if the process was started without one
+                stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def end_now(status: int) -> NoReturn:
