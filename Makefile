@@ -27,7 +27,7 @@ help:
 	@echo "make viewer         fetch the Studio for the viewer's page Look, and say how to start it"
 	@echo "make grammar        keep the tables of the query language's grammar anew, after a change of it"
 	@echo "make screenshots    take the README's pictures of the viewer anew"
-	@echo "make test           every promise once, on a real Cassandra and a real roscore: 8 to 11 minutes"
+	@echo "make test           every promise once, on a real Cassandra and a real roscore: 10 to 12 minutes"
 	@echo "                    (ARGS='-k name')"
 	@echo "make test-all       that, and what kills, cuts, waits, starts servers, browsers, installations: over half an hour"
 	@echo "make test-python    the tests under another Python (PYTHON=python3.8, the default, to python3.13),"
