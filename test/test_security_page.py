@@ -45,6 +45,7 @@ FIGURES = [
     mib(parse.MAX_STATEMENT),
     f"{sql_statement.MAX_TEXT >> 10} KiB",
     duck_database.MEMORY,
+    duck_database.SPILL,
     f"{statement_process.MORE_BYTES >> 30} GiB",
     f"{statement_process.SPILL_BYTES // 10**9} GB",
     f"{statement_process.KEPT_BYTES // 10**9} GB",

@@ -89,6 +89,8 @@ def test_an_import_that_was_killed_is_completed_by_the_next(
         child = spawn_import(cassandra, keyspace, path, killed_at * count)
         child.communicate(timeout=300)
         assert child.returncode == -signal.SIGKILL
+        (run,) = rosCas.runs()  # at once: after a minute it is taken for interrupted
+        assert run.state == "recording"
         # The server may still store what the process has sent.
         await_true(lambda: counts_are_told(rosCas, cql))
         (run,) = rosCas.runs()

@@ -25,7 +25,8 @@ from cassandra_ros.errors import (
     StoreUnavailable,
 )
 from cassandra_ros.read import EVERYBODY, Whose
-from cassandra_ros.sql.duck_database import SpillFolder
+from cassandra_ros.sql.duck_database import DuckDatabase, SpillFolder
+from cassandra_ros.sql.statement_process import has_files
 from cassandra_ros.sql.statement_processes import Statement, StatementProcesses
 
 pytest.importorskip("duckdb", reason="SQL needs Python 3.11")
@@ -233,6 +234,21 @@ def has_ended(pid):
     with contextlib.suppress(FileNotFoundError):
         return Path(f"/proc/{pid}/stat").read_text("ascii").rpartition(")")[2].split()[0] == "Z"
     return True
+
+
+def test_a_full_disk_stops_only_what_uses_it(tmp_path):
+    database = DuckDatabase(folder=str(tmp_path))
+    assert list(tmp_path.iterdir()) and not has_files(str(tmp_path))
+    (Path(next(tmp_path.iterdir())) / "duckdb_temp_storage").touch()
+    assert has_files(str(tmp_path))
+    database.close()
+
+
+def test_a_process_that_cannot_start_is_not_the_fault_of_the_statement(own, store, monkeypatch):
+    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    with pytest.raises(StoreUnavailable, match="exit status 1"):
+        run(own, store, "SELECT 1")
 
 
 def test_a_folder_is_private_and_goes(tmp_path):

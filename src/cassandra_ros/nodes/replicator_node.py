@@ -58,13 +58,13 @@ def start_node(argv: Sequence[str]) -> list[str]:
     Raises:
         InvalidOption: There is no such parameter.
     """
-    found = start_named_node("replicator", argv)
-    unknown = sorted(set(found).difference(PARAMETERS))
+    parameters = start_named_node("replicator", argv)
+    unknown = sorted(set(parameters).difference(PARAMETERS))
     if unknown:
         raise InvalidOption(
             f"there is no parameter ~{unknown[0]}: there are {', '.join(PARAMETERS)}"
         )
-    return [f"--{n.replace('_', '-')}={text}" for n, text in found.items() if str(text) != ""]
+    return [f"--{n.replace('_', '-')}={text}" for n, text in parameters.items() if str(text) != ""]
 
 
 def follow(follower: Follower, say: Say, diagnostics: bool) -> str:

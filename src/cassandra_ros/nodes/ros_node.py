@@ -16,7 +16,6 @@ import struct
 import threading
 import time
 import xmlrpc.client
-from collections import ChainMap
 from http.client import HTTPException
 from types import FrameType
 from typing import Iterator, Mapping, Sequence
@@ -139,9 +138,12 @@ def start_named_node(
     bound_master_calls()
     if taken:
         _log.warning("a node %s runs already; this one is %s", full_name, rospy.get_name())
-    places = [full_name, "~"] if len(words) < len(argv) else ["~"]
-    given = [rospy.get_param(place, {}) for place in places]
-    return dict(ChainMap(*(each for each in reversed(given) if isinstance(each, dict))))
+    parameters: dict[str, object] = {}
+    for place in (full_name, "~") if len(words) < len(argv) else ("~",):
+        values = rospy.get_param(place, {})
+        if isinstance(values, dict):
+            parameters.update(values)
+    return parameters
 
 
 @contextlib.contextmanager

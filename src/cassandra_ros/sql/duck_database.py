@@ -85,7 +85,7 @@ def _remove_abandoned(parent: str) -> None:
     for entry in os.scandir(parent):
         if not entry.name.startswith(_PREFIX):
             continue
-        with suppress(OSError):  # another program deletes it, or it is none of ours
+        with suppress(OSError):  # it belongs to another user, its program runs, or it is gone
             lock = os.open(entry.path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             try:
                 status = os.fstat(lock)

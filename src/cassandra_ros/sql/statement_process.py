@@ -129,8 +129,8 @@ class _Answering:
     def answer(self, asked: dict[str, Any]) -> bool:
         """Answer a statement; return whether this process may run another one."""
         try:
-            for each in self._frames(asked):
-                self._send(each)
+            for content in self._frames(asked):
+                self._send(content)
         except BrokenPipeError:
             return False  # the program has ended
         except _Stopped:
@@ -183,7 +183,7 @@ class _Answering:
     def _look(self) -> None:
         if self._mail.stopped.is_set():
             raise _Stopped
-        if self._free_bytes() < KEPT_BYTES and any(os.scandir(self._folder)):
+        if self._free_bytes() < KEPT_BYTES and has_files(self._folder):
             raise AnswerTooLarge(
                 f"the statement was stopped: its disk has less than {KEPT_BYTES // 10**9} GB free; "
                 "group its rows, or bound what it reads by WHERE"
@@ -218,6 +218,11 @@ class _Answering:
         """Close the connection."""
         if self._cassandra is not None:
             self._cassandra.close()
+
+
+def has_files(folder: str) -> bool:
+    """Return whether a folder, or one in it, has a file: DuckDB makes its folder in any case."""
+    return any(files for _, _, files in os.walk(folder))
 
 
 def _limit(most: int, what: int) -> None:

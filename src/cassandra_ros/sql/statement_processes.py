@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Iterator, Mapping, NamedTuple
 
 from cassandra_ros.arrays.arrow_types import load_arrow
 from cassandra_ros.connection.cassandra import Cassandra
-from cassandra_ros.errors import AnswerTooLarge, InvalidQuery, StoreUnavailable
+from cassandra_ros.errors import AnswerTooLarge, CassandraRosError, InvalidQuery, StoreUnavailable
 from cassandra_ros.query.plan.pushdown import Watch
 from cassandra_ros.read import Whose
 from cassandra_ros.sql.duck_database import SpillFolder
@@ -253,6 +253,7 @@ class StatementProcesses:
         Raises:
             InvalidQuery: The statement is wrong, or it ended its process.
             AnswerTooLarge: It needs more time, memory or room on disk than it may use.
+            StoreUnavailable: No process can be started, or the program ends.
         """
         watch = _bounded(watch, min(seconds, MOST_SEC))
         while not self._turns.acquire(timeout=_LOOK_SEC):
@@ -332,9 +333,14 @@ def _bounded(watch: Watch, seconds: float) -> Watch:
     return look
 
 
-def _crash(text: str, status: int) -> InvalidQuery:
-    how = f"exit status {status}" if status >= 0 else signal.Signals(-status).name
-    reason = f"this statement ended DuckDB ({how}): ask for it in another way"
+def _crash(text: str, status: int) -> CassandraRosError:
+    if status >= 0:
+        return StoreUnavailable(
+            f"the process for this statement ended (exit status {status}): the standard error of "
+            "this program says why"
+        )
+    name = signal.Signals(-status).name
+    reason = f"this statement ended DuckDB ({name}): ask for it in another way"
     if status == -signal.SIGKILL:
         reason += ", or for less: the machine may lack memory"
     return InvalidQuery(text, 0, reason)
