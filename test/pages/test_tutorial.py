@@ -102,3 +102,4 @@ def test_a_walk_notices_what_is_wrong(ros_env):
         walk.close()
     with pytest.raises(AssertionError):
         check("a", "b")
+    check("answers after 7 s\n", "starting (pid 7): waiting for it … 10 s\nanswers after 12 s\n")
