@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import gc
 import os
 import shutil
 import signal
@@ -162,6 +163,11 @@ def pytest_collection_modifyitems(config, items):
         mark = suite_mark(item)
         if mark is not None:
             item.user_properties.append((REASON, mark.args[1]))
+
+
+def pytest_collection_finish():
+    # What is there now stays to the end; it need not be looked at whenever garbage is collected.
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)

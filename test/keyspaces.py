@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import uuid
 
-from cassandra_ros.tables.side_tables import LATER_TABLES
+from cassandra_ros.tables.side_tables import LATER_TABLES, SIDE_TABLES
 
 MOST_TABLES = 50
 """What a keyspace may hold of earlier tests: each change of its schema goes through all of it."""
+LOCK = "cr_lock"
 HIDE = "UPDATE system_schema.tables SET comment = '' WHERE keyspace_name = %s AND table_name = %s"
 """Statement that takes a table's comment, by which it is found."""
 KEYS = {
@@ -47,7 +49,8 @@ class Keyspaces:
         self._cql = cql
         self._connect = connect
         self._spare = []
-        self._made = {}
+        self._side = None
+        """What there is to know of the keyspace and of each side table, by name; see _schema."""
 
     @contextlib.contextmanager
     def lend(self):
@@ -75,23 +78,30 @@ class Keyspaces:
             "{'class': 'NetworkTopologyStrategy', 'datacenter1': 1}"
         )
         with self._connect(keyspace=name) as store:
-            store.catalog.keyspace.side_tables.make(*LATER_TABLES)
-        self._made[name] = self._schema(name)
+            # Later tables are made by the tests that need them. In the first they all are, to know
+            # how they look.
+            store.catalog.keyspace.side_tables.make(*(LATER_TABLES if self._side is None else ()))
+        if self._side is None:
+            self._side = self._schema(name)
         return name
 
     def _emptied(self, name):
         query = "SELECT table_name, comment FROM system_schema.tables WHERE keyspace_name = %s"
         tables = self._cql.execute(query, (name,)).all()
-        if len(tables) > MOST_TABLES or name not in self._made:
+        if len(tables) > MOST_TABLES:
             return False
         for table, comment in tables:
             if not table.startswith("cr_") and comment:
                 # The table is not found any more. To drop it, or to change it by ALTER, the server
                 # would read the schema of all keyspaces.
                 self._cql.execute(HIDE, (name, table))
-        if self._schema(name) != self._made[name]:
+        side = self._schema(name)
+        if any(self._side.get(what) != known for what, known in side.items()):
             return False
-        for table, key in KEYS.items():
+        if not side.keys() >= {"", LOCK, *SIDE_TABLES}:
+            return False
+        for table in side.keys() - {""}:
+            key = KEYS[table]
             marks = " AND ".join(f"{column} = %s" for column in key)
             rows = self._cql.execute(f"SELECT DISTINCT {', '.join(key)} FROM {name}.{table}")
             for row in rows:
@@ -99,20 +109,20 @@ class Keyspaces:
         return True
 
     def _schema(self, name):
-        """Return what there is to know of a keyspace and its side tables but their names."""
+        """Return what there is to know of a keyspace, as '', and of each of its side tables."""
         what = {
             "keyspaces": "durable_writes, replication",
             "tables": "table_name, comment, compaction, default_time_to_live",
             "columns": "table_name, column_name, type, kind, position",
         }
-        return [
-            str(row)
-            for table, columns in what.items()
-            for row in self._cql.execute(
-                f"SELECT {columns} FROM system_schema.{table} WHERE keyspace_name = %s", (name,)
-            )
-            if table == "keyspaces" or row[0] in KEYS
-        ]
+        schema = collections.defaultdict(list)
+        for table, columns in what.items():
+            query = f"SELECT {columns} FROM system_schema.{table} WHERE keyspace_name = %s"
+            for row in self._cql.execute(query, (name,)):
+                of = "" if table == "keyspaces" else row[0]
+                if table == "keyspaces" or of in KEYS:
+                    schema[of].append(str(row))
+        return dict(schema)
 
 
 def new_name():

@@ -194,6 +194,7 @@ def test_text_from_outside_is_never_code():
                 assert dotted not in ("yaml.load", "os.system"), f"{name_of(path)}: {dotted}"
 
 
+@pytest.mark.suite("all", "it parses all sources")
 def test_every_module_says_what_it_is():
     for path in modules():
         text = path.read_text(encoding="utf-8")

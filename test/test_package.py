@@ -114,6 +114,7 @@ def test_the_workspace_holds_links_to_items_never_to_the_root():
         assert link.resolve() == ROOT / link.name
 
 
+@pytest.mark.suite("all", "it looks at the installation")
 def test_python_of_the_workspace_imports_library_and_services(ros_env):
     program = (
         "import sys; from cassandra_ros import RosCassandra, Stamp, CassandraRosError; "

@@ -369,6 +369,7 @@ def test_a_new_topic_has_the_type_of_its_message_whatever_the_master_remembers(a
     assert not store.existTopic("/known2")
 
 
+@pytest.mark.suite("all", "playing/test_stream.py asks it without a node")
 def test_a_topic_of_several_types_is_played_with_its_first(rosCas, play):  # noqa: F811
     """The type of a topic changed; the page says that the player takes the first."""
     with rosCas.messageWriter() as writer:

@@ -37,6 +37,7 @@ def checkout(folder):
     return folder
 
 
+@pytest.mark.suite("all", "it runs make setup")
 def test_a_second_set_up_skips_every_step():
     done = set_up(ROOT)
     assert done.returncode == 0, done.stderr

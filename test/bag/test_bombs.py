@@ -161,7 +161,7 @@ BOMBS = {
 }
 
 
-FEW = ("bag many", "mcap zstd", "mcap zstd lie", "mcap many")
+FEW = ("bag many", "mcap zstd lie")
 """Those of make test."""
 
 
@@ -301,9 +301,10 @@ def test_records_of_absurd_lengths_are_refused_in_little_memory(tmp_path):
     assert peak < 200, "MiB"
 
 
-@pytest.mark.parametrize(
-    "kind", [Opcode.SCHEMA, Opcode.CHANNEL, Opcode.HEADER, Opcode.STATISTICS, Opcode.MESSAGE]
-)
+KINDS = [Opcode.SCHEMA, Opcode.CHANNEL, Opcode.HEADER, Opcode.STATISTICS, Opcode.MESSAGE]
+
+
+@pytest.mark.parametrize("kind", sparing(KINDS, [Opcode.MESSAGE]))
 def test_records_of_an_mcap_of_absurd_lengths_are_refused_in_little_memory(tmp_path, kind):
     path = tmp_path / "a.mcap"
     path.write_bytes(MAGIC + RECORD.pack(kind, 2**31))

@@ -94,6 +94,7 @@ def test_connections_without_messages_do_not_count(original, tmp_path):
     assert identify(write(tmp_path / "b.bag", MESSAGES, more)) == identify(original)
 
 
+@pytest.mark.suite("all", "it reads each bag")
 def test_every_test_bag_has_its_own(bags):
     found = [identify(p) for p in sorted(bags.glob("*.bag")) if "truncated" not in p.name]
     assert len(set(found)) == len(found)

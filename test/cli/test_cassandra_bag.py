@@ -309,8 +309,7 @@ def test_an_empty_export_is_an_error_and_leaves_the_old_bag(call, bags, tmp_path
     assert call("verify", path, "--content", "--start", "0", "--end", "18.999")[0] == 1
 
 
-@pytest.mark.suite("test", "promise 2")
-def test_errors_are_one_line_and_status_1(type_in, bags, tmp_path):
+def test_errors_are_one_line_and_status_1(call, bags, tmp_path):
     cases = [
         (("import", bags / "truncated_header_only.bag"), "rosbag reindex"),
         (("import", tmp_path / "missing.bag"), "No such file"),
@@ -322,7 +321,7 @@ def test_errors_are_one_line_and_status_1(type_in, bags, tmp_path):
         (("list", "["), "not a regular expression"),
     ]
     for arguments, text in cases:
-        status, _, err = type_in(*arguments)
+        status, _, err = call(*arguments)
         assert status == 1, (arguments, err)
         assert err.startswith("cassandra_bag: "), err
         assert err.count("\n") == 1, err

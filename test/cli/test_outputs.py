@@ -174,7 +174,7 @@ def assert_one_line(err, program="cassandra_bag"):
     assert "write elsewhere" in line, line
 
 
-@pytest.mark.parametrize("verb", sparing(list(VERBS), kept=["list", "query"]))
+@pytest.mark.parametrize("verb", sparing(list(VERBS), kept=["query"]))
 def test_a_full_disk_at_the_output(typed, verb):
     with open("/dev/full", "wb") as full:
         done, err = typed([verb, *VERBS[verb]], full)
@@ -194,7 +194,7 @@ def test_a_reader_that_has_ended(typed, verb):
     assert done.returncode == (0 if verb in SILENT else 141), err
 
 
-@pytest.mark.parametrize("verb", sparing(list(VERBS), kept=["list", "import"]))
+@pytest.mark.parametrize("verb", sparing(list(VERBS), kept=["list"]))
 def test_a_terminal_that_knows_only_ascii(typed, env, verb):
     # Python reads the command line as UTF-8 all the same, where it is needed.
     changed = {**ASCII, "PYTHONUTF8": str(int(ODD in VERBS[verb]))}
@@ -204,17 +204,19 @@ def test_a_terminal_that_knows_only_ascii(typed, env, verb):
         assert rb"/\xe9" in done.stdout
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_a_name_that_the_command_line_cannot_hold(typed, env):
     done, err = typed(["info", ODD], subprocess.PIPE, env={**env, **ASCII})
     assert (done.returncode, len(err.splitlines())) == (1, 1), err
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_json_is_json_on_a_terminal_that_knows_only_ascii(typed, env):
     done, _ = typed(["list", "--json"], subprocess.PIPE, env={**env, **ASCII})
     assert ODD in done.stdout.decode("utf-8")
 
 
-@pytest.mark.parametrize("kind", sparing(list(FILES), kept=["query csv", "plot png"]))
+@pytest.mark.parametrize("kind", sparing(list(FILES), kept=["query csv"]))
 def test_a_full_disk_at_a_file(typed, kind, tmp_path):
     def fill():
         resource.setrlimit(resource.RLIMIT_FSIZE, (MOST_BYTES, MOST_BYTES))
@@ -226,6 +228,7 @@ def test_a_full_disk_at_a_file(typed, kind, tmp_path):
     assert [name for name in written if name != LOCK] == []
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_errors_that_cannot_be_printed(typed):
     with open("/dev/full", "wb") as full:
         assert typed(["info", "/nope"], full, stderr=full)[0].returncode == 1

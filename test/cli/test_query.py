@@ -362,8 +362,7 @@ def test_a_failed_answer_leaves_no_file(call, rosCas, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.suite("test", "promise 2")
-def test_errors_show_the_spot_and_are_status_1(type_in, texts):
+def test_errors_show_the_spot_and_are_status_1(call, texts):
     for arguments, text in [
         (("select x from texts",), "has no field x"),
         (("select data from text",), "text"),
@@ -371,7 +370,7 @@ def test_errors_show_the_spot_and_are_status_1(type_in, texts):
         (("select data from texts where data = ?",), "parameter"),
         (("delete from texts where KEY > 0",), "--allow-writes"),
     ]:
-        status, out, err = type_in("query", *arguments)
+        status, out, err = call("query", *arguments)
         assert (status, out) == (1, ""), err
         lines = err.splitlines()
         assert lines[0].startswith("cassandra_bag: ")
@@ -418,6 +417,7 @@ def test_the_help_tells_all(call):
         assert word in out
 
 
+@pytest.mark.suite("all", "it stands for an installation without them")
 @pytest.mark.parametrize("package", ["pandas", "pyarrow"])
 def test_without_the_optional_packages(env, rosCas, tmp_path, package):
     """Everything else works, and --output parquet says what to install."""

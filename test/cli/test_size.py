@@ -54,6 +54,7 @@ def measured_share(results, name):
             yield statistics.median(each["values"])
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 def test_rates_and_topics_are_those_given(capsys):
     found = of_bag(capsys, "--topics", "/tf", "/fix", "--rates", "/t.*:100", "7")
     tf, fix = sorted(found["topics"], key=lambda each: each["topic"] != "/tf")

@@ -49,6 +49,7 @@ def test_help_imports_nothing_heavy(words):
     assert not HEAVY & modules_after(*words)
 
 
+@pytest.mark.suite("all", "it starts each program")
 def test_what_reads_no_statement_makes_no_grammar(rosCas):
     where = rosCas.cassandra
     place = ["--host", where.hosts[0], "--port", str(where.port)]

@@ -44,6 +44,7 @@ def texts():
     return real + [DefinitionMaker(seed).make() for seed in range(20)]
 
 
+@pytest.mark.suite("all", "a search")
 def test_definitions(give):
     real = texts()
     names = list(FORMATS)

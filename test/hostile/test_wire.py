@@ -38,6 +38,7 @@ def storages():
     return made
 
 
+@pytest.mark.suite("all", "a search")
 def test_wire_buffers(give):
     every = storages()
 

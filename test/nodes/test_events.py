@@ -40,6 +40,7 @@ def client(roscore):
         yield client
 
 
+@pytest.mark.suite("all", "test_every_door makes events in make test")
 def test_a_recorder_marks_and_watches(roscore, recorder, rosCas, client, tmp_path):
     config = tmp_path / "settings.yaml"
     config.write_text(SETTINGS)

@@ -22,6 +22,7 @@ from nodes.children import Child, await_true, start_client
 from nodes.raw_publisher import RawPublisher, header_of, message
 from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import String, UInt32
+from suites import sparing
 
 from cassandra_ros import RosCassandra
 from cassandra_ros.cli import player, recorder
@@ -115,10 +116,14 @@ def test_cassandra_ros_launch_records_all_at_once(launched, roscore, rosCas):
         assert json.load(answer)["runs"][0]["run"] == "patrol"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "waits_before"),
-    [(["local:=true"], False), (["local:=true", "secure:=true"], True), (["local:=false"], False)],
-)
+WAITS = [
+    (["local:=true"], False),
+    (["local:=true", "secure:=true"], True),
+    (["local:=false"], False),
+]
+
+
+@pytest.mark.parametrize(("arguments", "waits_before"), sparing(WAITS, kept=WAITS[1:2]))
 def test_the_recorder_waits_by_itself_unless_it_needs_the_files_of_a_login(
     ros_env, arguments, waits_before
 ):

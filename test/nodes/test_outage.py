@@ -83,7 +83,7 @@ def await_number(client, count, of="received"):
     await_true(is_there)
 
 
-@pytest.mark.suite("test", "--wait")
+@pytest.mark.suite("all", "it stops the way to the store, and waits")
 @pytest.mark.fault
 def test_what_comes_before_the_store_answers_is_recorded(roscore, proxy, keyspace, rosCas, one):
     proxy.cut()

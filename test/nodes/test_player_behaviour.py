@@ -57,7 +57,7 @@ def number(wire):
     return struct.unpack("<i", wire)[0]
 
 
-@pytest.mark.suite("test", "--queue")
+@pytest.mark.suite("all", "it waits for seconds")
 def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
     topic = rosCas.addTopic("/big", format="binary")
     for n in range(40):
@@ -111,7 +111,7 @@ def test_a_subscriber_that_leaves_while_its_topic_is_left():
     assert publication.subscribers == 0
 
 
-@pytest.mark.suite("test", "--immediate")
+@pytest.mark.suite("all", "it plays for seconds")
 def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):
     topic = rosCas.addTopic("/big", format="binary")
     for n in range(24):

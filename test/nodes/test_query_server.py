@@ -446,6 +446,7 @@ def test_a_keyspace_that_a_recorder_makes_later(roscore, cassandra, connect, new
         assert child.end() == 0
 
 
+@pytest.mark.suite("all", "it starts a node; make test asks the recorder")
 def test_no_server(roscore):
     child = start_node(roscore, "query_server", "--port", "1", "__name:=lonely")
     assert child.wait() == 1

@@ -283,6 +283,7 @@ def test_a_node_says_which_master_it_waits_for(ros_env, cassandra, rosCas, keysp
         assert child.lines == [line]
 
 
+@pytest.mark.suite("all", "it stops a master, and waits")
 def test_a_node_goes_on_when_its_master_comes(master, cassandra, rosCas, keyspace):
     master.stop()
     with start_recorder(master, cassandra, keyspace, "-a") as child:

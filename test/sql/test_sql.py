@@ -391,6 +391,7 @@ HOSTILE = [
 ]
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("text", HOSTILE, ids=range(len(HOSTILE)))
 def test_hostile_statements_are_answered_or_refused(robot, text):
     with contextlib.suppress(InvalidQuery):

@@ -126,6 +126,7 @@ def test_an_error_is_that_of_this_process(shared, store, text):
     assert errors[0] == errors[1]
 
 
+@pytest.mark.suite("all", "it starts a process for each error")
 def test_other_errors_keep_their_class(shared, store):
     with pytest.raises(InvalidExpression, match=r"params\[0\] is not JSON"):
         run(shared, store, "SELECT ?", "x")

@@ -615,6 +615,7 @@ def test_rotations_that_tf2_just_takes(store):
         assert (store.same("map", child, T0 + 5) is None) == taken
 
 
+@pytest.mark.suite("all", "make test asks others of its kind")
 @pytest.mark.parametrize("delay", [HOUR, -HOUR, 3 * SEC, 10**17, -(10**17)])
 def test_stamps_far_from_the_row_keys(store, delay):
     start = T0 + 40 * SEC

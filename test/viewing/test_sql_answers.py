@@ -173,6 +173,7 @@ def test_a_client_that_leaves_ends_its_statement(viewer, begun):
     assert ask(viewer, "/api/query", "SELECT 1 AS one")["rows"] == [[1]]
 
 
+@pytest.mark.suite("all", "it starts statements without an end")
 def test_the_viewer_ends_while_statements_run(viewer, begun):
     before = sql_processes()
     with contextlib.ExitStack() as clients:
