@@ -59,7 +59,7 @@ def commands(language, block):
 
 
 def check(wanted, printed):
-    """Fail where a page shows something else than was printed, durations and waits left out."""
+    """Fail where a page shows something else than what was printed, durations and waits left out."""
     printed = _WAITS.sub("", printed)
     wanted, printed = (_SECONDS.sub("0 s", text) for text in (wanted, printed))
     wanted = wanted.replace("…", "...")
