@@ -85,7 +85,7 @@ class Client(Child):
         # It leaves the master's lists: later its port is another's.
         with contextlib.suppress(OSError, subprocess.TimeoutExpired):
             self.process.stdin.close()
-            self.process.wait(30)
+            self.process.wait(180)
         super().__exit__(*exc_info)
 
     def call(self, service, timeout_sec=180, **request):
@@ -110,9 +110,17 @@ def await_true(condition, timeout_sec=180):
         time.sleep(min(0.01 + waited / 4, 0.2))
 
 
-def told(child):
-    """Return the lines of a node but those that a master causes which a busy machine delays."""
+def told(child, *, outages=False):
+    """Return the lines of a node but those that come on a busy machine alone.
+
+    There a master, a publisher or the store may answer late.
+
+    Args:
+        outages: Whether what is said of a store that does not answer is returned, too.
+    """
     late = ("the ROS master ", "not all publishers of ")
+    if not outages:
+        late += ("the store at ", "a request fails and is tried again")
     return [line for line in child.lines if not any(text in line for text in late)]
 
 

@@ -98,7 +98,7 @@ def stage(roscore, cassandra, keyspace, rosCas):
 
 def goes_over(stage, count, rate_hz, pause=False, **options):
     """Half is stored when the subscriber comes; publishing goes on all the time, or with ``pause``
-    waits for the subscriber, which a busy machine may start late."""
+    hardly until the subscriber is there, which a busy machine may start late."""
     topic = "/numbers"
     stage.recorder(topic)
     publisher = stage.publisher(topic).await_subscribers()
@@ -115,9 +115,11 @@ def goes_over(stage, count, rate_hz, pause=False, **options):
     def work():
         publish(0, count // 2)
         due.set()
-        if pause:
-            subscribed.wait()
-        publish(count // 2, count)
+        sent = count // 2
+        while pause and not subscribed.wait(1.0):
+            publish(sent, sent + 1)  # or the recorder would close what is idle for 10 s
+            sent += 1
+        publish(sent, count)
 
     thread = threading.Thread(target=work)
     thread.start()

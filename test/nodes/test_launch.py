@@ -226,7 +226,7 @@ def test_play_launch_plays_several_stores_and_names_one_that_is_away(
         port="",
         stores="home away",
         store_file=stores,
-        store_timeout="30",
+        store_timeout="180",
         topics="/launched/a",
         wait_for_subscribers="true",
         required="true",

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 import rosbag
-from nodes.children import Child, await_true, start_client, start_node
+from nodes.children import Child, await_true, start_client, start_node, told
 from nodes.raw_publisher import message
 from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import Int32, String
@@ -110,7 +110,7 @@ def test_a_bag_is_played_at_once_without_a_loss(roscore, start, turtle):
         assert header["message_definition"] == definition
         assert header["latching"] == (b"1" if latching else b"0")
         assert wires == [each[4] for each in expected[topic]], topic
-    assert child.lines[-1] == f"played {sum(map(len, expected.values()))} messages of 8 topics"
+    assert told(child)[-1] == f"played {sum(map(len, expected.values()))} messages of 8 topics"
 
 
 def record_again(roscore, start, played, folder, topics, *options):
@@ -136,7 +136,7 @@ def record_again(roscore, start, played, folder, topics, *options):
     for topic in topics:
         assert found["/p" + topic] == played.expected[topic], topic
     total = sum(len(played.expected[topic]) for topic in topics)
-    assert child.lines[-1].startswith(f"played {total} messages of {len(topics)} topics")
+    assert told(child)[-1].startswith(f"played {total} messages of {len(topics)} topics")
 
 
 @pytest.mark.suite("all", "make test asks others of its kind")
@@ -161,7 +161,7 @@ def test_several_stores_are_played_as_one(roscore, fresh):
         at = f"{robot.cassandra.hosts[0]}:{robot.cassandra.port}"
         places = [f"{at}/{home.keyspace}", f"{at}/{robot.keyspace}", "127.0.0.1:1"]
         options = [word for place in places for word in ("--store", place)]
-        options += ["--store-timeout", "60", "--wait-for-subscribers"]
+        options += ["--store-timeout", "180", "--wait-for-subscribers"]
         command = ("player", *options, "/n", "-i", "-d", "0")
         with start_node(roscore, *command) as child:
             with RawSubscriber(roscore.uri, "/n") as heard:
@@ -169,7 +169,7 @@ def test_several_stores_are_played_as_one(roscore, fresh):
             assert child.wait() == 3, child.output
     assert played == list(range(60))
     assert "the replay goes on without store 127.0.0.1:1: " in child.output
-    assert child.lines[-1].startswith("player: store 127.0.0.1:1 did not answer")
+    assert told(child)[-1].startswith("player: store 127.0.0.1:1 did not answer")
 
 
 @pytest.mark.suite("test", "the services of the player")
@@ -219,8 +219,8 @@ def test_steered_by_services(roscore, player, rosCas):
         assert call("stop")["success"]
         assert child.wait() == 0, child.output
         assert heard.rest() == []
-    assert child.lines[0] == "services under /player"
-    assert child.lines[-1] == "played 33 messages of 1 topic"
+    assert told(child)[0] == "services under /player"
+    assert told(child)[-1] == "played 33 messages of 1 topic"
 
 
 @pytest.mark.suite("test", "promise 1, with a real subscriber")
@@ -296,6 +296,6 @@ def test_stored_types_and_latched_messages_go_out_as_they_are(roscore, player, r
     assert child.end() == 0, child.output
     assert "stored with several types" in child.output
     assert "topic /no name is not played" in child.output
-    assert "left out: 2 of /mixed, 1 of /no name, 1 of /parts" in child.lines[-1]
+    assert "left out: 2 of /mixed, 1 of /no name, 1 of /parts" in told(child)[-1]
     for one in heard.values():
         one.close()

@@ -7,6 +7,7 @@ from __future__ import annotations
 import fcntl
 import os
 import re
+import select
 import signal
 import struct
 import subprocess
@@ -20,7 +21,7 @@ from types import SimpleNamespace
 
 import pytest
 from geometry_msgs.msg import PointStamped
-from nodes.children import PROGRAMS, Child, await_true, start_client, start_node
+from nodes.children import PROGRAMS, Child, await_true, start_client, start_node, told
 from nodes.raw_publisher import RawPublisher, header_of, message
 from nodes.raw_subscriber import RawSubscriber
 from nodes.test_registration import listed, master  # noqa: F401 - a fixture
@@ -78,7 +79,7 @@ def test_what_a_slow_subscriber_misses_is_counted(roscore, rosCas, where):
                 got = len(slow.rest())
             except OSError:
                 pass  # a half sent message is cut off
-    line = child.lines[-1]
+    line = told(child)[-1]
     assert line.startswith("played 41 messages of 2 topics; slow subscribers missed ")
     assert len(heard) + got + int(line.split()[-1]) == 80
     assert got < 20
@@ -126,7 +127,7 @@ def test_at_once_means_as_fast_as_subscribers_take_it(roscore, rosCas, where):
                 time.sleep(0.03)
         assert child.wait() == 0, child.output
     assert found == list(range(24))
-    assert child.lines[-1] == "played 24 messages of 1 topic"
+    assert told(child)[-1] == "played 24 messages of 1 topic"
 
 
 @pytest.mark.suite("all", "it kills or cuts something, and waits")
@@ -205,7 +206,7 @@ def test_time_is_published_and_consumers_are_waited_for(roscore, rosCas, where, 
     assert T0 + STEP <= stamps[0] <= T0 + SEC + 2 * STEP
     assert T0 + 15 * STEP < stamps[-1] <= T0 + COUNT * STEP
     assert "/clock is not played as stored" in child.output
-    assert child.lines[-1] == "played 19 messages of 2 topics; 1 left out: 1 of /clock"
+    assert told(child)[-1] == "played 19 messages of 2 topics; 1 left out: 1 of /clock"
 
 
 class Terminal:
@@ -232,6 +233,8 @@ class Terminal:
 
     def await_text(self, pattern):
         while not re.search(pattern, self.shown):
+            ready, _, _ = select.select([self._ours], [], [], 180)
+            assert ready, f"{pattern!r} never came:\n{self.shown}"
             self.shown += os.read(self._ours, 1 << 16).decode()
 
     def press(self, key):
@@ -300,7 +303,7 @@ def test_played_and_stopped_many_times(roscore, where, numbers):
                 rest = [number(wire) for wire in heard.rest()]
             assert rest == list(range(round_ % COUNT, round_ % COUNT + len(rest)))
             total = round_ % COUNT + len(rest)
-            assert child.lines[-1] == f"played {counted(total, 'message')} of 1 topic"
+            assert told(child)[-1] == f"played {counted(total, 'message')} of 1 topic"
     assert len(pids) == rounds
     for pid in pids:
         assert not Path(f"/proc/{pid}").exists()

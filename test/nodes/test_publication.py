@@ -30,7 +30,7 @@ def subscriber(publication, name):
     """Return a function that gives the texts that a new subscriber has got, a number of them."""
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
-        mine = stack.enter_context(socket.create_connection(listener.getsockname(), 60))
+        mine = stack.enter_context(socket.create_connection(listener.getsockname(), 180))
         theirs, _ = listener.accept()
         transport = TCPROSTransport(TCPROSTransportProtocol("/fixed", String), name)
         transport.set_socket(theirs, name)

@@ -13,7 +13,7 @@ import time
 import uuid
 
 import pytest
-from nodes.children import start_client, start_node
+from nodes.children import start_client, start_node, told
 from nodes.raw_publisher import message
 from sensor_msgs.msg import Image, NavSatFix
 from std_msgs.msg import Int64, String, UInt8MultiArray
@@ -79,7 +79,7 @@ def server(roscore, cassandra, store):
     where = ("--host", cassandra.host, "--port", cassandra.port, "--keyspace", store.keyspace)
     with start_node(roscore, "query_server", *where) as child:
         child.await_line("serving keyspace")
-        assert child.lines[0] == "services under /cassandra_ros"
+        assert told(child)[0] == "services under /cassandra_ros"
         yield child
         assert child.process.poll() is None, child.output  # nothing has killed it
         assert child.end(signal.SIGINT) == 0

@@ -73,7 +73,7 @@ def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, r
             found = expected.setdefault(RENAMED.get(topic, topic), [])
             found.append((raw[0], raw[2], raw[1]))
     child = recorder(*expected, "--format", fmt, "--node-id", "turtle")
-    assert child.lines[0] == "services under /recorder"
+    assert told(child)[0] == "services under /recorder"
     assert f"recording {len(expected)} topics" in child.lines
     play = ["rosbag", "play", "-q", "-r", "40", "-d", "0.5", "--wait-for-subscribers"]
     maps = [f"{old}:={new}" for old, new in RENAMED.items()]
@@ -106,8 +106,8 @@ def test_a_played_bag_is_recorded_message_for_message(bags, roscore, recorder, r
         assert len(rows) == len(messages), topic
         assert recorded == messages
         assert {row.node for row in rows} == {"turtle"}
-    assert "total" in child.lines[-1]
-    assert child.lines[-1].split()[1:4] == [str(total + own), str(total + own), "0"]
+    assert "total" in told(child)[-1]
+    assert told(child)[-1].split()[1:4] == [str(total + own), str(total + own), "0"]
 
 
 @pytest.mark.suite("all", "it waits for seconds")
@@ -323,7 +323,7 @@ def test_signals_drain(roscore, recorder, rosCas, number):
         one.await_subscribers().publish(*sent)
         assert child.end(number) == 0, child.output
     assert wires(rosCas, "/late") == sent
-    assert "5000" in child.lines[-1]
+    assert "5000" in told(child)[-1]
 
 
 @pytest.mark.suite("all", "it waits for seconds")
@@ -558,7 +558,7 @@ def test_a_connection_that_breaks_is_made_again(recorder, roscore, rosCas):
         publisher.await_subscribers().publish(*(message(String(str(n))) for n in range(5, 9)))
         child.await_line("a connection of /a was broken, while its publisher went on")
         assert child.end() == 1, child.output
-    assert "publishers of /a were not heard" in child.lines[-1]
+    assert "publishers of /a were not heard" in child.output
     assert [m.data for _, m in rosCas.getTopic("/a").items()] == [str(n) for n in range(9)]
     (loss,) = rosCas.losses()
     assert (loss.topic, loss.kind, loss.count) == ("/a", LossKind.UNHEARD, 0)

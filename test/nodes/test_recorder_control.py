@@ -14,7 +14,7 @@ import threading
 import xmlrpc.client
 
 import pytest
-from nodes.children import PROGRAMS, Child, await_true, start_client
+from nodes.children import PROGRAMS, Child, await_true, start_client, told
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, String
@@ -223,7 +223,7 @@ def test_dry_run(roscore, recorder, rosCas, tmp_path):
             "-e", "/camera|/else", "--dry-run", "--config", config, "-O", "x", ready=""
         )
         assert child.wait() == 0, child.output
-    assert child.lines[0] == "run x"
+    assert told(child)[0] == "run x"
     (camera,) = [line.split() for line in child.lines if line.startswith("/camera ")]
     assert camera[1:6] == ["std_msgs/String", "binary", "3600", "s", "new"]
     assert "at most 5 Hz" in child.output

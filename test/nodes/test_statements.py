@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import pytest
 import yaml
 from geometry_msgs.msg import TransformStamped
-from nodes.children import start_client, start_node
+from nodes.children import start_client, start_node, told
 from std_msgs.msg import Int64, String
 from suites import sparing
 from tf2_msgs.msg import TFMessage
@@ -62,7 +62,7 @@ def serving(roscore, cassandra, store, name, *options, end=signal.SIGINT):
 @pytest.fixture(scope="module")
 def read(roscore, cassandra, store, client):
     with serving(roscore, cassandra, store, "reading") as child:
-        assert child.lines[1].endswith("read-only")
+        assert told(child)[1].endswith("read-only")
         yield lambda statement, *params, **more: client.call(
             "/reading/executeCQL", statement=statement, params=list(params), **more
         )
@@ -71,7 +71,7 @@ def read(roscore, cassandra, store, client):
 @pytest.fixture(scope="module")
 def write(roscore, cassandra, store, client):
     with serving(roscore, cassandra, store, "writing", "_allow_writes:=true") as child:
-        assert child.lines[1].endswith("writes are allowed")
+        assert told(child)[1].endswith("writes are allowed")
         yield lambda statement, *params, **more: client.call(
             "/writing/executeCQL", statement=statement, params=list(params), **more
         )
