@@ -23,7 +23,7 @@ from cassandra_ros.messages.classes import message_class, raw_class, serialize
 from cassandra_ros.messages.definition import parse_definition
 
 FORKING = multiprocessing.get_context("fork")
-LIMIT_SEC = 60.0
+LIMIT_SEC = 180.0
 """A child that has not answered by then hangs, s."""
 
 

@@ -14,7 +14,9 @@ from cassandra import AuthenticationFailed, Unauthorized
 from cassandra.cluster import NoHostAvailable
 
 from cassandra_ros import Cassandra
+from cassandra_ros.connection import cassandra as connection
 from cassandra_ros.connection import login as login_module
+from cassandra_ros.connection import login_errors
 from cassandra_ros.connection.driver_errors import is_busy, is_passing, translate
 from cassandra_ros.connection.login import read_login
 from cassandra_ros.errors import AccessDenied, CertificateRefused, InvalidOption, LoginFailed
@@ -183,7 +185,10 @@ def refusal(port):
     return str(caught.value)
 
 
-def test_certificates_that_are_refused(home, make_certificate):
+def test_certificates_that_are_refused(home, make_certificate, monkeypatch):
+    # Who answers is waited for, on a busy machine too.
+    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_SEC", 180.0)
+    monkeypatch.setattr(login_errors, "PROBE_SEC", 180.0)
     expired, valid = make_certificate("expired", days=0), make_certificate("valid")
     trusting = "[connection]\nssl = true\n[ssl]\ncertfile = {}\n"
     home(trusting.format(expired))

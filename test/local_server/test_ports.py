@@ -14,8 +14,11 @@ from nodes.children import await_true
 
 from cassandra_ros.local_server import ports, processes
 
+HERE = "127.0.0.77"
+"""An address of this machine at which no other test listens."""
 
-def listener(host="127.0.0.1"):
+
+def listener(host=HERE):
     server = socket.socket()
     server.bind((host, 0))
     server.listen()
@@ -25,10 +28,10 @@ def listener(host="127.0.0.1"):
 def test_a_port_with_a_listener_is_not_free():
     server, port = listener()
     with server:
-        assert not ports.is_free("127.0.0.1", port)
+        assert not ports.is_free(HERE, port)
         assert ports.is_free("127.0.0.2", port)
-    # Another test may listen there for a moment, since the system gives free ports to all.
-    await_true(lambda: ports.is_free("127.0.0.1", port))
+    # Another test may listen there on all addresses for a moment.
+    await_true(lambda: ports.is_free(HERE, port))
 
 
 def test_a_listener_on_all_addresses_counts():
@@ -38,7 +41,7 @@ def test_a_listener_on_all_addresses_counts():
 
 
 def test_the_owner_of_a_port_is_named():
-    server, port = listener()
+    server, port = listener("127.0.0.1")  # where others listen: none of them at this port
     with server:
         assert f"(pid {os.getpid()})" in ports.port_owner(port)
 
@@ -46,11 +49,11 @@ def test_the_owner_of_a_port_is_named():
 def test_a_port_is_known_by_its_address(monkeypatch):
     server, port = listener()
     with server:
-        assert f"(pid {os.getpid()})" in ports.port_owner(port, "127.0.0.1")
+        assert f"(pid {os.getpid()})" in ports.port_owner(port, HERE)
         assert ports.port_owner(port, "127.0.0.2") == "an unknown process"
         assert ports.await_the_dead("127.0.0.2", port)
         monkeypatch.setattr(ports, "time", SimpleNamespace(monotonic=time.monotonic))
-        assert not ports.await_the_dead("127.0.0.1", port)  # it lives: nothing to wait for
+        assert not ports.await_the_dead(HERE, port)  # it lives: nothing to wait for
 
 
 def test_the_port_of_one_that_was_killed_is_waited_for(monkeypatch):
@@ -58,20 +61,20 @@ def test_the_port_of_one_that_was_killed_is_waited_for(monkeypatch):
     # What it gives back first takes a while.
     code = (
         "import socket, time\n"
-        "s = socket.create_server(('127.0.0.1', 0)); held = b'x' * (1 << 29)\n"
-        "print(s.getsockname()[1], flush=True); time.sleep(60)"
+        f"s = socket.create_server(({HERE!r}, 0)); held = b'x' * (1 << 29)\n"
+        "print(s.getsockname()[1], flush=True); time.sleep(600)"
     )
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE) as child:
         port = int(child.stdout.readline())
-        assert not ports.await_the_dead("127.0.0.1", port)
+        assert not ports.await_the_dead(HERE, port)
         child.kill()
         while processes.command_line(child.pid):
             time.sleep(0.001)
-        assert ports.await_the_dead("127.0.0.1", port)
+        assert ports.await_the_dead(HERE, port)
 
 
 def test_clients_of_a_port_are_counted():
-    server, port = listener()
+    server, port = listener("127.0.0.1")
     with server:
         assert ports.count_clients(port) == 0
         with socket.create_connection(("127.0.0.1", port)):
@@ -82,7 +85,8 @@ def test_clients_of_a_port_are_counted():
 
 
 def test_a_port_without_owner():
-    assert ports.port_owner(ports.free_port()) == "an unknown process"
+    # Another test may start a server at the port that was free.
+    await_true(lambda: ports.port_owner(ports.free_port()) == "an unknown process")
 
 
 def test_a_free_port_is_none_that_clients_get():

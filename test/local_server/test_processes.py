@@ -19,7 +19,7 @@ from cassandra_ros.errors import ServerError
 from cassandra_ros.local_server import LocalCluster, disk, free_port, node_tool, processes
 from cassandra_ros.local_server.cluster_settings import save_settings
 
-_SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
+_SLEEP = [sys.executable, "-c", "import time; time.sleep(600)"]
 
 
 def test_a_server_is_known_by_its_command_line_only(tmp_path):
@@ -61,7 +61,7 @@ def test_a_child_ends_with_a_parent_that_was_killed(tmp_path):
         "import sys, time; from pathlib import Path\n"
         "from cassandra_ros.local_server.processes import spawn\n"
         f"child = spawn({_SLEEP!r}, Path({str(tmp_path / 'log')!r}), {{}}, die_with_us=True)\n"
-        "print(child.pid, flush=True); time.sleep(60)"
+        "print(child.pid, flush=True); time.sleep(600)"
     )
     parent = subprocess.Popen(
         [sys.executable, "-c", program],
@@ -84,7 +84,7 @@ def test_a_child_can_be_ended_where_signals_are_ignored(tmp_path):
     before = {n: signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
         child = processes.spawn(
-            ["sleep", "60"], tmp_path / "out", dict(os.environ), die_with_us=False
+            ["sleep", "600"], tmp_path / "out", dict(os.environ), die_with_us=False
         )
     finally:
         for number, handler in before.items():

@@ -49,17 +49,17 @@ def test_nonsense_leaves_the_type_open(master, answer):
 
 
 def test_no_master_leaves_the_type_open(monkeypatch):
-    with socket.socket() as free:
+    with socket.socket() as free:  # held, so that nobody else listens there meanwhile
         free.bind(("127.0.0.1", 0))
         uri = f"http://127.0.0.1:{free.getsockname()[1]}"
-    monkeypatch.setenv("ROS_MASTER_URI", uri)
-    assert topic_type("/chatter") is None
-    monkeypatch.setenv("ROS_MASTER_URI", "nonsense")
-    assert topic_type("/chatter") is None
-    # Without the variable it asks ROS's default address, where a master of this machine may run.
-    monkeypatch.setattr(rosgraph.rosenv, "DEFAULT_MASTER_URI", uri)
-    monkeypatch.delenv("ROS_MASTER_URI")
-    assert topic_type("/chatter") is None
+        monkeypatch.setenv("ROS_MASTER_URI", uri)
+        assert topic_type("/chatter") is None
+        monkeypatch.setenv("ROS_MASTER_URI", "nonsense")
+        assert topic_type("/chatter") is None
+        # Without the variable it asks ROS's default address: a master of this machine may be there.
+        monkeypatch.setattr(rosgraph.rosenv, "DEFAULT_MASTER_URI", uri)
+        monkeypatch.delenv("ROS_MASTER_URI")
+        assert topic_type("/chatter") is None
 
 
 def test_a_master_that_is_silent_is_left_after_a_second(monkeypatch):
