@@ -43,6 +43,12 @@ def store(fresh):
         yield rosCas
 
 
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """What is asked of a playback is waited for, on a busy machine too."""
+    monkeypatch.setattr(playback_module, "COMMAND_SEC", 180.0)
+
+
 class Into:
     """Notes what comes out; ``at`` waits for a number of messages."""
 

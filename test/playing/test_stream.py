@@ -233,6 +233,7 @@ def test_looking_back_ends_with_the_last_publisher(rosCas, monkeypatch):
 
 
 def test_a_run_that_was_killed_before_the_window_gives_nothing(rosCas, monkeypatch):
+    monkeypatch.setattr("cassandra_ros.store.writer.HEARTBEAT_SEC", 1e9)  # nor closes what is idle
     with Robot(rosCas, 1, bucket_ns=600 * SEC) as killed:
         killed.send("/map", 1, "old", latched=True)
         killed.flush()  # its bucket, which reaches into the window, stays open

@@ -15,6 +15,7 @@ from viewing.test_timeline import add
 
 from cassandra_ros.overview.envelopes import EnvelopeReader
 from cassandra_ros.topics.query_result import QueryResult
+from cassandra_ros.viewing import ask_routes
 
 SEC = 10**9
 T0 = 1_500_000_000 * SEC
@@ -40,6 +41,12 @@ def viewer(fresh):
         with running_viewer(store) as running:
             running.store = store
             yield running
+
+
+@pytest.fixture(autouse=True)
+def patient(monkeypatch):
+    """Plots are complete at once, on a busy machine too, where no other time is asked for."""
+    monkeypatch.setattr(ask_routes, "BUDGET_SEC", 600.0)
 
 
 def pages(viewer, **asked):
