@@ -4,11 +4,11 @@
 
 from __future__ import annotations
 
-import time
 import zlib
 
 import pytest
 from blocks.stored_blocks import MS, SEC, T0, list_blocks, make_table, put_block
+from nodes.children import await_true
 from sensor_msgs.msg import Imu
 from std_msgs.msg import String, UInt8MultiArray
 
@@ -314,8 +314,7 @@ def test_expired_blocks_are_gone(rosCas):
     topic = rosCas.getTopic("/p")
     list_blocks(rosCas, table, NODE, [texts(0, 10)])
     cutter(rosCas, table).cut({BlockKey(T0, 5 << 32, 10): {2}})
-    time.sleep(2.1)
-    assert list(topic.rows()) == []
+    await_true(lambda: list(topic.rows()) == [])
     assert topic.countTopicData() == 0
 
 

@@ -687,7 +687,7 @@ def test_a_spool_that_others_fill_leaves_the_memory(
     recorder = Recording(store.catalog, spool=SpoolPlan(folder, journal=journal))
     send(recorder, [0])
     await_true(lambda: recorder.reports()[0].stored == 1)
-    assert ("without the journal until there is room" in caplog.text) == journal
+    await_true(lambda: ("without the journal until there is room" in caplog.text) == journal)
     proxy.cut()
     send(recorder, range(1, 100))
     await_true(lambda: recorder.is_held_up)

@@ -124,7 +124,7 @@ def test_what_is_left_of_a_row_when_it_expires_is_no_row(rosCas, cql):
         if sum(map(len, pages)) == 20:
             break
     topic = rosCas.getTopic(topic_name)
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 300
     while any(conn is not None for (conn,) in select(cql, table, '"_conn"')):
         assert time.monotonic() < deadline
         time.sleep(0.1)

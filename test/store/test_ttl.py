@@ -76,13 +76,15 @@ def test_without_a_ttl_nothing_goes(rosCas, cql):
 
 @pytest.mark.suite("all", "it waits for seconds")
 def test_what_has_expired_is_not_there(rosCas, cql):
-    topic = rosCas.addTopic("/a", ttl=20)  # so long a busy machine may take for what follows
+    topic = rosCas.addTopic("/a", ttl=20)
     keys = [
         topic.addData(UInt8MultiArray(data=bytes(size)), key=T0 + n * 100 * SEC)
         for n, size in enumerate((10, 600_000, 20))
     ]
-    assert topic.countTopicData() == 3
     (table,) = topic.tables
+    counted = topic.countTopicData()
+    # A busy machine may take longer for that than they live.
+    assert counted == 3 or len(ttls(cql, rosCas, table.name, "_conn")) < 3
     await_expiry(cql, rosCas, table.name)
     for key in (*keys, *(key.ns for key in keys)):
         assert topic.getData(key, default=None) is None
@@ -98,10 +100,14 @@ def test_what_has_expired_is_not_there(rosCas, cql):
     assert (info.count, info.bytes, info.buckets, info.first_ns) == (0, 0, 0, None)
     assert rosCas.executeCQL("select count(*) from /a") == [(0,)]
     # It goes on as a topic: what comes next is there.
-    again = topic.addData(UInt8MultiArray(data=b"new"), key=T0)
-    assert topic.getData(again).data == b"new"
-    assert [key for key, _ in topic.items()] == [again]
-    assert topic.countTopicData() == 1
+    lives = False
+    while not lives:
+        again = topic.addData(UInt8MultiArray(data=b"new"), key=T0)
+        found = topic.getData(again, default=None), [*topic.items()], topic.countTopicData()
+        lives = ttls(cql, rosCas, table.name, "_conn")  # as long as the answers took
+    assert found[0].data == b"new"
+    assert [key for key, _ in found[1]] == [again]
+    assert found[2] == 1
 
 
 @pytest.fixture
