@@ -21,7 +21,7 @@ from cassandra_ros.viewing.viewer_settings import Limits
 
 LIMITS = Limits(head_sec=0.3, idle_sec=0.3, stalled_sec=30.0)
 SECONDS = T0 // 10**9
-ANSWER_SEC = 60.0
+ANSWER_SEC = 180.0
 VALUES = {
     "q": [*statements(), ""],
     "topic": ["/tf", "/odom", "/scan", "/none", ""],

@@ -10,6 +10,9 @@ import rospy
 from std_msgs.msg import Int32
 
 from cassandra_ros import Player, PlayerOptions, PlaySelection, RosCassandra
+from cassandra_ros.playing import playback
+
+playback.COMMAND_SEC = 180.0  # a busy machine is waited for
 
 
 def main():

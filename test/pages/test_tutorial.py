@@ -103,3 +103,6 @@ def test_a_walk_notices_what_is_wrong(ros_env):
     with pytest.raises(AssertionError):
         check("a", "b")
     check("answers after 7 s\n", "starting (pid 7): waiting for it … 10 s\nanswers after 12 s\n")
+    check(
+        "run a\n", "[WARN] [1.0]: waiting for the ROS master at http://h:1 (x): start it\nrun a\n"
+    )

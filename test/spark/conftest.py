@@ -64,4 +64,4 @@ def spark(pyspark_folder, spark_env):
         session.stop()
         gateway.shutdown()
         gateway.proc.stdin.close()  # Spark's Java ends then
-        gateway.proc.wait(60)
+        gateway.proc.wait(180)

@@ -75,12 +75,17 @@ def pids(shared):
 
 
 def children():
-    return {
-        int(pid)
-        for children in Path("/proc/self/task").glob("*/children")
-        for pid in children.read_text(encoding="ascii").split()
-        if b"statement_process" in Path(f"/proc/{pid}/cmdline").read_bytes()
-    }
+    found = set()
+    for path in Path("/proc/self/task").glob("*/children"):
+        with contextlib.suppress(OSError):  # a thread that has ended meanwhile
+            found.update(filter(is_for_statements, path.read_text(encoding="ascii").split()))
+    return set(map(int, found))
+
+
+def is_for_statements(pid):
+    with contextlib.suppress(OSError):  # it has ended meanwhile
+        return b"statement_process" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
 
 
 @pytest.mark.parametrize(
