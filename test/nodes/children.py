@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import time
+import xmlrpc.client
 from pathlib import Path
 
 from conftest import WORKSPACE
@@ -122,6 +123,14 @@ def told(child, *, outages=False):
     if not outages:
         late += ("the store at ", "a request fails and is tried again")
     return [line for line in child.lines if not any(text in line for text in late)]
+
+
+def services_of(roscore, node):
+    """Return the names of the services that a node offers, but those that rospy adds."""
+    master = xmlrpc.client.ServerProxy(roscore.uri)
+    _, _, (_, _, services) = master.getSystemState("/test")
+    names = {name for name, nodes in services if node in nodes}
+    return names - {f"{node}/get_loggers", f"{node}/set_logger_level"}
 
 
 def start_node(roscore, name, *arguments, env=()):

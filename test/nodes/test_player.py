@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 import rosbag
-from nodes.children import Child, await_true, start_client, start_node, told
+from nodes.children import Child, await_true, services_of, start_client, start_node, told
 from nodes.raw_publisher import message
 from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import Int32, String
@@ -221,6 +221,19 @@ def test_steered_by_services(roscore, player, rosCas):
         assert heard.rest() == []
     assert told(child)[0] == "services under /player"
     assert told(child)[-1] == "played 33 messages of 1 topic"
+
+
+@pytest.mark.suite("test", "a promise of SECURITY.md")
+def test_no_services(roscore, player, rosCas):
+    rosCas.addTopic("/m").addData(Int32(1), key=T0)
+    child = player("-k", "--no-services", ready="/player offers no services")
+    child.await_line("playing 1 topic")
+    assert services_of(roscore, "/player") == set()
+    assert child.end() == 0, child.output
+    for word in ("--pause", "--pause-topics=/m"):
+        child = player("--no-services", word, ready="")
+        assert child.wait() == 2
+        assert f"leave out {word.partition('=')[0]} or --no-services" in child.output
 
 
 @pytest.mark.suite("test", "promise 1, with a real subscriber")

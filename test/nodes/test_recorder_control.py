@@ -14,12 +14,13 @@ import threading
 import xmlrpc.client
 
 import pytest
-from nodes.children import PROGRAMS, Child, await_true, start_client, told
+from nodes.children import PROGRAMS, Child, await_true, services_of, start_client, told
 from nodes.raw_publisher import RawPublisher, header_of, message
 from rosgraph_msgs.msg import Log
 from std_msgs.msg import Int32, String
 
 from cassandra_ros.cli.recorder import make_parser, read_options, words_of
+from cassandra_ros.nodes.recorder_services import OTHER_SERVICES, TOPIC_SERVICES
 from cassandra_ros.tables.registry import LossKind
 
 
@@ -256,6 +257,20 @@ def test_parameters_mirror_options(roscore, recorder, rosCas):
         master.deleteParam("/test", "/recorder")
 
 
+@pytest.mark.suite("test", "a promise of SECURITY.md")
+def test_no_services(roscore, recorder, rosCas):
+    child = recorder("/a", "--no-services", "__name:=silent")
+    assert any("/silent offers no services" in line for line in child.lines)
+    with publisher(roscore, "/a") as a:
+        a.await_subscribers().publish(text(1))
+        await_true(lambda: rosCas.existTopic("/a") and data_of(rosCas, "/a") == ["1"])
+        assert services_of(roscore, "/silent") == set()
+        with recorder("/a", "__name:=open"):
+            offered = {*TOPIC_SERVICES, *OTHER_SERVICES}
+            assert services_of(roscore, "/open") == {f"/open/{name}" for name in offered}
+    assert child.end() == 0, child.output
+
+
 def test_parameters_as_words(capsys):
     parser = make_parser()
 
@@ -267,6 +282,8 @@ def test_parameters_as_words(capsys):
     assert words({"topics": "-a", "diagnostics": True, "places": False}) == ["--all", "--no-places"]
     # Topics of the command line take the place of those of the parameters.
     assert words({"topics": ["/a"], "all": True, "ttl": 5}, "/c") == ["--ttl=5"]
+    assert words({"topics": "-a", "no_services": True}) == ["--all", "--no-services"]
+    assert words({"topics": "-a", "no_services": False}) == ["--all"]
     assert words({"format": "", "labels": ["a=1", "b=2"]}) == ["--label=a=1", "--label=b=2"]
     for wrong in ({"topcis": "/a"}, {"split": "maybe"}, {"dry_run": True}):
         with pytest.raises(SystemExit):
@@ -395,6 +412,7 @@ def test_losses_of_a_killed_recorder_are_told(roscore, recorder, rosCas):
         (("/a", "--max-splits", "3"), "--max-splits needs --split"),
         (("/a", "--snapshot", "soon"), "30s or 200MB"),
         (("/a", "--snapshot", "3s", "--split", "--size", "1"), "leave out --split"),
+        (("/a", "--snapshot", "3s", "--no-services"), "leave out --no-services"),
         (("/a", "--label", "lab"), "KEY=VALUE"),
         (("/a", "--where", "/a data > 5"), "not of the form"),
         (("/a", "--where", "/a: data >"), "\n"),

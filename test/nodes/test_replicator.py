@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import pytest
-from nodes.children import await_true, start_client, start_node
+from nodes.children import await_true, services_of, start_client, start_node
 from nodes.raw_subscriber import RawSubscriber
 from std_msgs.msg import Int64
 
@@ -78,8 +78,27 @@ def test_it_copies_and_answers(rosCas, home, roscore, cassandra, client):
         assert child.end() == 0
 
 
+@pytest.mark.suite("test", "a promise of SECURITY.md")
+def test_no_services(rosCas, home, roscore, cassandra):
+    add(rosCas, 1)
+    words = [
+        *("--to", f"{cassandra.host}:{cassandra.port}/{home.keyspace}"),
+        *("--host", cassandra.host, "--port", str(cassandra.port), "--keyspace", rosCas.keyspace),
+        *("__name:=silent_replicator", "_no_services:=true"),
+    ]
+    with start_node(roscore, "replicator", *words) as child:
+        child.await_line("/silent_replicator offers no services")
+        await_true(lambda: count(home) == 1)
+        assert services_of(roscore, "/silent_replicator") == set()
+        assert child.end() == 0
+
+
 @pytest.mark.suite("all", "it starts many programs")
 def test_wrong_usage_is_told(roscore):
+    words = ["--to", "nowhere", "_no_services:=perhaps", "__name:=replicator_in_doubt"]
+    with start_node(roscore, "replicator", *words) as child:
+        assert child.wait() == 2
+        assert "parameter ~no_services: 'perhaps' is neither true nor false" in child.output
     with start_node(roscore, "replicator", "__name:=replicator_without_target") as child:
         assert child.wait() == 2
         assert "say where to copy" in child.output

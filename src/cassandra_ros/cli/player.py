@@ -14,7 +14,7 @@ once; a store that does not answer is named, and the replay goes on with the oth
 
 On a terminal: space pauses and resumes, s steps while paused, t turns --pause-topics off and on.
 Other nodes control the player by the services ~pause, ~resume, ~step, ~seek, ~setRate, ~stop and
-~status (and ~pause_playback, as of rosbag play).
+~status (and ~pause_playback, as of rosbag play), if --no-services does not close them.
 """
 
 from __future__ import annotations
@@ -155,6 +155,8 @@ def _add_pace(group: argparse._ArgumentGroup) -> None:
     add("--rate-control-max-delay", metavar="SEC", type=seconds, default=1.0, help=text)
     text = "maximum size of the messages read in advance, MB (default: 64)"
     add("--read-ahead", metavar="MB", type=megabytes, default="64", help=text)
+    text = "offer no services, so that no other program of the ROS network controls the player"
+    add("--no-services", action="store_true", help=text)
 
 
 def _add_names(group: argparse._ArgumentGroup) -> None:
@@ -226,12 +228,24 @@ def main() -> int:
         store = open_fleet(options) if options.stores else open_store(options)
         opened.enter_context(store)
         keyboard = opened.enter_context(Keyboard())
+        if options.no_services and not keyboard.is_there:
+            _require_no_pause(options)
         shows = not options.quiet and sys.stdout.isatty()
         line = StatusLine(shows, hint=not options.quiet and keyboard.is_there)
         state = play(store, selection, player_options, sys.argv, say, line.show, keyboard.pressed)
         line.end()
     say(closing_line(state))
     return tell_missing(state.missing, PROGRAM)
+
+
+def _require_no_pause(options: argparse.Namespace) -> None:
+    """Refuse pauses that neither a key nor a service could end."""
+    given = {"--pause": options.pause, "--pause-topics": options.pause_topics}
+    for name in [name for name, value in given.items() if value]:
+        options.parser.error(
+            f"{name} pauses until a key is pressed or a service is called, and there is no "
+            f"terminal: leave out {name} or --no-services"
+        )
 
 
 class StatusLine:

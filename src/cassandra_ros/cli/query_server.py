@@ -17,6 +17,7 @@ from typing import Callable, Sequence
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.options import add_store_options, open_store, read_port, strip_remappings
 from cassandra_ros.cli.parsers import program_parser
+from cassandra_ros.cli.readers import truth
 from cassandra_ros.printable import shown_lines
 
 PROGRAM = "query_server"
@@ -33,14 +34,6 @@ def make_parser() -> argparse.ArgumentParser:
         "addData, removeData and mark (default: refuse what changes stored data)",
     )
     return parser
-
-
-def truth(text: str) -> bool:
-    """Parse true or false as written in ROS parameters, for argparse."""
-    known = {"true": True, "1": True, "false": False, "0": False}
-    if text.lower() not in known:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither true nor false")
-    return known[text.lower()]
 
 
 _READERS: dict[str, Callable[[str], object]] = {"port": read_port, "allow_writes": truth}

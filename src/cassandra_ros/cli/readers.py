@@ -53,6 +53,14 @@ def age(text: str) -> float:
         raise argparse.ArgumentTypeError(reason) from None
 
 
+def truth(text: str) -> bool:
+    """Parse true or false as written in ROS parameters."""
+    known = {"true": True, "1": True, "false": False, "0": False}
+    if text.lower() not in known:
+        raise argparse.ArgumentTypeError(f"{text!r:.40} is neither true nor false")
+    return known[text.lower()]
+
+
 def whole_number(text: str) -> int:
     """Parse a whole number, at least 0."""
     if not (text.isascii() and text.isdigit() and len(text) < 10):

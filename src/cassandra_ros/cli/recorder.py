@@ -6,7 +6,8 @@ Ctrl-C, SIGTERM and the shutdown of the node end the recording, after all receiv
 stored. The exit status is 1 if messages were lost, or if a topic that you named had no publisher.
 
 Each recording is a run; the option --run of other programs selects it. The services ~start, ~stop,
-~pause, ~resume, ~status, ~snapshot and ~mark control the recorder. Every option can also be set as
+~pause, ~resume, ~status, ~snapshot and ~mark control the recorder, if --no-services does not close
+them. Every option can also be set as
 a private parameter of the node: its long name with _ for -, as in ~node_id; ~topics is a list.
 """
 
@@ -35,7 +36,14 @@ from cassandra_ros.cli.options import (
 )
 from cassandra_ros.cli.parsers import Parser, error_line, program_parser
 from cassandra_ros.cli.quota_options import add_quota_options, check_quota_options
-from cassandra_ros.cli.readers import byte_size, checked, duration, megabytes, whole_number
+from cassandra_ros.cli.readers import (
+    byte_size,
+    checked,
+    duration,
+    megabytes,
+    truth,
+    whole_number,
+)
 from cassandra_ros.cli.recorder_report import StatusLine, closing_table, failures, plan_table
 from cassandra_ros.cli.script import end_now
 from cassandra_ros.cli.terminal_text import counted
@@ -187,6 +195,11 @@ def _add_limits(add: Add) -> None:
     text = "do not publish on /diagnostics"
     add("--no-diagnostics", dest="diagnostics", action="store_false", help=text)
     text = (
+        "offer no services, so that no other program of the ROS network starts, stops or pauses "
+        "the recording"
+    )
+    add("--no-services", action="store_true", help=text)
+    text = (
         "do not index the places where the robot is while its poses are recorded: NEAR then reads "
         "all poses, until 'cassandra_bag index --places' makes the index"
     )
@@ -293,18 +306,14 @@ def words_of(
             words += ["--all" if text == "-a" else text for text in texts]
         elif action.nargs == 0:
             # --no-diagnostics and --no-places are given if the parameter is false.
-            if _truth(parser, name, value) != (action.const is False):
-                words.append(action.option_strings[-1])
+            try:
+                if truth(str(value)) != (action.const is False):
+                    words.append(action.option_strings[-1])
+            except argparse.ArgumentTypeError as exc:
+                parser.error(f"parameter ~{name}: {exc}")
         else:
             words += [f"{action.option_strings[-1]}={each}" for each in values if each != ""]
     return words
-
-
-def _truth(parser: argparse.ArgumentParser, name: str, value: object) -> bool:
-    text = str(value).lower()
-    if text not in ("true", "false", "1", "0"):
-        parser.error(f"parameter ~{name}: {value!r:.40} is neither true nor false")
-    return text in ("true", "1")
 
 
 def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -> RecorderOptions:
@@ -322,6 +331,10 @@ def read_options(parser: argparse.ArgumentParser, options: argparse.Namespace) -
     if options.snapshot and (options.split or options.size or options.duration or options.limit):
         parser.error(
             "--snapshot writes when it is asked: leave out --split, --size, --duration and --limit"
+        )
+    if options.snapshot and options.no_services:
+        parser.error(
+            "--snapshot writes when the service ~snapshot is called: leave out --no-services"
         )
     check_quota_options(options, parser)
     if options.journal and not options.spool:

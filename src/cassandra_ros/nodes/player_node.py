@@ -19,7 +19,7 @@ from cassandra_ros.fleet.fleet import Fleet
 from cassandra_ros.keys import SECOND_NS
 from cassandra_ros.msg import PlayedTopic
 from cassandra_ros.nodes.player import Player, PlayerState
-from cassandra_ros.nodes.ros_node import start_named_node
+from cassandra_ros.nodes.ros_node import offer_services, start_named_node
 from cassandra_ros.playing.play_options import PlayerOptions
 from cassandra_ros.playing.play_selection import PlaySelection
 from cassandra_ros.srv import (
@@ -86,8 +86,7 @@ def play(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signalled)
     try:
-        Services(player).advertise()
-        say(f"services under {rospy.get_name()}")
+        offer_services(Services(player).all(), say, none=options.no_services)
         player.start()
         _say_what(player, say)
         stopped, missing = 0, 0
@@ -140,19 +139,18 @@ class Services:
     def __init__(self, player: Player) -> None:
         self._player = player
 
-    def advertise(self) -> None:
-        """Advertise the services; the node must have been started."""
-        for name, kind, handler in (
-            ("~pause", Trigger, self.pause),
-            ("~resume", Trigger, self.resume),
-            ("~pause_playback", SetBool, self.pause_playback),
-            ("~step", Step, self.step),
-            ("~seek", Seek, self.seek),
-            ("~setRate", SetRate, self.set_rate),
-            ("~stop", Trigger, self.stop),
-            ("~status", PlayerStatus, self.status),
-        ):
-            rospy.Service(name, kind, handler)
+    def all(self) -> Sequence[tuple[str, type, Callable[..., object]]]:
+        """Return of each service its name, its class and its handler."""
+        return (
+            ("pause", Trigger, self.pause),
+            ("resume", Trigger, self.resume),
+            ("pause_playback", SetBool, self.pause_playback),
+            ("step", Step, self.step),
+            ("seek", Seek, self.seek),
+            ("setRate", SetRate, self.set_rate),
+            ("stop", Trigger, self.stop),
+            ("status", PlayerStatus, self.status),
+        )
 
     def pause(self, request: object) -> TriggerResponse:
         """Pause."""

@@ -39,7 +39,13 @@ from cassandra_ros.messages.stamps import iso_time, to_ns
 from cassandra_ros.msg import Row, StoredMessage, StoredTopic
 from cassandra_ros.nodes.mark_answer import pack_event, read_values
 from cassandra_ros.nodes.registration import Registration
-from cassandra_ros.nodes.ros_node import await_master, bound_master_calls, forward_logging, own_name
+from cassandra_ros.nodes.ros_node import (
+    await_master,
+    bound_master_calls,
+    forward_logging,
+    offer_services,
+    own_name,
+)
 from cassandra_ros.query.rows.answer_bound import AnswerBound
 from cassandra_ros.query.tree.json_values import from_json
 from cassandra_ros.query.tree.parse import parse_statement
@@ -149,14 +155,15 @@ def serve(ros_cas: RosCassandra, say: Callable[[str], None], allow_writes: bool 
     """
     marks = EventMarks(ros_cas.catalog.keyspace.events.put)
     services = Services(ros_cas, allow_writes, marks)
-    for name, (kind, response_class, method) in SERVICES.items():
-        handler = getattr(services, method)
-        rospy.Service(f"~{name}", kind, partial(_answer, handler, response_class))
+    handlers = (
+        (name, kind, partial(_answer, getattr(services, method), response_class))
+        for name, (kind, response_class, method) in SERVICES.items()
+    )
+    offer_services(handlers, say)
     Registration().start()
     absence = ros_cas.catalog.keyspace.side_tables.absence()
     if absence:
         _log.warning("%s; until then no topic is found", absence)
-    say(f"services under {rospy.get_name()}")
     how = "writes are allowed" if allow_writes else "read-only"
     say(f"serving keyspace {ros_cas.keyspace}, {how}")
     rospy.spin()

@@ -16,8 +16,8 @@ import rospy
 from cassandra_ros.client.ros_cassandra import RosCassandra
 from cassandra_ros.nodes.diagnostics import Diagnostics, KeyspaceAddress
 from cassandra_ros.nodes.recorder import POLL_SEC, Recorder, Say
-from cassandra_ros.nodes.recorder_services import serve
-from cassandra_ros.nodes.ros_node import follow_clock, start_named_node
+from cassandra_ros.nodes.recorder_services import services_of
+from cassandra_ros.nodes.ros_node import follow_clock, offer_services, start_named_node
 from cassandra_ros.recording.recording_options import RecorderOptions
 from cassandra_ros.recording.recording_status import Rates, RecordingStatus
 from cassandra_ros.recording.topic_counts import TopicReport
@@ -71,8 +71,7 @@ def record(
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signalled)
     try:
-        serve(recorder)
-        say(f"services under {rospy.get_name()}")
+        offer_services(services_of(recorder), say, none=options.no_services)
         recorder.start()
         began = True
         tick = _ticker(recorder, Diagnostics(place) if options.diagnostics else None, show)

@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Callable, Mapping, Sequence
-
-import rospy
+from typing import Callable, Iterator, Mapping, Sequence
 
 from cassandra_ros.arguments import check_pairs
 from cassandra_ros.errors import CassandraRosError, InvalidOption
@@ -45,13 +43,13 @@ OTHER_SERVICES: Mapping[str, type] = {
 """The other services with their classes."""
 
 
-def serve(recorder: Recorder) -> None:
-    """Advertise the services of a recorder under the node's name."""
+def services_of(recorder: Recorder) -> Iterator[tuple[str, type, Callable[..., object]]]:
+    """Return the services of a recorder: of each its name, its class and its handler."""
     services = _Services(recorder)
     for name in TOPIC_SERVICES:
-        rospy.Service(f"~{name}", RecordTopics, services.of_topics(getattr(services, name)))
+        yield name, RecordTopics, services.of_topics(getattr(services, name))
     for name, kind in OTHER_SERVICES.items():
-        rospy.Service(f"~{name}", kind, getattr(services, name))
+        yield name, kind, getattr(services, name)
 
 
 @dataclass(frozen=True)

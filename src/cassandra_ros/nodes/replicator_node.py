@@ -25,7 +25,7 @@ from cassandra_ros.copying.follower import (
 from cassandra_ros.errors import InvalidOption
 from cassandra_ros.msg import CopiedTopic
 from cassandra_ros.nodes.quota_entry import quota_entry
-from cassandra_ros.nodes.ros_node import start_named_node
+from cassandra_ros.nodes.ros_node import offer_services, start_named_node
 from cassandra_ros.srv import (
     ReplicatorStatus,
     ReplicatorStatusRequest,
@@ -35,7 +35,7 @@ from cassandra_ros.srv import (
 _log = logging.getLogger(__name__)
 
 PARAMETERS = (
-    *("to", "rules", "rate", "max_size", "to_cqlshrc", "to_credentials"),
+    *("to", "rules", "rate", "max_size", "to_cqlshrc", "to_credentials", "no_services"),
     *("host", "port", "keyspace", "cqlshrc", "credentials"),
 )
 """Private parameters, which are called like options."""
@@ -49,11 +49,11 @@ LATE_SEC = 60.0
 Say = Callable[[str], object]
 
 
-def start_node(argv: Sequence[str]) -> list[str]:
+def start_node(argv: Sequence[str]) -> Mapping[str, object]:
     """Start the node /replicator, or an anonymous one if the name is taken.
 
     Returns:
-        Its private parameters as words of a command line.
+        Its private parameters.
 
     Raises:
         InvalidOption: There is no such parameter.
@@ -64,11 +64,18 @@ def start_node(argv: Sequence[str]) -> list[str]:
         raise InvalidOption(
             f"there is no parameter ~{unknown[0]}: there are {', '.join(PARAMETERS)}"
         )
-    return [f"--{n.replace('_', '-')}={text}" for n, text in parameters.items() if str(text) != ""]
+    return parameters
 
 
-def follow(follower: Follower, say: Say, diagnostics: bool) -> str:
-    """Copy until a signal, the master or a problem ends it; return the problem, '' = none."""
+def follow(follower: Follower, say: Say, *, diagnostics: bool, no_services: bool) -> str:
+    """Copy until a signal, the master or a problem ends it; return the problem, '' = none.
+
+    Args:
+        follower: What copies.
+        say: Prints a line for the user.
+        diagnostics: Whether to publish the status on /diagnostics.
+        no_services: Whether to offer no services.
+    """
     ending = threading.Event()
 
     def signalled(number: int, frame: FrameType | None) -> None:
@@ -79,9 +86,8 @@ def follow(follower: Follower, say: Say, diagnostics: bool) -> str:
     try:
         with follower:
             handlers = _Handlers(follower)
-            for name, kind in SERVICES.items():
-                rospy.Service(f"~{name}", kind, getattr(handlers, name))
-            say(f"services under {rospy.get_name()}")
+            services = ((name, kind, getattr(handlers, name)) for name, kind in SERVICES.items())
+            offer_services(services, say, none=no_services)
             _tick(follower, ending, _Diagnostics() if diagnostics else None, say)
         return follower.problem
     finally:

@@ -18,7 +18,7 @@ import time
 import xmlrpc.client
 from http.client import HTTPException
 from types import FrameType
-from typing import Iterator, Mapping, Sequence
+from typing import Callable, Iterable, Iterator, Mapping, Sequence
 from urllib.parse import urlparse
 from xml.parsers.expat import ExpatError
 
@@ -144,6 +144,27 @@ def start_named_node(
         if isinstance(values, dict):
             parameters.update(values)
     return parameters
+
+
+def offer_services(
+    services: Iterable[tuple[str, type, Callable[..., object]]],
+    say: Callable[[str], object],
+    *,
+    none: bool = False,
+) -> None:
+    """Advertise the services of a node that was started, and say where they are.
+
+    Args:
+        services: Of each its name, its class and its handler.
+        say: Prints a line for the user.
+        none: Whether to advertise none, so that no other program controls the node.
+    """
+    if none:
+        say(f"{rospy.get_name()} offers no services")
+        return
+    for name, kind, handler in services:
+        rospy.Service(f"~{name}", kind, handler)
+    say(f"services under {rospy.get_name()}")
 
 
 @contextlib.contextmanager

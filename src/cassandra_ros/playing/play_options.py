@@ -41,6 +41,7 @@ class PlayerOptions:
         rate_control_max_delay: Maximum difference between the time of the replay and the last
             stamp on that topic, s of the replay.
         read_ahead: Size of the messages that are read ahead, bytes.
+        no_services: Offer no services, so that no other program controls the player.
 
     Raises:
         InvalidOption: A number lies outside its range.
@@ -61,6 +62,7 @@ class PlayerOptions:
     rate_control_topic: str = ""
     rate_control_max_delay: float = 1.0
     read_ahead: int = BUDGET_BYTES
+    no_services: bool = False
 
     def __post_init__(self) -> None:
         check_rate(self.rate)

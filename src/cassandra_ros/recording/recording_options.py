@@ -75,6 +75,8 @@ class RecorderOptions:
     """Whether the name of each run is published on the latched topic begin_write."""
     diagnostics: bool = True
     """Whether the status is published on /diagnostics."""
+    no_services: bool = False
+    """Whether the node offers no services, so that no other program controls it."""
     tcpnodelay: bool = False
     """Whether publishers are asked to send without delay (TCP_NODELAY)."""
     free_space: Callable[[], int | None] | None = None
