@@ -58,7 +58,7 @@ def running_viewer(server: Server, folder: Path) -> Iterator[tuple[str, int]]:
     """Start the program; yield its address and port."""
     command = [sys.executable, str(ROOT / "scripts/viewer"), "--port", "0", "--cache", str(folder)]
     command += ["--store-host", server.host, "--store-port", str(server.port)]
-    command += ["--keyspace", server.keyspace]
+    command += ["--keyspace", server.keyspace, "--no-token"]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

@@ -209,7 +209,9 @@ class Demo:
         begin = time.monotonic()
         port = str(port_or(8080))
         self.viewer = self.shell.spawn("viewer", [*RUN, "viewer", "--port", port], r"http://\S+")
-        self.url = re.findall(r"http://[^\s,]+", self.viewer.text())[0].rstrip("/")
+        address = re.search(r"(http://[^\s?]+)/(?:\?token=(\S+))?", self.viewer.text())
+        assert address is not None
+        self.url, self.token = address[1], address[2] or ""
         topics = json.loads(self.fetch("/api/topics"))["topics"]
         self.note("viewer", f"{len(topics)} topics after {time.monotonic() - begin:.1f} s")
         window = self.out / "window.bag"
@@ -220,6 +222,8 @@ class Demo:
 
     def fetch(self, path: str, **parameters: str) -> bytes:
         """Return what the viewer answers."""
+        # With --secure, or if you log in to another store, it asks for a token.
+        parameters.update({"token": self.token} if self.token else {})
         query = urllib.parse.urlencode(parameters, safe="/:")
         address = self.url + path + (f"?{query}" if query else "")
         self.shell.echo(shell_text(["curl", address]))
@@ -239,7 +243,8 @@ class Demo:
 
     def leave_open(self) -> None:
         """Let the viewer run until Ctrl-C."""
-        print(f"\nSee it: {self.url}/ (Ctrl-C ends it)", flush=True)
+        query = f"?token={self.token}" if self.token else ""
+        print(f"\nSee it: {self.url}/{query} (Ctrl-C ends it)", flush=True)
         with suppress(KeyboardInterrupt):
             self.viewer.process.wait()
 

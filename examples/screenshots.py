@@ -117,7 +117,9 @@ def start_viewer(stack: ExitStack) -> str:
     words = ("import", str(bag), "--node-id", ROBOT, "--format", "packed")
     subprocess.run([*RUN, "cassandra_bag", *words], env=env, check=True)
     add_events(cluster.settings.port)
-    viewer = Program("viewer", [*RUN, "viewer", "--port", str(free_port())], env, home)
+    viewer = Program(
+        "viewer", [*RUN, "viewer", "--no-token", "--port", str(free_port())], env, home
+    )
     stack.callback(viewer.stop)
     viewer.wait_for(r"http://\S+")
     return re.findall(r"http://[^\s,]+", viewer.text())[0]

@@ -12,12 +12,14 @@ import socket
 import ssl
 import subprocess
 import sys
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import pytest
 from conftest import ROOT
 from local_server.users import KEYSPACE, Stranger
-from nodes.children import await_true, start_client, start_node
+from nodes.children import Child, await_true, start_client, start_node
 from nodes.raw_publisher import RawPublisher, header_of, message
 from std_msgs.msg import String
 
@@ -308,6 +310,22 @@ def test_the_nodes_work_with_the_rights_of_their_role(roscore, cqlshrc, users, e
             refused = ask("create index on heard (data)")
             assert not refused["success"] and "lacks the right MODIFY" in refused["message"]
         assert server.end(signal.SIGINT) == 0, server.output
+
+
+def test_a_viewer_asks_users_of_this_machine_for_a_token(cqlshrc, ros_env):
+    words = [sys.executable, ROOT / "scripts/viewer", "--port", "0", "--keyspace", KEYSPACE]
+    with Child([*words, "--cqlshrc", cqlshrc], ros_env) as viewer:
+        line = viewer.await_line("http://127.0.0.1:")
+        address, token = re.search(r"(http://\S+/)\?token=(\S+)", line).groups()
+        with pytest.raises(urllib.error.HTTPError, match="401"):
+            urllib.request.urlopen(f"{address}api/keyspace", timeout=180)  # noqa: S310 (our own)
+        asked = f"{address}api/keyspace?token={token}"
+        with urllib.request.urlopen(asked, timeout=180) as answer:  # noqa: S310 (our own)
+            assert KEYSPACE.encode() in answer.read()
+        assert viewer.end() == 0, viewer.output
+    with Child([*words, "--cqlshrc", cqlshrc, "--no-token"], ros_env) as viewer:
+        assert "token" not in viewer.await_line("http://127.0.0.1:")
+        assert viewer.end() == 0, viewer.output
 
 
 def test_programs_find_their_login_by_the_environment(cqlshrc, users, tmp_path, ros_env):

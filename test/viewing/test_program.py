@@ -21,7 +21,7 @@ from conftest import ROOT
 from nodes.children import Child, await_true
 
 from cassandra_ros.cli.viewer import _require_pages, make_parser, read_settings
-from cassandra_ros.errors import MissingDependency
+from cassandra_ros.errors import InvalidOption, MissingDependency
 from cassandra_ros.viewing.viewer_server import address
 from cassandra_ros.viewing.viewer_settings import ViewerSettings
 
@@ -113,8 +113,17 @@ def settings_of(*words):
     return read_settings(make_parser().parse_args(words))
 
 
+@pytest.fixture
+def no_login(monkeypatch, tmp_path):
+    """An environment without a login of cqlsh's files, and without a token."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("TOKEN", "CQLSHRC"):
+        monkeypatch.delenv(f"CASSANDRA_ROS_{name}", raising=False)
+    return tmp_path
+
+
+@pytest.mark.usefixtures("no_login")
 def test_options_become_settings(monkeypatch):
-    monkeypatch.delenv("CASSANDRA_ROS_TOKEN", raising=False)
     usual = settings_of()
     assert usual == ViewerSettings()
     assert (usual.host, usual.port, usual.token) == ("127.0.0.1", 8080, "")
@@ -133,6 +142,67 @@ def test_options_become_settings(monkeypatch):
     for wrong in (("--port", "65536"), ("--port", "-1"), ("--cache-size", "much")):
         with pytest.raises(SystemExit):
             make_parser().parse_args(wrong)
+
+
+def login_file(path, text="[PlainTextAuthProvider]\nusername = ann\npassword = x\n"):
+    path.write_text(text)
+    path.chmod(0o600)
+    return str(path)
+
+
+def test_of_a_store_with_a_login_it_asks_this_machine_for_a_token(no_login, monkeypatch, capsys):
+    login = ("--credentials", login_file(no_login / "mine"))
+    first, second = (settings_of(*login).token for _ in range(2))
+    assert len(first) > 20 and first != second
+    assert settings_of(*login, "--no-token") == settings_of() == ViewerSettings()
+    by_key = "[connection]\nssl = true\n[ssl]\nvalidate = false\nuserkey = a\nusercert = b\n"
+    assert settings_of("--cqlshrc", login_file(no_login / "rc", by_key)).token
+    # The stores of a fleet may each have a login of their own.
+    stores = f"[home]\nplace = a:1\n[husky]\nplace = b:2\ncredentials = {login[1]}\n"
+    fleet = ("--store-file", login_file(no_login / "stores", stores), "--store", "home")
+    assert settings_of(*fleet).token == ""
+    assert settings_of(*fleet, "--store", "husky").token
+    monkeypatch.setenv("CASSANDRA_ROS_TOKEN", "kept")
+    assert settings_of(*login).token == "kept"  # noqa: S105
+    assert settings_of(*login, "--no-token").token == ""
+    for wrong, reason in (
+        (("--host", "0.0.0.0"), "--no-token: other machines"),  # noqa: S104 -- what is tested
+        (("--token", "t"), "not allowed with argument"),
+        (("--token-file", "f"), "not allowed with argument"),
+    ):
+        with pytest.raises(SystemExit):
+            settings_of(*wrong, "--no-token")
+        assert reason in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_login")
+def test_a_token_is_read_from_a_file_or_a_descriptor(tmp_path, monkeypatch):
+    monkeypatch.setenv("CASSANDRA_ROS_TOKEN", "of the environment")
+    path = tmp_path / "token"
+    assert settings_of("--token-file", login_file(path, " kept \nmore\n")).token == "kept"  # noqa: S105
+    reads, writes = os.pipe()
+    os.write(writes, "t\u00f6ken\n".encode())
+    os.close(writes)
+    assert settings_of("--token-file", f"/dev/fd/{reads}").token == "t\u00f6ken"  # noqa: S105
+    os.close(reads)
+    for text, mode, reason in (
+        (b"\nkept\n", 0o600, "its first line is empty"),
+        (b"", 0o600, "its first line is empty"),
+        (b"\xff\n", 0o600, "cannot be read"),
+        (b"kept\n", 0o644, f"chmod 600 {path}"),
+    ):
+        path.write_bytes(text)
+        path.chmod(mode)
+        with pytest.raises(InvalidOption, match=reason):
+            settings_of("--token-file", str(path))
+    for wrong in (tmp_path / "none", tmp_path):
+        with pytest.raises(InvalidOption, match="cannot be read"):
+            settings_of("--token-file", str(wrong))
+    done = subprocess.run(
+        [*VIEWER, "--token-file", str(tmp_path / "none")], capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith(f"viewer: --token-file {tmp_path / 'none'} cannot be read: ")
 
 
 def test_the_address_is_one_that_a_browser_opens():

@@ -8,9 +8,10 @@
   rosrun cassandra_ros viewer --store home --store husky:9042
 
 It prints the address to open, and runs until Ctrl-C. It does not change stored data. By default
-only this machine can connect. With --host other machines can, too; they need the token at the end
-of the address. The token is sent unencrypted: in networks that you do not trust, put a TLS proxy in
-front of the viewer, or use 'ssh -L'.
+only this machine can connect: all its users, or, if you log in to the store, those with the token
+at the end of the address. With --host other machines can, too; they always need the token. It is
+sent unencrypted: in networks that you do not trust, put a TLS proxy in front of the viewer, or use
+'ssh -L'.
 
 With --store, given once or several times, all these stores are shown as one on Home, Ask and Look.
 A store that does not answer is named on the page. The Map, SQL, plans, files of time ranges and new
@@ -27,7 +28,7 @@ import sys
 import threading
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Sequence
+from typing import TYPE_CHECKING, Callable, Sequence
 
 from cassandra_ros.cli.candidates import answer_shell
 from cassandra_ros.cli.fleet_options import add_fleet_options, open_fleet, refuse, tell_missing
@@ -42,7 +43,8 @@ from cassandra_ros.cli.parsers import error_line, program_parser
 from cassandra_ros.cli.readers import byte_size
 from cassandra_ros.cli.studio_offer import install, offer
 from cassandra_ros.connection.address import from_environment
-from cassandra_ros.errors import KeyspaceNotFound, MissingDependency
+from cassandra_ros.connection.login import is_private, read_login
+from cassandra_ros.errors import InvalidOption, KeyspaceNotFound, MissingDependency
 from cassandra_ros.installation import optional_module
 from cassandra_ros.viewing.studio import studio_folder
 from cassandra_ros.viewing.viewer_settings import (
@@ -75,12 +77,7 @@ def make_parser() -> argparse.ArgumentParser:
         help="address of this machine to listen on; 0.0.0.0 = all addresses (default: "
         f"{DEFAULT_HOST}, which only this machine can reach)",
     )
-    add(
-        "--token",
-        metavar="TEXT",
-        help="secret that clients must send (default: CASSANDRA_ROS_TOKEN, else a new one at each "
-        "start if --host lets other machines connect)",
-    )
+    _add_token_options(parser.add_mutually_exclusive_group().add_argument)
     add(
         "--allow-origin",
         metavar="ORIGIN",
@@ -93,7 +90,11 @@ def make_parser() -> argparse.ArgumentParser:
     add("--allow-writes", action="store_true", help=text)
     text = "download Foxglove Studio for the page Look from npm's registry (37 MB), and end"
     add("--install-studio", action="store_true", help=text)
-    add("--open", action="store_true", help="open it in the browser of this machine")
+    text = (
+        "open it in the browser of this machine; while the browser starts, other users see the "
+        "address with its token in the list of processes"
+    )
+    add("--open", action="store_true", help=text)
     add(
         "--cache",
         metavar="DIR",
@@ -107,26 +108,95 @@ def make_parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _add_token_options(add: Callable[..., object]) -> None:
+    text = (
+        "secret that clients must send. Other users of this machine see it in the list of "
+        "processes, but not that of --token-file and of the variable CASSANDRA_ROS_TOKEN (default: "
+        "that of the variable, else a new one at each start if --host lets other machines connect, "
+        "or if you log in to the store with a password or a key)"
+    )
+    add("--token", metavar="TEXT", help=text)
+    text = (
+        "file with this secret in its first line, which only you may read, mode 600; /dev/fd/3 = "
+        "from descriptor 3"
+    )
+    add("--token-file", metavar="FILE", help=text)
+    text = "let all users of this machine read the store, though you log in to it"
+    add("--no-token", action="store_true", help=text)
+
+
 def _listen_port(text: str) -> int:
     return 0 if text == "0" else read_port(text)
 
 
 def read_settings(options: argparse.Namespace) -> ViewerSettings:
-    """Return the settings. If other machines can connect and no token is given, make one."""
-    from cassandra_ros.viewing.security import is_loopback
-
-    token = options.token or from_environment("TOKEN") or ""
-    if not token and not is_loopback(options.listen_host):
-        token = secrets.token_urlsafe(_TOKEN_BYTES)
+    """Return the settings."""
     return ViewerSettings(
         host=options.listen_host,
         port=options.listen_port,
-        token=token,
+        token=_token(options),
         allow_origin=tuple(origin.rstrip("/") for origin in options.allow_origin),
         allow_writes=options.allow_writes,
         cache=Path(options.cache) if options.cache else None,
         cache_bytes=options.cache_size,
     )
+
+
+def _token(options: argparse.Namespace) -> str:
+    """Return the token that clients must send, '' = none; make one if others could read secrets.
+
+    Raises:
+        InvalidOption: The file of the token, or one of the login, cannot be used.
+    """
+    from cassandra_ros.viewing.security import is_loopback
+
+    reached = not is_loopback(options.listen_host)
+    if options.no_token:
+        if reached:
+            options.parser.error(
+                f"--no-token: other machines reach {options.listen_host} and could read all stored "
+                "messages; leave out --no-token or --host"
+            )
+        return ""
+    token = read_token(options.token_file) if options.token_file else options.token
+    token = token or from_environment("TOKEN")
+    if not token and (reached or _logs_in(options)):
+        token = secrets.token_urlsafe(_TOKEN_BYTES)
+    return token
+
+
+def read_token(name: str) -> str:
+    """Return the first line of a file, without blanks at its ends.
+
+    Raises:
+        InvalidOption: It cannot be read, is empty, or others can read the file.
+    """
+    if not is_private(name):
+        raise InvalidOption(
+            f"--token-file {name}: others can read it, or it belongs to another user; make it "
+            f"yours alone: chmod 600 {name}"
+        )
+    try:
+        with open(name, encoding="utf-8") as file:
+            token = file.readline().strip()
+    except (OSError, UnicodeDecodeError) as exc:
+        reason = getattr(exc, "strerror", None) or "it is not UTF-8"
+        raise InvalidOption(f"--token-file {name} cannot be read: {reason}") from exc
+    if not token:
+        raise InvalidOption(f"--token-file {name}: its first line is empty; write the token there")
+    return token
+
+
+def _logs_in(options: argparse.Namespace) -> bool:
+    """Return whether a password or a key is used for the store, or for one of several stores."""
+    cqlshrc, credentials = options.cqlshrc, options.credentials
+    if not options.stores:
+        return read_login(options.host, options.port, cqlshrc, credentials).is_secret
+    from cassandra_ros.fleet.fleet_store import read_places
+
+    names, file = options.stores, options.store_file
+    places = read_places(names, file, options.keyspace, cqlshrc, credentials)
+    return any(read_login(p.host, p.port, p.cqlshrc, p.credentials).is_secret for p in places)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

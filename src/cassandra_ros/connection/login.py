@@ -93,6 +93,11 @@ class Login:
     """Credentials file that was not read because other users can read it; '' = there is no such
     file."""
 
+    @property
+    def is_secret(self) -> bool:
+        """Whether there is a password or a key, which other users of the machine do not have."""
+        return bool(self.username or (self.tls is not None and self.tls.userkey))
+
 
 @contextmanager
 def _readable(option: str, name: str) -> Iterator[None]:

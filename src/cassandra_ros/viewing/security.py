@@ -4,7 +4,8 @@
 
 A viewer on loopback can be reached by every page that a browser on this machine shows: the Host
 header shows whether the page used a foreign name that points here (DNS rebinding). A viewer that
-other machines can reach requires a token: in the address once, afterwards as a cookie. Pages of
+other machines can reach requires a token, and by default one of a store with a login, for loopback
+is open to all users of the machine: in the address once, afterwards as a cookie. Pages of
 other sites can read answers only if ``allow_origin`` lists their site.
 """
 
