@@ -112,11 +112,13 @@ def layout_of(grid, scan):
 
 @contextmanager
 def viewer(arguments):
-    """Start the viewer; yield its address."""
+    """Start the viewer; yield its address, and the token as the end of a query ('' = none)."""
     command = [sys.executable, str(VIEWER), "--port", "0", *arguments]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
-            yield process.stdout.readline().split(" is at ")[1].split()[0].rstrip("/")
+            line = process.stdout.readline()
+            address, _, token = line.split(" is at ")[1].split()[0].partition("?")
+            yield address.rstrip("/"), f"&{token}" if token else ""
         finally:
             process.terminate()
 
@@ -167,7 +169,8 @@ def main() -> None:
         topics = ",".join([grid.name, scan.name, *tf])
         page = f"/look.html?layout={layout_of(grid, scan)}&topics={topics}"
         page += f"&start={scan.first()}&end={scan.last()}&time={moment}"
-    with viewer(store) as address:
+    with viewer(store) as (address, token):
+        page += token
         print(f"look at:  {address}{page}", flush=True)
         if args.picture:
             shoot(address + page, args.picture)
