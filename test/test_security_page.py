@@ -58,6 +58,7 @@ FIGURES = [
     mib(shape.MAX_FIXED_BYTES),
     mib(message_file.MAX_CHUNK_BYTES),
     f"{message_file.MAX_RATIO} times",
+    str(message_file.MAX_RECORDS),
     str(LIMITS.clients),
     str(viewer_settings.DEFAULT_THREADS),
     mib(LIMITS.answers_bytes),

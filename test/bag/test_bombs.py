@@ -15,6 +15,7 @@ import lz4.frame
 import pytest
 import zstandard
 from bag.truth import string_connection, string_wire
+from hostile.inputs import INPUT_SEC
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Schema
@@ -25,14 +26,14 @@ from cassandra_ros.bag import message_file
 from cassandra_ros.bag.bag_writer import BagWriter
 from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.bag.importer import import_bag
-from cassandra_ros.bag.mcap_format import MAGIC, RECORD
+from cassandra_ros.bag.mcap_format import MAGIC, MESSAGE, RECORD
 from cassandra_ros.bag.message_file import MAX_BATCH
 from cassandra_ros.errors import BagError, BagTooLarge
 
 ROOT = Path(__file__).resolve().parents[2]
 MIB = 1 << 20
 READ = """
-import re, sys
+import re, sys, time
 from cassandra_ros.bag.identity import read_content
 from cassandra_ros.bag.file_formats import open_file
 from cassandra_ros.errors import BagError
@@ -47,12 +48,16 @@ try:
 except BagError as exc:
     error = f"{type(exc).__name__}: {exc}"
 peak = re.search(r"VmHWM:\\s+(\\d+) kB", open("/proc/self/status").read())[1]
-print(count, nbytes, int(peak) // 1024, error)
+print(count, nbytes, int(peak) // 1024, time.process_time(), error)
 """
 
 
-def read_in_process(path, salvage=False, large=False):
-    """Read a file twice, as an import does; return messages, bytes, memory in MiB, the error."""
+def read_in_process(path, salvage=False, large=False, soon=False):
+    """Read a file twice, as an import does; return messages, bytes, memory in MiB, the error.
+
+    Args:
+        soon: It may take the processor time that SECURITY.md names.
+    """
     done = subprocess.run(
         [sys.executable, "-c", READ, str(path), str(int(salvage)), str(int(large))],
         env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
@@ -61,7 +66,8 @@ def read_in_process(path, salvage=False, large=False):
         timeout=300,
         check=True,
     )
-    count, nbytes, peak, error = done.stdout.rstrip("\n").split(" ", 3)
+    count, nbytes, peak, seconds, error = done.stdout.rstrip("\n").split(" ", 4)
+    assert not soon or float(seconds) < INPUT_SEC
     return int(count), int(nbytes), int(peak), error
 
 
@@ -179,6 +185,80 @@ def test_a_bomb_is_refused_in_little_memory(tmp_path, bomb):
         assert "BagTooLarge: " in error
         assert error.endswith("if you trust this one: --allow-large-chunks")
     assert peak < (500 if "many" in bomb else 250), "MiB"
+
+
+def record_bytes(record):
+    out = RecordBuilder()
+    record.write(out)
+    return out.end()
+
+
+CONNECTION = bagformat.pack_record([(b"op", 7), (b"conn", 0)], b"")
+TINY = {
+    "mcap zeros": bytes(RECORD.size),
+    "mcap unknown": RECORD.pack(200, 0),
+    "mcap schema": record_bytes(Schema(2, b"", "", "")),
+    "mcap channel": record_bytes(Channel(1, "/chatter", "ros1", {}, 1)),
+    "mcap message": MESSAGE.pack(Opcode.MESSAGE, MESSAGE.size - RECORD.size, 1, 0, 10, 10),
+    "bag connection": CONNECTION,
+    "bag message": bagformat.message_head(0, 10, 0),
+}
+"""Records that take time and almost no bytes."""
+
+
+def full_of(path, kind, count):
+    """Write a file whose one chunk has so many records of a kind; the bag also has a message."""
+    data = TINY[kind] * count
+    if kind.startswith("mcap"):
+        return make_mcap(path, [("zstd", len(data), zstandard.compress(data))])
+    data += TINY["bag message"]
+    messages = 1 + count * (kind == "bag message")
+    return make_bag(path, [("lz4", len(data), PACK["lz4"](data), messages)])
+
+
+@pytest.mark.parametrize("salvage", [False, True])
+@pytest.mark.parametrize("kind", sparing(TINY, ["mcap zeros"]))
+def test_millions_of_records_in_a_small_file_are_refused_soon(tmp_path, kind, salvage):
+    """They took minutes of processor time."""
+    path = full_of(tmp_path / "a", kind, 250 * MIB // len(TINY[kind]))
+    assert path.stat().st_size < 1.1 * MIB
+    count, _, _, error = read_in_process(path, salvage, soon=True)
+    assert count == 0
+    assert "records up to here" in error or "no message that can be salvaged" in error
+    assert "--allow-large-chunks" in error or kind.startswith("bag")
+
+
+@pytest.mark.suite("all", "make test asks others of its kind")
+@pytest.mark.parametrize("kind", TINY)
+def test_as_many_records_as_are_allowed_are_read_soon(tmp_path, kind):
+    path = full_of(tmp_path / "a", kind, message_file.MAX_RECORDS - 2)
+    assert path.stat().st_size < message_file.MAX_RECORDS
+    for salvage in (False, True):
+        count, _, _, error = read_in_process(path, salvage, soon=True)
+        messages = message_file.MAX_RECORDS - 2 if kind.endswith("message") else 0
+        assert (count, error) == (messages + kind.startswith("bag"), "")
+
+
+def test_records_are_counted_in_all_chunks_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(message_file, "MAX_RECORDS", 20000)
+    size = 5000 * len(TINY["mcap message"])
+    data = zstandard.compress(TINY["mcap message"] * 5000)
+    for chunks, large, expected in ((4, False, 20000), (5, True, 25000)):
+        path = make_mcap(tmp_path / "a.mcap", [("zstd", size, data)] * chunks)
+        assert path.stat().st_size < 20000
+        with open_file(path, False, large) as reader:
+            for _ in range(2):
+                assert sum(1 for _ in reader.messages()) == expected
+    with pytest.raises(BagTooLarge, match="over 20000 records up to here.* --allow-large-chunks"):
+        open_file(path)
+    size, data = 5000 * len(TINY["bag message"]), PACK["lz4"](TINY["bag message"] * 5000)
+    with open_file(make_bag(tmp_path / "a.bag", [("lz4", size, data, 5000)] * 4)) as reader:
+        for _ in range(2):
+            assert sum(1 for _ in reader.messages()) == 20000
+    with open_file(make_bag(tmp_path / "a.bag", [("lz4", size, data, 5000)] * 5)) as reader:
+        for _ in range(2):
+            with pytest.raises(BagTooLarge, match="over 20000 records up to here"):
+                sum(1 for _ in reader.messages())
 
 
 @pytest.mark.suite("all", "large messages, to see how much memory they take")

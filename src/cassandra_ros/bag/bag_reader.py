@@ -16,6 +16,7 @@ from array import array
 from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import BinaryIO, Mapping, NamedTuple
 
 import numpy as np
@@ -349,6 +350,7 @@ def _readable_records(
     content: bytes,
     where: str,
     connections: dict[int, bytes],
+    count: bagformat.CountRecords,
     start_ns: int = 0,
     end_ns: int = MAX_NS,
 ) -> tuple[int, list[int], Counter[int]]:
@@ -356,6 +358,7 @@ def _readable_records(
 
     Args:
         connections: Known connection records by connection id; those of the chunk are added.
+        count: Counts the records; a record that it refuses is damage.
         start_ns, end_ns: A message at another time is damage.
 
     Returns:
@@ -366,6 +369,7 @@ def _readable_records(
     position, times = 0, [2**63, 0]
     with suppress(BagError):  # the damage that we search for
         while position < len(content):
+            count(1)
             kind, fields, start, stop = bagformat.record_at(content, position, where)
             if kind == bagformat.OP_MESSAGE:
                 number, t_ns = bagformat.message_of(fields, where)
@@ -478,7 +482,8 @@ class _Scan:
             whole = False
         if not whole:
             content = bagformat.unpack_part(compression, data, min(declared or most, most))
-        end, times, counts = _readable_records(content, where, self.connections)
+        count = partial(self.allowance.records, where)
+        end, times, counts = _readable_records(content, where, self.connections, count)
         if counts:
             self.infos.append(_chunk_info(position, times, counts))
         if whole and end == len(content):
@@ -553,8 +558,8 @@ class BagReader(BagIndex, MessageFile):
 
     Raises:
         BagUnindexed: The bag was not closed properly, or is cut short.
-        BagTooLarge: A chunk would unpack to more bytes than the Allowance permits (raised when the
-            chunk is read).
+        BagTooLarge: A chunk would unpack to more bytes or records than the Allowance permits
+            (raised when the chunk is read).
         BagError: The file cannot be opened, is not a bag of format 2.0, is encrypted, or its index
             is damaged; with salvage: no message can be read.
     """
@@ -585,6 +590,8 @@ class BagReader(BagIndex, MessageFile):
         self._allowance = Allowance(os.fstat(file.fileno()).st_size, self._large_chunks)
         self._counted = bytearray(self.chunk_count)
         """One byte per chunk: 1 = the allowance has counted it, so not counted again."""
+        self._records_counted = bytearray(self.chunk_count)
+        """The same for the records of each chunk."""
 
     def _salvage(self, file: BinaryIO, name: str, opened: ExitStack) -> None:
         """Read the bag's own index, and which chunks are damaged; or make the index anew.
@@ -651,7 +658,9 @@ class BagReader(BagIndex, MessageFile):
         except (BagError, OSError):  # not even its header, or too large
             return CutChunk("none", self._chunk(chunk)[0], 0, 0), {}
         known = dict.fromkeys(self.numbers, b"")
-        stop, _, counts = _readable_records(content, self._where(chunk), known, start_ns, end_ns)
+        where = self._where(chunk)
+        count = partial(self._allowance.records, where)
+        stop, _, counts = _readable_records(content, where, known, count, start_ns, end_ns)
         usable = {i: n for i, n in counts.items() if i not in self._unusable}
         numbered = {self.numbers.get(file_id, -1): count for file_id, count in usable.items()}
         return CutChunk(compression, data_pos, data_bytes, stop), numbered
@@ -696,7 +705,10 @@ class BagReader(BagIndex, MessageFile):
         else:
             content = bagformat.decompress_chunk(compression, data, size, where)
             offsets = self._offsets(counts)
-        messages = bagformat.find_messages(content, where, offsets)
+        first = cut is None and not self._records_counted[chunk]
+        count = partial(self._allowance.records, where) if first else bagformat.uncounted
+        messages = bagformat.find_messages(content, where, offsets, count)
+        self._records_counted[chunk] = 1
         if self._unusable:
             usable = ~np.isin(messages.ids, list(self._unusable))
             messages = bagformat.ChunkMessages(*(column[usable] for column in messages))

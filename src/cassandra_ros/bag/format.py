@@ -17,7 +17,7 @@ from contextlib import suppress
 from io import BytesIO
 from itertools import permutations
 from struct import Struct
-from typing import BinaryIO, Dict, Iterable, Iterator, NamedTuple, Sequence, Tuple, Union
+from typing import BinaryIO, Callable, Dict, Iterable, Iterator, NamedTuple, Sequence, Tuple, Union
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -328,28 +328,46 @@ MIN_AT_ONCE = 16
 """Minimum number of messages that are read with numpy at once; fewer are read one by one."""
 MAX_AT_ONCE = 2**20
 """Maximum number of messages that are read with numpy at once. Each needs some 100 bytes."""
+COUNTED_AT_ONCE = 1 << 12
+"""Number of records that are counted at once."""
+CountRecords = Callable[[int], None]
+"""Function that counts records of a chunk: it gets their number since the last call, and raises
+BagTooLarge if the file has too many."""
 _NOTHING = np.zeros((_COLUMNS, 0), np.int64)
 
 
-def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> ChunkMessages:
+def uncounted(number: int) -> None:
+    """Count no records: they have been counted, or the file is our own."""
+
+
+def find_messages(
+    content: bytes, where: str, offsets: Longs | None = None, count: CountRecords = uncounted
+) -> ChunkMessages:
     """List the messages in the unpacked content of a chunk. Its records must fill it exactly.
 
     Args:
         offsets: Ascending offsets of the message records that the index states. They are used,
             and all records are read at once, if the records at these offsets fill the content.
+        count: Counts the records while they are read.
 
     Raises:
-        BagError: A record is damaged.
+        BagError: A record is damaged, or ``count`` refuses their number.
     """
     if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
-        messages = _messages_at(content, where, offsets)
+        messages = _messages_at(content, where, offsets, count)
         if messages is not None:
+            count(len(offsets))
             return messages
     found = array("q")  # four numbers for each message; a chunk may hold millions of messages
     position, end = 0, len(content)
     last_fixed = end - _FIXED_BYTES
     (read, head, middle), other = _PYTHON, _CPP
+    records = 0
     while position < end:
+        records += 1
+        if records == COUNTED_AT_ONCE:
+            count(records)
+            records = 0
         if position <= last_fixed:
             fixed = read(content, position)
             if fixed[0] != head or fixed[2] != middle:
@@ -366,11 +384,14 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> C
                 position = stop
                 continue
         position = _other_record(content, position, where, found)
+    count(records)
     columns = np.frombuffer(found, np.int64).reshape(-1, _COLUMNS).T if found else _NOTHING
     return ChunkMessages(*columns)
 
 
-def _messages_at(content: bytes, where: str, offsets: Longs) -> ChunkMessages | None:
+def _messages_at(
+    content: bytes, where: str, offsets: Longs, count: CountRecords
+) -> ChunkMessages | None:
     """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
     if offsets[0] < 0 or offsets[-1] > len(content) - _FIXED_BYTES:
         return None
@@ -383,12 +404,12 @@ def _messages_at(content: bytes, where: str, offsets: Longs) -> ChunkMessages | 
     numbers = np.hstack([heads[:, place] for place in layout.numbers])
     ids, secs, nsecs, sizes = numbers.view("<u4").astype(np.int64).T
     starts, times = offsets + _FIXED_BYTES, secs * SECOND_NS + nsecs
-    if times.max() > MAX_NS or not _fill(content, where, offsets, starts + sizes):
+    if times.max() > MAX_NS or not _fill(content, where, offsets, starts + sizes, count):
         return None
     return ChunkMessages(ids, times, starts, starts + sizes)
 
 
-def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
+def _fill(content: bytes, where: str, begins: Longs, ends: Longs, count: CountRecords) -> bool:
     """Say whether the given records, with connection records in the gaps, fill the content."""
     begins, ends = np.append(begins, len(content)), np.insert(ends, 0, 0)
     more = array("q")
@@ -396,6 +417,7 @@ def _fill(content: bytes, where: str, begins: Longs, ends: Longs) -> bool:
         position, end = int(ends[gap]), int(begins[gap])
         while position < end and not more:
             position = _other_record(content, position, where, more)
+            count(1)
         if position != end or more:
             return False
     return True

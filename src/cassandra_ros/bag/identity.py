@@ -71,7 +71,7 @@ def read_content(reader: MessageFile, reading: MessageProgress | None = None) ->
         reading: Callback for the messages that were read, called after each chunk.
 
     Raises:
-        BagTooLarge: The bag would unpack to more bytes than the Allowance permits.
+        BagTooLarge: The bag would unpack to more bytes or records than the Allowance permits.
     """
     digest, rank = _begin(b"cassandra_ros bag 2", reader)
     sizes = dict.fromkeys(rank, 0)

@@ -28,8 +28,15 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Footer, Header, Metadata, Schema, Statistics
 from numpy.lib.stride_tricks import sliding_window_view
 
-from cassandra_ros.bag.format import MAX_AT_ONCE, MIN_AT_ONCE, Longs
-from cassandra_ros.errors import BagError
+from cassandra_ros.bag.format import (
+    COUNTED_AT_ONCE,
+    MAX_AT_ONCE,
+    MIN_AT_ONCE,
+    CountRecords,
+    Longs,
+    uncounted,
+)
+from cassandra_ros.errors import BagError, BagTooLarge
 from cassandra_ros.keys import MAX_NS
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -237,10 +244,11 @@ def decompress(head: ChunkHead, data: bytes, where: str) -> bytes:
     return content
 
 
-def unpack_part(head: ChunkHead, data: bytes) -> bytes:
+def unpack_part(head: ChunkHead, data: bytes, count: CountRecords) -> bytes:
     """Return the complete records that can be unpacked at the beginning of a damaged chunk.
 
-    The caller has checked ``head.size`` with an Allowance.
+    The caller has checked ``head.size`` with an Allowance. No more records are returned than
+    ``count`` permits.
     """
     content, end = b"", 0
     damage = (BagError, KeyError, zstandard.ZstdError, RuntimeError, EOFError, MemoryError)
@@ -252,6 +260,7 @@ def unpack_part(head: ChunkHead, data: bytes) -> bytes:
         if head.crc and len(content) == head.size and zlib.crc32(content) != head.crc:
             return b""  # the chunk is complete but damaged at an unknown position
         for record in records_of(content, ""):
+            count(1)
             end = record.stop
     return content[:end]
 
@@ -277,12 +286,18 @@ def records_of(content: bytes, where: str, position: int = 0) -> Iterator[Record
     """
     end = len(content)
     while position < end:
-        start = position + RECORD.size
-        kind, length = RECORD.unpack_from(content, position) if start <= end else (0, end)
-        if start + length > end:
-            raise BagError(f"{where} is damaged: a record at byte {position} of it runs over")
-        position = start + length
-        yield Record(kind, start, position)
+        record = record_at(content, where, position)
+        position = record.stop
+        yield record
+
+
+def record_at(content: bytes, where: str, position: int) -> Record:
+    """Return the record at an offset of some bytes; raises BagError if it runs over the end."""
+    start, end = position + RECORD.size, len(content)
+    kind, length = RECORD.unpack_from(content, position) if start <= end else (0, end)
+    if start + length > end:
+        raise BagError(f"{where} is damaged: a record at byte {position} of it runs over")
+    return Record(kind, start, start + length)
 
 
 def offsets_of_indexes(raw: bytes) -> Longs | None:
@@ -301,7 +316,9 @@ def offsets_of_indexes(raw: bytes) -> Longs | None:
     return None
 
 
-def _messages_at(content: bytes, where: str, offsets: Longs) -> Messages | None:
+def _messages_at(
+    content: bytes, where: str, offsets: Longs, count: CountRecords
+) -> Messages | None:
     """Read the messages at these offsets. Return None if they are not all messages of the chunk."""
     if offsets[0] < 0 or offsets[-1] > len(content) - MESSAGE.size:
         return None
@@ -316,41 +333,58 @@ def _messages_at(content: bytes, where: str, offsets: Longs) -> Messages | None:
     if (stops < starts).any() or (begins < ends).any():
         return None
     gaps = np.flatnonzero(begins != ends).tolist()
-    if not all(_without_message(content[ends[gap] : begins[gap]], where) for gap in gaps):
+    parts = (content[ends[gap] : begins[gap]] for gap in gaps)
+    if not all(_without_message(part, where, count) for part in parts):
         return None
     channels, sequences = heads["channel"].astype(np.int64), heads["sequence"].astype(np.int64)
     times, sent = heads["time"].astype(np.int64), heads["sent"].astype(np.int64)
     return Messages(channels, sequences, times, sent - times, starts, stops)
 
 
-def _without_message(content: bytes, where: str) -> bool:
+def _without_message(content: bytes, where: str, count: CountRecords) -> bool:
     """Say whether some bytes consist of records, and none of these is a message."""
-    with suppress(BagError):
-        return all(record.kind != Opcode.MESSAGE for record in records_of(content, where))
-    return False
+    try:
+        for record in records_of(content, where):
+            count(1)
+            if record.kind == Opcode.MESSAGE:
+                return False
+    except BagTooLarge:
+        raise
+    except BagError:
+        return False
+    return True
 
 
-def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> Messages:
+def find_messages(
+    content: bytes, where: str, offsets: Longs | None = None, count: CountRecords = uncounted
+) -> Messages:
     """List the messages in the unpacked records of a chunk.
 
     Args:
         offsets: Ascending offsets of the message records that the index states. They are used,
             and all records are read at once, if the records at these offsets fill the content.
+        count: Counts the records while they are read.
 
     Raises:
-        BagError: A record is damaged.
+        BagError: A record is damaged, or ``count`` refuses their number.
     """
     if offsets is not None and MIN_AT_ONCE <= len(offsets) <= MAX_AT_ONCE:
-        indexed = _messages_at(content, where, offsets)
+        indexed = _messages_at(content, where, offsets, count)
         if indexed is not None:
+            count(len(offsets))
             return indexed
     found = array("q")  # six numbers for each message
     position, end, last = 0, len(content), len(content) - MESSAGE.size
     read, size = MESSAGE.unpack_from, MESSAGE.size
+    records = 0
     while position < end:
+        records += 1
+        if records == COUNTED_AT_ONCE:
+            count(records)
+            records = 0
         if position > last or content[position] != Opcode.MESSAGE:
             # The caller has read schemas and channels.
-            position = next(records_of(content, where, position)).stop
+            position = record_at(content, where, position).stop
             continue
         _, length, channel, sequence, t_ns, sent_ns = read(content, position)
         stop = position + RECORD.size + length
@@ -360,6 +394,7 @@ def find_messages(content: bytes, where: str, offsets: Longs | None = None) -> M
         time_ns = t_ns if t_ns <= MAX_NS else TOO_LATE
         found.extend((channel, sequence, time_ns, delay_ns, position + size, stop))
         position = stop
+    count(records)
     columns = len(Messages._fields)
     if not found:
         return Messages(*np.zeros((columns, 0), np.int64))

@@ -8,6 +8,7 @@ import os
 from collections import Counter
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import BinaryIO, Mapping, NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from mcap.well_known import MessageEncoding, Profile
 
 from cassandra_ros.bag import mcap_events
 from cassandra_ros.bag import mcap_format as mcapformat
-from cassandra_ros.bag.format import ChunkMessages
+from cassandra_ros.bag.format import ChunkMessages, Longs, uncounted
 from cassandra_ros.bag.mcap_channel import to_connection, why_foreign
 from cassandra_ros.bag.mcap_format import ChunkHead, Messages, Record
 from cassandra_ros.bag.message_file import (
@@ -53,6 +54,8 @@ class _Chunk:
     """Position of the message indexes of the chunk."""
     salvaged: bytes | None = None
     """Unpacked beginning of the chunk, if the file ends inside it or the chunk is damaged."""
+    records_counted: bool = False
+    """Whether the Allowance has counted its records."""
     damaged: bool = False
     """Whether the messages that ``counts`` counts cannot be read."""
 
@@ -103,7 +106,7 @@ class McapReader(MessageFile):
 
     Raises:
         BagUnindexed: The file was not closed properly, or is cut short.
-        BagTooLarge: The file would unpack to more bytes than the Allowance permits.
+        BagTooLarge: The file would unpack to more bytes or records than the Allowance permits.
         BagError: The file cannot be opened, is damaged, or holds no ROS 1 messages; with salvage:
             no message can be read.
     """
@@ -181,7 +184,7 @@ class McapReader(MessageFile):
             # A valid index is shorter than twice the content. A longer one would waste memory.
             if index is not None and index.stop - index.start <= 2 * len(content):
                 offsets = mcapformat.offsets_of_indexes(self._bytes(index))
-            found = mcapformat.find_messages(content, self._where(chunk), offsets).in_time()
+            found = self._find(chunk, content, offsets).in_time()
             if Counter(found.channels.tolist()) != self._chunks[chunk].readable:
                 raise BagError(
                     f"{self._where(chunk)} is damaged: its {len(found.times)} messages are not "
@@ -193,6 +196,19 @@ class McapReader(MessageFile):
                 chunk, content, Messages(*(column[known] for column in found))
             )
         return self._last.content, self._last.messages
+
+    def _find(self, chunk: int, content: bytes, offsets: Longs | None = None) -> Messages:
+        """Find the messages in the content of a chunk, whose records are counted once.
+
+        Raises:
+            BagTooLarge: The file has too many records.
+            BagError: The chunk is damaged.
+        """
+        entry, where = self._chunks[chunk], self._where(chunk)
+        count = uncounted if entry.records_counted else partial(self._allowance.records, where)
+        found = mcapformat.find_messages(content, where, offsets, count)
+        entry.records_counted = True
+        return found
 
     def _content(self, chunk: int) -> bytes:
         entry, where = self._chunks[chunk], self._where(chunk)
@@ -245,9 +261,11 @@ class McapReader(MessageFile):
             with suppress(BagError):
                 head, place = mcapformat.read_chunk_head(self._file, chunk, self.path, cut=True)
                 self._take(head, place, position)
-                part = mcapformat.unpack_part(head, self._bytes(place))
-                self._chunks.append(_Chunk(place, head, salvaged=part))
                 where = f"in the chunk at byte {position} of {file_bytes}"
+                count = partial(self._allowance.records, f"{self.path} {where}")
+                part = mcapformat.unpack_part(head, self._bytes(place), count)
+                entry = _Chunk(place, head, salvaged=part, records_counted=True)
+                self._chunks.append(entry)
                 read = place.start + len(part) if head.compression == "none" else position
                 self.salvaged.end(f"is cut short or damaged {where}", file_bytes - read)
 
@@ -260,11 +278,11 @@ class McapReader(MessageFile):
         file_bytes = os.fstat(self._file.fileno()).st_size
         for place, chunk in enumerate(self._chunks):
             try:
-                content = self._content(place)
-                found = mcapformat.find_messages(content, self._where(place)).in_time()
-            except BagError:
+                found = self._find(place, self._content(place)).in_time()
+            except BagError as exc:
                 begin, end = chunk.record.start, chunk.record.stop
                 why = f"is damaged in the chunk at byte {begin} of {file_bytes}"
+                why += f" ({exc})" if isinstance(exc, BagTooLarge) else ""
                 self.salvaged.add(why, end - begin)
                 self.salvaged.behind |= place + 1 < len(self._chunks)
                 chunk.damaged, chunk.salvaged = True, b""
@@ -377,11 +395,11 @@ class McapReader(MessageFile):
             if chunk.damaged or chunk.counted and all(map(self._is_known, chunk.counts)):
                 continue
             content, where = self._content(place), self._where(place)
+            found = self._find(place, content)
             for record in mcapformat.records_of(content, where):
                 if record.kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._note_text(record.kind, content[record.start : record.stop], where)
             if not chunk.counted:
-                found = mcapformat.find_messages(content, where)
                 self._late.update(found.channels[found.times == mcapformat.TOO_LATE].tolist())
                 found = found.in_time()
                 chunk.counts = Counter(found.channels.tolist())

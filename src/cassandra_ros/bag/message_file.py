@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: BSD-3-Clause
 """Common part of the readers of bags and MCAP files: connections, and messages chunk by chunk.
 
-``Allowance`` limits the unpacked size of files: repeated bytes pack to almost nothing, so a bag of
-some kilobytes may hold gigabytes of messages that fill memory and disk.
+``Allowance`` limits the unpacked size of files and the number of their records: repeated bytes pack
+to almost nothing, so a bag of some kilobytes may hold gigabytes of messages that fill memory and
+disk, or millions of records that take minutes to read.
 """
 
 from __future__ import annotations
@@ -31,24 +32,30 @@ MAX_PLAIN_BYTES = 2**30
 MAX_RATIO = 1000
 """Maximum ratio of the content of all chunks to the size of the file. It counts from
 MAX_CHUNK_BYTES of content on."""
+MAX_RECORDS = 2**19
+"""Maximum number of records in the chunks of a file that has fewer bytes than that; a larger file
+has at most as many records as bytes. A recorded message takes more, for its time is another one,
+but millions of equal records pack to almost nothing, and each takes microseconds to read."""
 MAX_TRUSTED_BYTES = 2**32 - 1
 """Maximum size of a chunk's content where large chunks are allowed, bytes: a bag can state no
 larger size."""
 
 
 class Allowance:
-    """Counts how much of a file has been unpacked, and refuses chunks above the limits.
+    """Counts the bytes and records of chunks that were unpacked; refuses those above the limits.
 
     Args:
         file_bytes: Size of the file.
         large_chunks: The user trusts the file: a chunk may have up to MAX_TRUSTED_BYTES of
-            content, and the file may unpack to any size.
+            content, and the file may unpack to any size and number of records.
     """
 
     def __init__(self, file_bytes: int, large_chunks: bool = False) -> None:
         self._large_chunks = large_chunks
         self._most = max(MAX_CHUNK_BYTES, MAX_RATIO * file_bytes)
         self._taken = 0
+        self._most_records = max(MAX_RECORDS, file_bytes)
+        self._records = 0
 
     def take(self, compression: str, size: int, packed: int, where: str) -> None:
         """Count a chunk before it is unpacked. The caller unpacks at most ``size`` bytes of it.
@@ -73,6 +80,23 @@ class Allowance:
             raise BagTooLarge(
                 f"{where} makes {self._taken} bytes of content up to here; a file that unpacks to "
                 f"more than {MAX_RATIO} times its size is not read{self._remedy()}"
+            )
+
+    def records(self, where: str, number: int) -> None:
+        """Count records of chunks, while they are read for the first time.
+
+        Args:
+            where: Name of the chunk in the error text.
+            number: Number of records since the last call.
+
+        Raises:
+            BagTooLarge: They are too many.
+        """
+        self._records += number
+        if self._records > self._most_records and not self._large_chunks:
+            raise BagTooLarge(
+                f"{where}: the file has over {self._most_records} records up to here; more records "
+                f"than bytes, from {MAX_RECORDS} on, are not read{self._remedy()}"
             )
 
     def most(self, compression: str) -> int:
